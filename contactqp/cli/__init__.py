@@ -1,4 +1,4 @@
-"""The command line: arguments only. Commands have a file a group, and bring in what they need when they are called."""
+"""The command line: arguments and exit codes. Commands import what they need when they are called."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _exit_code(error: ContactQPError) -> int:
 
 
 def _insist(ignored: sys.UnraisableHookArgs) -> None:
-    """Ctrl-C where Python lets no exception through, as in a callback of an import, comes once more after that."""
+    """Repeat a Ctrl-C that Python ignored, as it does in a callback of an import."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         # From another thread, a moment later: here it would be ignored again.
         threading.Timer(ONCE_MORE, _thread.interrupt_main).start()
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _ended(arguments: Sequence[str] | None) -> Ending:
-    """How the command ends in this process."""
+    """Run the command, and return how it ends in this process."""
     try:
         command(arguments, prog_name="contactqp", standalone_mode=False)
     except SystemExit as end:

@@ -1,4 +1,4 @@
-"""Commands that look at one problem or answer: check, explain, oracle."""
+"""Commands that examine one problem or answer: check, explain, oracle."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""What commands print and the codes that they end with, on one process and on several ranks.
+"""The output of commands and their exit codes, also of one run on several ranks.
 
-On ranks one of them prints, all end with one code, and what ends one ends all. A rank that fails while the others
-wait for it in some exchange would leave them waiting. Each rank comes to `settle` at its end; one that has failed
-waits there a moment for the others, who may have failed with it. If they do not come, it says why it failed and has
-MPI end them.
+On several ranks one of them prints, and all end with one code. A rank that fails while the others wait for it in some
+exchange would leave them waiting. So each rank comes to `Speakers.settle` at its end; one that has failed waits there a
+moment for the others, which may have failed with it. If they do not come, it prints why it failed and has MPI end them.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
 
     from contactqp.distributed.ranks import Ranks
 
-# Columns of a table that nobody looks at through a window.
+# Width of tables that are printed to a file or a pipe [columns].
 WIDE = 200
-# What launchers of MPI call the number of a process: OpenMPI, MPICH and Slurm.
+# Environment variables with the number of a process under launchers of MPI: OpenMPI, MPICH and Slurm.
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
@@ -47,57 +46,58 @@ def console(heard: bool = True) -> Console:
 
 
 def launched_rank() -> int | None:
-    """The number of this process as its launcher has it; None without one."""
+    """Return the rank of this process by its launcher; None without one."""
     found = (os.environ.get(name, "") for name in LAUNCHERS)
     return next((int(rank) for rank in found if rank.isdigit()), None)
 
 
 def print_json(data: Any) -> None:
-    """Plain data for programs."""
+    """Print plain data as JSON."""
     click.echo(json.dumps(data, indent=2, default=str, allow_nan=False))
 
 
 def complain(message: str) -> None:
-    """One line on the standard error."""
+    """Print a message as one line on the standard error."""
     click.echo(f"contactqp: {' '.join(message.split())}", err=True)
 
 
 T = TypeVar("T")
 # Seconds that ranks which fail together may be apart; later ones wait longer, so that one of them speaks.
 GRACE, APART, MOST_APART = 2.0, 0.1, 10
-# Between two looks at whether all have come.
+# Seconds between two checks whether all ranks have come.
 PAUSE = 0.01
-# PETSc's code for memory that it does not get, and the function that asks for it, whatever code it fails with.
+# PETSc's error code where it gets no memory, and the function that allocates it, whatever code it fails with.
 PETSC_MEMORY, PETSC_ALLOCATION = 55, "PetscMalloc"
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How one rank ends: its exit code, and what is to be said of it, if anything."""
+    """How one rank ends: its exit code, and the message to be printed, if any."""
 
     code: int
     message: str = ""
-    traceback: str = ""  # of a bug
+    traceback: str = ""  # where the cause is a bug
 
 
 class Speakers:
-    """The ranks of this run, once an engine that has several is asked for."""
+    """The ranks of this run, which one of them prints for, once an engine with several ranks is asked for."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Another command begins: it is of this process alone until it asks for an engine."""
+        """Begin another command, which runs in this process alone until it asks for an engine."""
         self.asked = False
         self._ranks: Ranks | None = None
-        self._closing: Any = None  # for the end alone: no exchange of the solvers meets it
+        self._closing: Any = None  # a communicator for the end alone, apart from those of the solvers
 
     def start(self, engine: str) -> None:
-        """Have MPI started if the engine needs it.
+        """Start MPI if the engine needs it.
 
         Raises
         ------
         BackendMissing
+            PETSc or mpi4py is not installed.
         """
         if engine == SERIAL:
             return
@@ -109,19 +109,19 @@ class Speakers:
 
     @property
     def speaks(self) -> bool:
-        """Whether this process prints and writes what all of them have found."""
+        """Whether this process prints and writes the results of all ranks."""
         return self._ranks is None or self._ranks.rank == 0
 
     def together(self) -> AbstractContextManager[None]:
-        """What one rank refuses meanwhile, all refuse."""
+        """Return a context in which an error of one rank is raised on all."""
         return nullcontext() if self._ranks is None else self._ranks.together()
 
     def by_first(self, action: Callable[[], T]) -> T:
-        """What an action finds, once and for all ranks; what it refuses, all refuse."""
+        """Return the result of an action of the first rank on all ranks; its errors are raised on all."""
         return action() if self._ranks is None else cast(T, self._ranks.told(self._ranks.by_first(action)))
 
     def settle(self, ending: Ending) -> int:
-        """Say what is to be said once, and return the exit code of all ranks; or end them, where they do not come."""
+        """Print the messages once and return the exit code of all ranks, or end the ranks that do not come."""
         if self._ranks is None:
             self._settle_unstarted(ending)
             return ending.code
@@ -148,7 +148,7 @@ class Speakers:
             time.sleep(PAUSE)
 
     def _settle_unstarted(self, ending: Ending) -> None:
-        """Without MPI ranks cannot agree, and as a rule they fail alike."""
+        """Print the message of a rank where MPI was not started, so that ranks cannot agree."""
         rank = leave_to_the_first() if self.asked else 0
         if ending.message:
             _say(ending, rank or None)
@@ -163,7 +163,7 @@ def leave_to_the_first() -> int:
 
 
 def explained(error: Exception) -> str:
-    """One line about an error that is none of contactqp's own."""
+    """Return one line about an error that is no error of contactqp."""
     lines = str(error).strip().splitlines()
     if type(error).__module__.startswith("petsc4py"):
         reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost stands last, after its rank

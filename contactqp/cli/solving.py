@@ -1,4 +1,4 @@
-"""Commands that solve: run."""
+"""The command that solves: run."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def run_command(
         found = judge_all(scene, methods, knobs, engine, checkpoint)
         speakers.meet(_failed(outcome.message for outcome in found if isinstance(outcome, Failure)))
         met = met and all(outcome.met for outcome in found)
-        data += _tell(found, files, as_json)
+        data += _print_outcomes(found, files, as_json)
     if foreign:
         from contactqp.study.friction_files import run_files
 
@@ -90,14 +90,14 @@ def run_command(
         speakers.meet(_failed(outcome.failure for outcome in solved if outcome.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
-            data += _tell_of_files(solved, as_json)
+            data += _print_files(solved, as_json)
     if as_json and speakers.speaks:
         print_json(data)
     sys.exit(0 if met else NOT_MET)
 
 
 def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Case files (and folders of them), and problems in files of other codes."""
+    """Split arguments into case files (and folders of them) and problems in files of other codes."""
     from contactqp.scene.judging import are_case_files
 
     if are_case_files(cases):
@@ -110,7 +110,7 @@ def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:
 def _read(
     named: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
 ) -> tuple[list[Scene], AnswerFiles | None]:
-    """The scenes, and where answers are drawn to."""
+    """Return the scenes, and the files that answers are drawn to."""
     from contactqp.scene.judging import case_files
     from contactqp.scene.scene import load_scene
 
@@ -127,10 +127,10 @@ def _failed(messages: Iterable[str]) -> Ending:
     return Ending(NOT_MET, "; ".join(messages))
 
 
-def _tell(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:
-    """Print and draw the outcomes of one scene; with `as_json`, what is to be printed in the end.
+def _print_outcomes(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:
+    """Print and draw the outcomes of one scene; with `as_json`, return the data to be printed in the end.
 
-    On several ranks all of them do so, who have pieces of the answer, and one is heard.
+    On several ranks all of them do so, as each has a piece of the answer, and the output of one is shown.
     """
     from contactqp.scene.judging import Failure, Judgement
     from contactqp.scene.printing import judgement_data, print_failure, print_judgements
@@ -161,8 +161,8 @@ def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path
     return files.write(found) if speakers.speaks else []
 
 
-def _tell_of_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
-    """The same of problems in files of other codes."""
+def _print_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
+    """Print the outcomes of problems in files of other codes; with `as_json`, return the data to be printed."""
     from contactqp.study.friction_files import outcome_data, print_outcomes
 
     for message in (outcome.failure for outcome in solved if outcome.failure is not None):

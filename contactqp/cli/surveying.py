@@ -1,4 +1,4 @@
-"""Commands that go through many methods or problems: methods, report, gallery."""
+"""Commands on many methods or problems: methods, report, gallery."""
 
 from __future__ import annotations
 
@@ -15,23 +15,21 @@ from contactqp.cli.output import console, print_json
 from contactqp.errors import InvalidProblem
 from contactqp.oracle.gallery.problem import GalleryProblem
 
-# The problems of the gallery as a table on a screen.
-
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:
-    """One row a problem."""
+    """Print the problems of the gallery as a table."""
     table = Table(box=box.SIMPLE, pad_edge=False)
     for title in ("name", "difficulty", "unknowns", "contacts", "ties", "forces", "problem"):
         table.add_column(title, no_wrap=title == "name", justify="right" if title.endswith("s") else "left")
-    for known in problems:
-        data = known.data
+    for problem in problems:
+        data = problem.data
         sizes = [str(size) for size in (data.unknowns, data.contacts, len(data.tie))]
-        forces = "unique" if known.unique_forces else "not unique"
-        table.add_row(known.name, known.difficulty, *sizes, forces, escape(known.description))
+        forces = "unique" if problem.unique_forces else "not unique"
+        table.add_row(problem.name, problem.difficulty, *sizes, forces, escape(problem.description))
     console.print(table)
 
 
-# Of one cell of a report [s].
+# Limit for one cell of a report [s].
 TIME_LIMIT = 600.0
 
 
@@ -128,7 +126,7 @@ def gallery_command(
     if as_json and not listed:
         raise InvalidProblem("gallery: --json goes with --list; what is written has an index.json")
     if as_json:
-        print_json([summary(known) for known in chosen])
+        print_json([summary(problem) for problem in chosen])
     elif listed:
         print_gallery(console(), chosen)
     elif folder is not None:

@@ -1,8 +1,9 @@
-"""What a solution looks like: its fields on the bodies and contacts, drawn by matplotlib or written for ParaView.
+"""Pictures of solutions: their fields on bodies and contacts, drawn by matplotlib or written for ParaView.
 
 contact_fields    elastic bodies: displacement, stress, contact force, pressure, gap and status
-frame_fields      bars, springs and beams: the same without stress and pressure
-drawing           draw(fields, file)
-history_drawing   draw_history(history, file): load paths and motions
+drawing           draw(fields, file): elastic bodies, those in space by space_drawing, which has membranes too
+frame_drawing     draw_structure(fields, file): bars, springs, beams, strings and matrices
+history_drawing   draw_history(history, file): load paths and motions, with the curves of history_panels
 vtu               write_vtu(fields, file)
+style             colours, markers, units, magnification
 """

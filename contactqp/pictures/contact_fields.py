@@ -24,24 +24,22 @@ from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 
-# Which node of which body each contact belongs to, and the area that its force is spread over.
-
-# A contact's point is a copy of its node's coordinates; what is further off, relative to the structure, is another one.
+# A contact's point is a copy of its node's coordinates: beyond this distance, relative to the structure, is another.
 SAME_PLACE = 1e-9
 
 
 def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[Index, Index, bool]:
-    """The bodies (p,) and, within them, the nodes (p,) that the pairing's forces press on along `direction`.
+    """Return the bodies (p,) and the nodes within them (p,) that the pairing's forces press on along `direction`.
 
-    Third, whether the partner is an obstacle: no row then touches another node than its contact's own.
+    The third result says whether the partner is an obstacle: no row then touches a node but that of its contact.
 
-    Found from the rows: a contact moves by -n.(w_i u_i + ...), so its own node is the one at its point with w_i > 0;
-    the nodes of a master surface have w_i < 0.
+    Nodes are found from the rows: a contact moves by -n.(w_i u_i + ...), so its own node is the one at its point with
+    w_i > 0; the nodes of a master surface have w_i < 0.
 
     Raises
     ------
     InvalidProblem
-        A contact whose row touches no node of the structure at its point.
+        The row of a contact touches no node of the structure at its point.
     """
     d = int(structure.bodies[0].mesh.points.shape[1])
     points = np.concatenate([body.mesh.points for body in structure.bodies])
@@ -65,11 +63,9 @@ def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[In
     return owner, found - first[owner], bool(np.all(rows.col // d == found[rows.row]))
 
 
-# Elements and facets seen at many points: small triangles that follow curved edges, and the edges themselves.
-
-# Pieces that an edge is cut into: a parabola in 6 chords is off by 1/144 of its rise.
+# Chords that a curved edge is drawn with: those of a parabola are off by 1/144 of its rise.
 CURVED_PIECES = 6
-# Elements beyond which nobody sees the curve of a single one.
+# Number of elements beyond which the curve of a single one is not visible.
 MANY = 20_000
 
 
@@ -82,7 +78,7 @@ class Pieces:
 
 
 def pieces(kind: Reference, cuts: int) -> Pieces:
-    """The triangle or quadrilateral cut into cuts^2 triangles, or 2 cuts^2."""
+    """Return a triangle cut into cuts^2 triangles, or a quadrilateral into 2 cuts^2."""
     steps = np.arange(cuts + 1)
     i, j = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
     a, b = (a.ravel() for a in np.meshgrid(steps[:-1], steps[:-1], indexing="ij"))
@@ -98,7 +94,7 @@ def pieces(kind: Reference, cuts: int) -> Pieces:
 
 
 def cuts(block: Block) -> int:
-    """How often to cut each edge of a block's elements; a bilinear field on a quadrilateral is no linear one."""
+    """Return the number of cuts of each edge of a block's elements; bilinear fields on quadrilaterals need two."""
     if len(block) > MANY:
         return 1
     if len(block.kind.nodes) > block.kind.corners:
@@ -107,12 +103,12 @@ def cuts(block: Block) -> int:
 
 
 def sample(block: Block, values: Array, points: Array) -> Array:
-    """N_i values_i of the nodal values (N, c) at the (q, d) reference points of each element: (E, q, c)."""
+    """Interpolate nodal values (N, c) at the reference points (q, d) of each element: Σ N_i values_i, (E, q, c)."""
     return np.asarray(np.matmul(block.kind.shape(points), values[block.nodes]))
 
 
 def edges(mesh: Mesh) -> tuple[Block, ...]:
-    """Every edge of a plane mesh once, the inner ones too, by kind."""
+    """Return every edge of a plane mesh once, the inner ones too, by kind."""
     total = sum(len(block) for block in mesh.blocks)
     counts = np.concatenate([np.full(len(block), len(block.kind.facets)) for block in mesh.blocks])
     element = np.repeat(np.arange(total), counts)
@@ -126,13 +122,13 @@ def _distinct(block: Block) -> Block:
 
 
 def edge_points(block: Block) -> Array:
-    """Reference points (q, 1) along the lines of a block: its ends, or as many as a curve needs."""
+    """Return reference points (q, 1) along the lines of a block: the ends, or as many as a curve needs."""
     count = CURVED_PIECES if block.kind.name == "line3" else 1
     return np.linspace(-1.0, 1.0, count + 1)[:, np.newaxis]
 
 
 def outline_points(kind: Reference) -> Array:
-    """Reference points (q, 2) once around a triangle or quadrilateral, along its edges."""
+    """Return reference points (q, 2) once around a triangle or quadrilateral, along its edges."""
     corners = kind.nodes[: kind.corners]
     count = CURVED_PIECES if len(kind.nodes) > kind.corners else 1
     along = np.arange(count)[:, np.newaxis] / count
@@ -140,13 +136,13 @@ def outline_points(kind: Reference) -> Array:
     return np.concatenate([start + along * (end - start) for start, end in zip(corners, following, strict=True)])
 
 
-# Of a contact that is not in the problem because all its nodes are supported: nobody knows its force.
+# State of a contact that is not in the problem as all its nodes are supported, so that its force is not determined.
 HELD = "held"
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFields:
-    """One body and what it does; N nodes in d dimensions.
+    """One body with its displacements, stresses and contact forces; N nodes in d dimensions.
 
     Attributes
     ----------
@@ -155,7 +151,7 @@ class BodyFields:
     stress : (N, 6) array
         (xx, yy, zz, xy, yz, zx), tension positive, averaged at nodes [force / length^2].
     contact_force : (N, d) array
-        What contact does to the body at each node, -(E_N' l_N + E_T' l_T) [force]; zero away from contact.
+        Forces of contact on the body at each node, -(E_N' l_N + E_T' l_T) [force]; zero away from contact.
     """
 
     body: Body
@@ -165,12 +161,12 @@ class BodyFields:
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """(N, d): where the nodes were [length]."""
+        """The initial positions of the nodes, (N, d) [length]."""
         return self.body.mesh.points
 
     @cached_property
     def von_mises(self) -> Vector:
-        """(N,): von Mises' equivalent of `stress` [force / length^2]."""
+        """The von Mises equivalent of `stress`, (N,) [force / length^2]."""
         return von_mises(self.stress)
 
 
@@ -182,12 +178,12 @@ class PairingFields:
     ----------
     name : str
     body, node : (p,) arrays of int
-        The body, as its place in ContactFields.bodies, and the node of each contact.
+        The body of each contact, as its place in ContactFields.bodies, and its node.
     position : (p, d) array
-        Where the node was [length].
+        Initial position of the node [length].
     displacement : (p, d) array [length]
     direction : (p, d) array
-        The unit normal out of the obstacle or the master surface: along it the contact pushes the body.
+        The unit normal out of the obstacle or the master surface, along which the contact pushes the body.
     force : (p,) array
         lambda_N, positive in compression [force]: in 2D for the body's thickness, in axial symmetry for the full
         circle. NaN where `status` is "held".
@@ -195,14 +191,14 @@ class PairingFields:
         `Pairing.pressure` of the forces [force / length^2]; None for a pairing of bare points, which have no area. NaN
         where `status` is "held".
     gap : (p,) array
-        Under the load, positive when open [length].
+        Gap under the load, positive when open [length].
     initial_gap : (p,) array
-        Before any displacement [length].
+        Gap before any displacement [length].
     status : (p,) array of str
         "open", "closed", "grazing", "stick" or "slip"; "held" where every node of the contact is supported, so that
         the contact is not in the problem.
     on_obstacle : bool
-        Whether the partner is a rigid obstacle and no other body.
+        Whether the partner is a rigid obstacle and not another body.
     """
 
     name: str
@@ -229,29 +225,29 @@ class ContactFields:
 
     @property
     def dimension(self) -> int:
-        """d, 2 or 3."""
+        """The dimension d of space, 2 or 3."""
         return self.bodies[0].body.dimension
 
 
 def contact_fields(
     system: System, pairings: Sequence[Pairing], solution: Solution, *, names: Sequence[str] | None = None
 ) -> ContactFields:
-    """The fields of a solution of ``system.problem(pairings)``.
+    """Return the fields of a solution of ``system.problem(pairings)``.
 
     Parameters
     ----------
     system : System
         ``structure.assemble(supports, loads)``.
     pairings : sequence of Pairing
-        Those that the problem was made of, in the same order.
+        The pairings of the problem, in the same order.
     solution : Solution
     names : sequence of str, optional
-        Of the pairings, for legends; by default "contact", numbered if there are several.
+        Names of the pairings, for legends; by default "contact", numbered if there are several.
 
     Raises
     ------
     InvalidProblem
-        The solution is not one of this system and these pairings; not one name for each pairing.
+        The solution is not one of this system and these pairings, or there is not one name for each pairing.
     """
     kept = system.free_contacts(pairings)
     expected, got = (len(system.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
@@ -288,7 +284,7 @@ def _default_names(count: int) -> list[str]:
 
 
 def _contact_forces(pairings: Sequence[Pairing], kept: Index, solution: Solution, size: int) -> Vector:
-    """-(E_N' l_N + E_T' l_T) on all unknowns, (n,) [force]; held contacts bring nothing."""
+    """Return -(E_N' l_N + E_T' l_T) on all unknowns, (n,) [force]; contacts of supported nodes add nothing."""
     total, first = np.zeros(size), 0
     for pairing in pairings:
         here = (kept >= first) & (kept < first + len(pairing.gap))

@@ -1,4 +1,4 @@
-"""Draw elastic bodies in contact; in the plane filled elements and the contact pressure along the boundary."""
+"""Pictures of elastic bodies in contact; in the plane with the contact pressure along the boundary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.elements.geometry import Block
-from contactqp.elements.mesh import Mesh
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import (
@@ -30,9 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARGIN = 0.04
-# Of one pairing; more of them run into each other.
+# Arrows of one pairing; more of them would overlap.
 MOST_ARROWS = 60
-# Contacts under force that spread over less than this part of the bodies get a window, so many times wider than they.
+# Contacts under force that spread over less than this part of the bodies get a window, which is so many times wider.
 SMALL_ZONE, WIDER = 0.15, 3.0
 
 
@@ -46,7 +45,7 @@ class Triangles:
 
 
 def triangles(fields: ContactFields, colour: str, scale: float) -> Triangles:
-    """The deformed elements of all bodies; `values` is the displacement's magnitude or von Mises' stress."""
+    """Return the deformed elements of all bodies; values are displacement magnitudes or von Mises stresses."""
     points, corners, values, first = [], [], [], 0
     for body in fields.bodies:
         for block in body.body.mesh.blocks:
@@ -67,7 +66,7 @@ def _values(body: BodyFields, block: Block, colour: str, points: Array) -> Array
 
 
 def contact_zone(fields: ContactFields, scale: float, size: float) -> Array | None:
-    """The square [[x_low, y_low], [x_high, y_high]] around the contacts under force if it is a small part of all."""
+    """Return the square [[x_low, y_low], [x_high, y_high]] around the contacts under force; None where it is large."""
     places = [(p.position + scale * p.displacement)[p.force > 0] for p in fields.pairings]
     pushed = np.concatenate([np.zeros((0, 2)), *places])
     if len(pushed) < 2:
@@ -82,9 +81,23 @@ def contact_zone(fields: ContactFields, scale: float, size: float) -> Array | No
 def draw_plane(
     axes: Any, fields: ContactFields, colour: str, scale: float, window: Array | None = None
 ) -> tuple[Any, list[Any]]:
-    """Draw all bodies and contacts, or what is in the window of them.
+    """Draw all bodies and contacts in the plane.
 
-    Returns what the colour bar belongs to, and the entries of the legend.
+    Parameters
+    ----------
+    axes : matplotlib axes
+    fields : ContactFields
+    colour : str
+        "displacement" or "von mises".
+    scale : float
+        How many times displacements are magnified.
+    window : (2, 2) array, optional
+        Corners of the part that is shown; all by default.
+
+    Returns
+    -------
+    coloured, handles
+        The artist of the colour bar, and the entries of the legend.
     """
     bodies = np.concatenate([body.points for body in fields.bodies])
     longest = style.ARROW * float(np.ptp(bodies if window is None else window, axis=0).max())
@@ -110,18 +123,15 @@ def draw_plane(
 
 
 def _draw_outlines(axes: Any, body: BodyFields, scale: float) -> None:
-    """The undeformed boundary in grey, the deformed one in black, and between elements hair lines."""
+    """Draw the undeformed boundary in grey, the deformed one in black, and thin lines between elements."""
     mesh, deformed = body.body.mesh, body.points + scale * body.displacement
     boundary = mesh.facets_of(mesh.boundary)
+    # Thinner lines for finer meshes, so that the colour stays visible.
+    thin = float(np.clip(8.0 / np.sqrt(mesh.elements), 0.06, 0.4))
     _add_lines(axes, boundary, body.points, "undeformed", color=style.UNDEFORMED, linewidths=0.8)
     if mesh.elements <= MANY:
-        _add_lines(axes, edges(mesh), deformed, "elements", color=style.OUTLINE, linewidths=_hair(mesh))
+        _add_lines(axes, edges(mesh), deformed, "elements", color=style.OUTLINE, linewidths=thin)
     _add_lines(axes, boundary, deformed, "deformed", color=style.OUTLINE, linewidths=0.9)
-
-
-def _hair(mesh: Mesh) -> float:
-    """Thinner lines for finer meshes, so that the colour stays visible."""
-    return float(np.clip(8.0 / np.sqrt(mesh.elements), 0.06, 0.4))
 
 
 def _add_lines(axes: Any, blocks: tuple[Block, ...], points: Array, name: str, **look: Any) -> None:
@@ -134,7 +144,7 @@ def _add_lines(axes: Any, blocks: tuple[Block, ...], points: Array, name: str, *
 
 
 def segments(fields: ContactFields, pairing: PairingFields) -> Index:
-    """Pairs of contacts (s, 2) that are neighbours on the boundary of their body, from one node to the next."""
+    """Return the pairs of contacts (s, 2) at neighbouring nodes on the boundary of their body."""
     found = [np.zeros((0, 2), dtype=np.int64)]
     for number in np.unique(pairing.body):
         mesh = fields.bodies[number].body.mesh
@@ -150,7 +160,7 @@ def segments(fields: ContactFields, pairing: PairingFields) -> Index:
 
 
 def _draw_obstacle(axes: Any, fields: ContactFields, pairing: PairingFields) -> list[Array]:
-    """The part of a rigid obstacle that faces the contacts: x - gap n."""
+    """Draw the part of a rigid obstacle that faces the contacts, x - gap n, and return its points."""
     from matplotlib.collections import LineCollection
 
     if not pairing.on_obstacle:
@@ -164,7 +174,7 @@ def _draw_obstacle(axes: Any, fields: ContactFields, pairing: PairingFields) -> 
 def _draw_arrows(
     axes: Any, fields: ContactFields, under_pressure: bool, scale: float, longest: float
 ) -> tuple[list[Array], list[Any]]:
-    """The pressures, or the forces of contacts without area, as arrows that push the body: where they start, legend."""
+    """Draw pressures, or forces of contacts without area, as arrows; return their tails and the legend entries."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
@@ -202,7 +212,7 @@ def _draw_arrows(
 
 
 def _draw_points(axes: Any, fields: ContactFields, scale: float) -> list[Any]:
-    """The contact points by status, with how many there are of each."""
+    """Draw the contact points by state, and return the entries of the legend with their counts."""
     if not fields.pairings:
         return []
     places = np.concatenate([p.position + scale * p.displacement for p in fields.pairings])
@@ -236,7 +246,7 @@ def _set_axes(axes: Any, fields: ContactFields, seen: Array) -> None:
         axes.spines[side].set_visible(False)
 
 
-# [inch]: of the longer side of the bodies, and what title, legend and colour bar add.
+# Sizes of the figure [inch]: the longer side of the bodies, and what title, legend and colour bar add.
 LONG_SIDE, BESIDE, BELOW = 7.0, 2.0, 1.7
 LEAST_SIDE = 2.2
 
@@ -249,33 +259,33 @@ def draw(
     scale: float | None = None,
     title: str = "",
 ) -> None:
-    """Draw deformed bodies, coloured, with the contact pressure along the boundary and the contact points by status.
+    """Draw deformed bodies, coloured, with the contact pressure along the boundary and the contact points by state.
 
     Parameters
     ----------
     fields : ContactFields
     file : str or Path
-        Ends in .png, .pdf or .svg.
+        A file that ends in .png, .pdf or .svg.
     colour : "displacement" or "von mises"
         The magnitude of the displacement [length], or von Mises' stress [force / length^2].
     scale : float, optional
         How many times displacements are magnified; by default as many as make them visible, 1 where they are. The
-        title says so. Gaps are those between the bodies as they are drawn: magnified bodies that met across a gap
+        title states it. Gaps are those between the bodies as they are drawn: magnified bodies that met across a gap
         overlap in the picture.
     title : str
-        Stands above that.
+        The title of the picture.
 
     Raises
     ------
     InvalidProblem
-        Another suffix, an unknown colour, a scale that is not positive, a folder that is not there.
+        The suffix or the colour is unknown, the scale is not positive, or the folder does not exist.
     BackendMissing
         matplotlib is not installed.
 
     Notes
     -----
     In 2D arrows show the pressure, or the force of contacts without area, and push the body that the contact nodes
-    belong to; of many contacts every so many-th gets one, while the shaded bars and the maps show all. In 3D the outer
+    belong to; of many contacts only some get an arrow, while the shaded bars and the maps show all. In 3D the outer
     surface is drawn facet by facet from the back to the front (the painter's algorithm: facets of very different sizes
     may cover each other wrongly), with a map of the pressure of each pairing beside it.
     """
@@ -286,7 +296,17 @@ def draw(
 def figure(
     fields: ContactFields, *, colour: str = "displacement", scale: float | None = None, title: str = ""
 ) -> Figure:
-    """The figure that `draw` writes."""
+    """Return the figure that `draw` writes.
+
+    Parameters
+    ----------
+    fields : ContactFields
+    colour : "displacement" or "von mises"
+    scale : float, optional
+        How many times displacements are magnified.
+    title : str
+        The title of the picture.
+    """
     label = style.colour_label(colour, fields.units)
     points = np.concatenate([body.points for body in fields.bodies])
     size = float(np.ptp(points, axis=0).max())
@@ -307,7 +327,7 @@ def figure(
 
 
 def _plane_figure(fields: ContactFields, colour: str, label: str, title: str, scale: float, points: Array) -> Figure:
-    """All bodies, and beside them the contact zone where it is small."""
+    """Return the figure of all bodies, and beside them the contact zone where it is small."""
     sides = np.ptp(points, axis=0)
     width, height = np.maximum(sides / sides.max() * LONG_SIDE, LEAST_SIDE)
     zone = contact_zone(fields, scale, float(sides.max()))

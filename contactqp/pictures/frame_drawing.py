@@ -1,4 +1,4 @@
-"""Pictures of bars, springs, beams, strings: undeformed and magnified, with supports, obstacles, forces and gaps."""
+"""Pictures of bars, springs, beams, strings and matrices: their fields, and the figure of members and contacts."""
 
 from __future__ import annotations
 
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# The fields of a solution of bars, springs, beams, strings and matrices: displacements of nodes, forces and gaps.
-
-
 @dataclass(frozen=True, eq=False)
 class Member:
     """One element as a line of k points.
@@ -32,9 +29,9 @@ class Member:
     kind : str
         "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called.
     nodes : tuple of int
-        Those it connects, as places in FrameFields.nodes; a single one is connected to the ground.
+        The nodes that it connects, as places in FrameFields.nodes; a single one is connected to the ground.
     path, displacement : (k, d) arrays
-        Points along the element and what they move by [length].
+        Points along the element and their displacements [length].
     """
 
     kind: str
@@ -45,7 +42,7 @@ class Member:
 
 @dataclass(frozen=True, eq=False)
 class FrameContact:
-    """A node and an obstacle, or two nodes.
+    """A contact of a node with an obstacle, or of two nodes.
 
     Attributes
     ----------
@@ -53,11 +50,11 @@ class FrameContact:
     nodes : tuple of int
         One against an obstacle, or two.
     push : (1 or 2, d) array
-        Where a unit of force pushes each of the nodes, -E_N [-].
+        The force on each of the nodes by a unit contact force, -E_N [-].
     force : float
-        lambda_N, positive in compression [force].
+        Contact force lambda_N, positive in compression [force].
     gap, initial_gap : float
-        Under the load and before it, positive when open [length].
+        Gap under the load and before it, positive when open [length].
     status : str
         "open", "closed", "grazing", "stick" or "slip".
     """
@@ -78,12 +75,12 @@ class FrameFields:
     Attributes
     ----------
     axes : tuple of str
-        Which of x, y, z the d components are.
+        The names of the d components among x, y, z.
     nodes : tuple of str
-        Names.
+        Names of the nodes.
     position, displacement : (N, d) arrays [length]
     held : (N, d) array of bool
-        Displacements that a support holds.
+        Whether a support fixes each displacement.
     members, contacts, units
     """
 
@@ -104,17 +101,17 @@ LINES: dict[str, dict[str, Any]] = {
     "string": dict(color="#0072B2", linewidth=1.2),
     "matrix": dict(color="#56B4E9", linewidth=1.2, linestyle="-."),
 }
-# Of kinds of elements that are not listed.
+# Line of kinds of elements that are not listed.
 OTHER_LINE: dict[str, Any] = dict(color="#CC79A7", linewidth=1.6)
 GROUNDED = "spring to the ground"
-# Rows of the legend that contacts may take, and node names that can be told apart.
+# Contacts that the legend lists at most, and names of nodes that are shown at most.
 MOST_CONTACTS, MOST_NAMES = 12, 24
 # Relative to the size: half the length of an obstacle's symbol, and how far the deformed line is below the undeformed.
 OBSTACLE, BELOW = 0.07, 0.12
-# An obstacle further than this from its node, relative to the size, is left to the legend.
+# An obstacle further than this from its node, relative to the size, is mentioned in the legend only.
 FAR = 0.6
 MARGIN = 0.12
-# [inch]: width, least height and the height of title, axis and legend; and the largest ratio of height to width.
+# Width, least height, and height of title, axis and legend [inch]; and the largest ratio of height to width.
 WIDTH, LEAST, TEXT, MOST_UPRIGHT = 9.0, 1.6, 1.5, 0.75
 # Nodes closer than this, relative to the size, share a label.
 CLOSE = 0.02
@@ -127,16 +124,16 @@ def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None
     ----------
     fields : FrameFields
     file : str or Path
-        Ends in .png, .pdf or .svg.
+        A file that ends in .png, .pdf or .svg.
     scale : float, optional
-        How many times displacements are magnified; by default as many as make them visible. The title says so.
+        How many times displacements are magnified; by default as many as make them visible. The title states it.
     title : str
-        Stands above that.
+        The title of the picture.
 
     Raises
     ------
     InvalidProblem
-        Another suffix, a scale that is not positive, a folder that is not there.
+        The suffix is unknown, the scale is not positive, or the folder does not exist.
     BackendMissing
         matplotlib is not installed.
 
@@ -150,7 +147,7 @@ def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None
 
 
 def structure_figure(fields: FrameFields, *, scale: float | None = None, title: str = "") -> Figure:
-    """The figure that `draw_structure` writes."""
+    """Return the figure that `draw_structure` writes."""
     size = _size(fields)
     pairs = [(contact.initial_gap, contact.gap) for contact in fields.contacts if len(contact.nodes) == 2]
     initial_gap, gap = np.array(pairs).reshape(-1, 2).T
@@ -173,21 +170,21 @@ def structure_figure(fields: FrameFields, *, scale: float | None = None, title: 
 
 
 def _size(fields: FrameFields) -> float:
-    """The longest side of the box around the nodes; where they are all at one place, what displacements call for."""
+    """Return the longest side of the box around the nodes; for nodes at one place, a size that suits displacements."""
     side = float(np.ptp(fields.position, axis=0).max())
     moved = float(np.linalg.norm(fields.displacement, axis=1).max())
     return side if side > 0 else (moved / LARGEST if moved > 0 else 1.0)
 
 
 def _flat(points: Array, row: float) -> Array:
-    """Points on a line get a second coordinate, the row they are drawn in."""
+    """Return points on a line with a second coordinate, the row that they are drawn in; others as they are."""
     if points.shape[1] > 1:
         return points
     return np.column_stack([points, np.full(len(points), row)])
 
 
 def _joined(paths: Iterable[Array]) -> Array:
-    """One line with breaks between the paths."""
+    """Return one line with breaks between the paths."""
     return np.concatenate([part for path in paths for part in (path, np.full((1, path.shape[1]), np.nan))])
 
 
@@ -217,7 +214,7 @@ def _deformed(member: Member, scale: float) -> Array:
 
 
 def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
-    """Nodes with their names; in 1D hair lines lead from the undeformed to the deformed row."""
+    """Draw nodes with their names; in 1D thin lines lead from the undeformed to the deformed row."""
     start = _flat(fields.position, 0.0)
     end = _flat(fields.position + scale * fields.displacement, -below)
     axes.plot(*end.T, color="#0072B2", linestyle="none", marker="o", markersize=3.5, gid="nodes")
@@ -235,7 +232,7 @@ def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> l
 
 
 def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) -> None:
-    """The names of the nodes, those of near ones together."""
+    """Write the names of the nodes, those of near nodes together."""
     at: dict[tuple[int, ...], list[str]] = {}
     first: dict[tuple[int, ...], list[float]] = {}
     for name, place in zip(names, places.tolist(), strict=True):
@@ -247,7 +244,7 @@ def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) ->
 
 
 def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: float, size: float) -> list[Array]:
-    """The obstacle that a node may touch, or a line between the two nodes; returns what the picture has to show."""
+    """Draw the obstacle of a node, or a line between two nodes; return the points that the picture must include."""
     row = -BELOW * size
     if len(contact.nodes) == 2:
         i, j = contact.nodes
@@ -266,7 +263,7 @@ def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: 
 
 
 def _draw_forces(axes: Any, fields: FrameFields, scale: float, size: float) -> list[Array]:
-    """What contact does to each node, as arrows that end there."""
+    """Draw the contact force on each node as an arrow that ends there, and return the tails."""
     pushed = [contact for contact in fields.contacts if contact.force > 0]
     if not pushed:
         return []
@@ -283,7 +280,7 @@ def _draw_forces(axes: Any, fields: FrameFields, scale: float, size: float) -> l
 
 
 def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
-    """Contact points by status; the legend says of each what its force and its gap are."""
+    """Draw contact points by state; return the entries of the legend, with the force and gap of each."""
     places = _flat(fields.position + scale * fields.displacement, -below)
     handles = []
     for contact in fields.contacts:
@@ -302,14 +299,14 @@ def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -
 
 
 def contact_label(contact: FrameContact, fields: FrameFields) -> str:
-    """``"tip: closed, force 142.5 kN, gap 0 m"``."""
+    """Return the state of a contact in words: ``"tip: closed, force 142.5 kN, gap 0 m"``."""
     force = f"force {style.number(contact.force)} {style.force_unit(fields.units)}"
     gap = f"gap {style.number(contact.gap)} {style.length_unit(fields.units)}"
     return f"{contact.name}: {contact.status}, {force}, {gap}"
 
 
 def _set_axes(axes: Any, fields: FrameFields, seen: Array, size: float) -> float:
-    """Limits and labels; returns the ratio of height to width."""
+    """Set limits and labels, and return the ratio of height to width."""
     unit = style.length_unit(fields.units)
     low, high = seen.min(axis=0) - MARGIN * size, seen.max(axis=0) + MARGIN * size
     axes.set_xlim(low[0], high[0])

@@ -1,4 +1,4 @@
-"""Pictures of histories: displacements, gaps, forces and energies against time or load, with the events marked."""
+"""Pictures of load paths and motions: curves against time or load, with every event marked."""
 
 from __future__ import annotations
 
@@ -28,13 +28,11 @@ from contactqp.pictures.history_panels import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Events in pictures of histories: a line at each, a label where there is room for one.
-
-# Of the width of a panel: what an upright label takes.
+# Width of an upright label, relative to that of a panel.
 ROOM = 0.022
-# Lines nearer than this part of the width are one line.
+# Lines of events nearer than this part of the width are drawn as one line.
 ONE_LINE = 1 / 2000
-# Events whose contacts are named at one label, and letters of a name.
+# Events that one label names at most, and letters of a name.
 MOST_NAMED, MOST_LETTERS = 2, 20
 KINDS: Mapping[str, dict[str, Any]] = {
     "closed": dict(color="black", linestyle="-"),
@@ -46,7 +44,7 @@ KINDS: Mapping[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Label:
-    """What stands above the time of the first event that it is about."""
+    """A label above the time of its first event."""
 
     time: float
     text: str
@@ -54,13 +52,13 @@ class Label:
 
 
 def labels(events: Sequence[Event], width: float) -> list[Label]:
-    """Labels that do not cover each other; one of several events stands at the first.
+    """Return labels that do not cover each other; a label of several events stands at the first.
 
     Parameters
     ----------
     events : sequence of Event
     width : float
-        The range of times that is drawn.
+        Length of the range of times that is drawn.
 
     >>> tip = [Event("closed", 0, 0.5, "tip"), Event("slip", 0, 0.5, "tip"), Event("opened", 0, 0.9, "tip")]
     >>> [(label.time, label.text) for label in labels(tip, width=1.0)]
@@ -83,7 +81,7 @@ def _text(group: Sequence[Event]) -> str:
 
 
 def thinned(found: Sequence[Label]) -> str:
-    """What the picture says of events without a label of their own, or nothing."""
+    """Return a remark on events without a label of their own; empty where all have one."""
     hidden = sum(label.events - 1 for label in found if label.events > MOST_NAMED)
     if not hidden:
         return ""
@@ -92,7 +90,7 @@ def thinned(found: Sequence[Label]) -> str:
 
 
 def draw_lines(panel: Any, events: Sequence[Event], width: float) -> None:
-    """An upright line at each event."""
+    """Draw an upright line at each event."""
     from matplotlib.collections import LineCollection
 
     for kind, look in KINDS.items():
@@ -107,7 +105,7 @@ def draw_lines(panel: Any, events: Sequence[Event], width: float) -> None:
 
 
 def draw_labels(panel: Any, found: Sequence[Label]) -> None:
-    """Upright, above the panel."""
+    """Write upright labels above the panel."""
     for label in found:
         panel.text(
             *(label.time, 1.03, label.text),
@@ -121,7 +119,15 @@ def draw_labels(panel: Any, found: Sequence[Label]) -> None:
 
 
 def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """A marker on a curve at each event, x and y (number of events,)."""
+    """Draw a marker on a curve at each event.
+
+    Parameters
+    ----------
+    panel : matplotlib axes
+    events : sequence of Event
+    x, y : (number of events,) arrays
+        The places of the events on the curve.
+    """
     for kind in KINDS:
         mine = np.array([event.kind == kind for event in events], dtype=bool)
         if not np.any(mine):
@@ -132,7 +138,7 @@ def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: 
 
 
 def event_handles(events: Sequence[Event], points: bool) -> list[Any]:
-    """For the legend: each kind with its line, its marker where there are points, and how many there are."""
+    """Return the entries of the legend: each kind with its line, its marker if there are points, and its count."""
     found = []
     for kind, look in KINDS.items():
         count = sum(event.kind == kind for event in events)
@@ -144,7 +150,7 @@ def event_handles(events: Sequence[Event], points: bool) -> list[Any]:
 
 
 def _apart(times: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """The first of those that lie within `least` of each other."""
+    """Return the times without those that lie within `least` of another one."""
     times = np.unique(times)
     if least <= 0:
         return times
@@ -152,53 +158,53 @@ def _apart(times: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     return times[first]
 
 
-# [inch]: width; height of a panel against time, of the one of load and displacement, of a line of text, of a letter of
-# an upright label; and what title and axis add.
+# Sizes [inch]: width; height of a panel against time, of that of load and displacement, of a line of text, of a letter
+# of an upright label, and of title and axis.
 WIDTH, HEIGHT, LOAD_HEIGHT, LINE, LETTER, TEXT = 9.5, 1.45, 2.7, 0.16, 0.062, 1.3
-# Notes that are shown, and letters of a line of them.
+# Notes that are shown at most, and letters of a line of them.
 MOST_NOTES, NOTE_LINE = 3, 120
-# Of so few instants each is marked, since the lines between them are chords.
-FEW = 60
-# What varies by less than this part of what it is made of varies by rounding, and is drawn flat.
+# Up to this number of instants each is marked, since the lines between them are chords.
+MARKED_INSTANTS = 60
+# Curves that vary by less than this part of the size of their terms vary by rounding, and are drawn flat.
 FLAT = 1e-9
-# Larger numbers leave no room for a picture within what doubles hold.
+# Larger numbers cannot be drawn within the range of doubles.
 LARGEST = 1e300
 
 
 def draw_history(history: History, file: str | Path, *, title: str = "", time_unit: str = "") -> None:
-    """Draw a load path or a motion: what moves, the gaps and forces of contacts, energies, and every event.
+    """Draw a load path or a motion: displacements, gaps and forces of contacts, energies, and every event.
 
     Parameters
     ----------
     history : History
-        Of `follow_path`, `impact`, `run`, or what a `NotConverged` carries as its `history`.
+        A history of `follow_path`, `impact` or `run`, or the `history` of a `NotConverged`.
     file : str or Path
-        Ends in .png, .pdf or .svg.
+        A file that ends in .png, .pdf or .svg.
     title : str
-        Stands above.
+        The title of the picture.
     time_unit : str
-        Of the times of a motion, for labels.
+        Unit of the times of a motion, for labels.
 
     Raises
     ------
     InvalidProblem
-        Another suffix, a folder that is not there, no History.
+        The suffix is unknown, the folder does not exist, or `history` is no History.
     BackendMissing
         matplotlib is not installed.
 
     Notes
     -----
-    Of a load path the curves are those of the unknowns whose loads do most, and of the contacts that push hardest; what
-    all contacts do together is a curve where some are left out. A load path also has the load over the displacement,
-    of up to three loads that come one by one, or up to four loaded unknowns. A motion shows the unknowns that its
-    contacts touch.
+    For a load path the curves are those of the unknowns whose loads do most work, and of the contacts with the largest
+    forces; where contacts are left out, another curve shows the sum of all. A load path also has the load over the
+    displacement, for up to three loads that come one by one, or up to four loaded unknowns. A motion shows the unknowns
+    that its contacts touch.
     """
     path = style.check_picture(file)
     style.save(history_figure(history, title=title, time_unit=time_unit), path)
 
 
 def history_figure(history: History, *, title: str = "", time_unit: str = "") -> Figure:
-    """The figure that `draw_history` writes."""
+    """Return the figure that `draw_history` writes."""
     fields = history_fields(history)
     panels, load = time_panels(fields, time_unit), load_panel(fields)
     width = float(np.ptp(fields.times))
@@ -230,7 +236,7 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
 def _draw_curves(axes: Any, panel: Panel, abscissas: Sequence[Array]) -> None:
     handles = []
     for curve, x in zip(panel.curves, abscissas, strict=True):
-        look = _look(curve) | (dict(marker=".", markersize=4) if len(x) <= FEW else {})
+        look = _look(curve) | (dict(marker=".", markersize=4) if len(x) <= MARKED_INSTANTS else {})
         handles += axes.plot(_drawable(x), _drawable(curve.y), gid=curve.label, label=style.plain(curve.label), **look)
     low, high = _range(panel.curves)
     if high - low < FLAT * panel.size:
@@ -257,7 +263,7 @@ def _draw_load(axes: Any, panel: Panel, fields: HistoryFields) -> None:
 
 
 def _range(curves: Sequence[Curve]) -> tuple[float, float]:
-    """The least and the largest value drawn, zero where there is none."""
+    """Return the least and the largest value drawn, zero where there is none."""
     values = np.concatenate([_drawable(curve.y) for curve in curves])
     values = values[np.isfinite(values)]
     return (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
@@ -271,7 +277,7 @@ def _look(curve: Curve) -> dict[str, Any]:
 
 
 def _drawable(values: Array) -> Array:
-    """Without what is no number, or too large for a picture."""
+    """Return values with NaN in place of those that are too large for a picture."""
     with np.errstate(invalid="ignore"):
         return np.where(abs(values) <= LARGEST, values, np.nan)
 
@@ -284,17 +290,17 @@ def _headline(fields: HistoryFields) -> str:
 
 
 def _remarks(fields: HistoryFields) -> list[str]:
-    """Lines below the panels: events without a label of their own, what is not drawn, and the notes of the history."""
-    told = [f"note: {note}" for note in fields.notes[:MOST_NOTES]]
+    """Return the lines below the panels: events without labels, values that are not drawn, notes of the history."""
+    notes = [f"note: {note}" for note in fields.notes[:MOST_NOTES]]
     if len(fields.notes) > MOST_NOTES:
-        told.append(f"and {len(fields.notes) - MOST_NOTES} more in history.notes")
+        notes.append(f"and {len(fields.notes) - MOST_NOTES} more in history.notes")
     hidden = thinned(labels(fields.events, float(np.ptp(fields.times))))
-    lines = [line for text in (hidden, _left_out(fields), *told) for line in textwrap.wrap(text, NOTE_LINE)]
+    lines = [line for text in (hidden, _undrawn(fields), *notes) for line in textwrap.wrap(text, NOTE_LINE)]
     return [line.replace("$", r"\$") for line in lines]
 
 
-def _left_out(fields: HistoryFields) -> str:
-    """What is said of numbers that are none or too large, or nothing."""
+def _undrawn(fields: HistoryFields) -> str:
+    """Return a remark on instants with values that are not finite or too large; empty where there are none."""
     values = [fields.displacement, fields.normal_force, np.column_stack([fields.times, *fields.energies.values()])]
     count = int(np.sum(np.any([~np.all(abs(value) <= LARGEST, axis=1) for value in values], axis=0)))
     return f"{count} instants with values beyond {LARGEST:g} are left out" if count else ""

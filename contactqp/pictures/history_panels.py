@@ -1,4 +1,4 @@
-"""The curves of a history that are drawn, chosen of many, and load over displacement."""
+"""The curves of a load path or a motion: their values at every instant, which are drawn, and in which panels."""
 
 from __future__ import annotations
 
@@ -16,43 +16,38 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.pictures import style
 
-# The numbers of a history that are drawn: at every instant displacements, gaps, forces, loads and energies.
-#
-# A motion keeps them as arrays. Of a load path every solution is looked at once, which costs its certificate; its
-# events need that anyway.
-
-# Loads are proportional to the times, or all along one of them, to this part of the largest.
+# Relative difference up to which loads count as proportional to the times, or to one of them.
 ROUNDING = 1e-9
 ENERGIES = ("kinetic", "elastic", "total", "work", "dissipated", "impact", "drift")
 OF_PATHS = ("elastic", "work", "dissipated")
-# Energies below this part of the largest are rounding, and are not drawn.
+# Energies below this part of the largest are rounding errors, and are not drawn.
 NO_ENERGY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class HistoryFields:
-    """What a history does at its k instants; n unknowns, m contacts.
+    """The values of a history at its k instants; n unknowns, m contacts.
 
     Attributes
     ----------
     problem : ContactProblem
-        At the last instant, for names, units and rows.
+        The problem at the last instant, for names, units and rows.
     times : (k,) array
     moving : bool
         Whether it is a motion, and `times` are times.
     displacement : (k, n) array [length]
     velocity : (k, n) array or None
-        Of a motion [length / time].
+        Velocities of a motion [length / time].
     load : (k, n) array or None
-        Of a load path [force].
+        Loads of a load path [force].
     gap : (k, m) array
-        Positive when open [length].
+        Gaps, positive when open [length].
     normal_force : (k, m) array
-        Positive in compression [force].
+        Contact forces, positive in compression [force].
     friction_force : (k, m, d-1) array or None
-        None without friction [force].
+        Friction forces [force]; None without friction.
     energies : mapping of str to (k,) array
-        Those that are not zero all the time [force * length].
+        The energies that are not always zero [force * length].
     events : tuple of Event
     notes : tuple of str
     """
@@ -80,7 +75,7 @@ class HistoryFields:
         return bool(off <= ROUNDING * np.max(abs(self.load)))
 
     def instants(self, events: tuple[Event, ...]) -> NDArray[np.int64]:
-        """The instant of each event, one of those nearest in time; where loads go back and forth the next such one."""
+        """Return the instant of each event: the nearest in time, or the next such one where times repeat."""
         found, here = np.empty(len(events), dtype=np.int64), 0
         for i, event in enumerate(events):
             off = abs(self.times - event.time)
@@ -91,12 +86,14 @@ class HistoryFields:
 
 
 def history_fields(history: History) -> HistoryFields:
-    """The fields of a load path, a motion, or what there is of one.
+    """Return the fields of a load path or a motion, also of one that was cut short.
+
+    Every solution of a load path is certified for this, as it is for its events.
 
     Raises
     ------
     InvalidProblem
-        It is no History, or one without instants.
+        `history` is no History, or has no instants.
     """
     refuse_other("draw_history", history, History)
     if len(history) == 0:
@@ -104,7 +101,7 @@ def history_fields(history: History) -> HistoryFields:
     if isinstance(history, MotionHistory):
         return _motion_fields(history)
     solutions = list(history)
-    rubbing = [solution.friction_force for solution in solutions]
+    friction = [solution.friction_force for solution in solutions]
     frictional = any(solution.problem.frictional for solution in solutions)
     return HistoryFields(
         problem=solutions[-1].problem,
@@ -115,7 +112,7 @@ def history_fields(history: History) -> HistoryFields:
         load=np.array([_load(solution) for solution in solutions]),
         gap=np.array([solution.gap for solution in solutions]),
         normal_force=np.array([solution.normal_force for solution in solutions]),
-        friction_force=np.array(rubbing) if frictional and all(f is not None for f in rubbing) else None,
+        friction_force=np.array(friction) if frictional and all(f is not None for f in friction) else None,
         energies=_energies(history.energies, OF_PATHS),
         events=history.events,
         notes=history.notes,
@@ -124,7 +121,7 @@ def history_fields(history: History) -> HistoryFields:
 
 def _motion_fields(history: MotionHistory) -> HistoryFields:
     problem, u = history.motion.scheme.body.problem, history.displacements
-    with np.errstate(over="ignore", invalid="ignore"):  # a motion that failed may have left all numbers
+    with np.errstate(over="ignore", invalid="ignore"):  # a motion that failed may overflow
         energies = _energies(history.energies, ENERGIES)
         gap = problem.gap - np.asarray(problem.normal @ u.T).T
     return HistoryFields(
@@ -144,7 +141,7 @@ def _motion_fields(history: MotionHistory) -> HistoryFields:
 
 
 def _load(solution: Solution) -> Vector:
-    """On the body: of a step of Newton's method `problem.load` is what is left of it."""
+    """Return the load on the body, which in a step of Newton's method is not `problem.load` but `load`."""
     return np.asarray(getattr(solution, "load", solution.problem.load))
 
 
@@ -154,17 +151,17 @@ def _energies(energies: tuple[Energies, ...], names: tuple[str, ...]) -> dict[st
     return {name: value for name, value in values.items() if sizes[name] > NO_ENERGY * max(sizes.values())}
 
 
-# Curves that can be told apart in one panel.
+# Curves in one panel at most, so that they can be distinguished.
 MOST_CONTACTS, MOST_UNKNOWNS = 5, 4
-# Of unknowns: those that tell less than this part of what the first one does are left out.
-TELLS = 1e-6
-# The number of a curve of all contacts together.
+# Unknowns whose work or movement is below this part of the largest are left out.
+NEGLIGIBLE = 1e-6
+# The number of the curve of all contacts together.
 ALL = -1
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line; curves of the same number look the same in every panel."""
+    """One curve; curves of the same number look the same in every panel."""
 
     label: str
     y: Vector
@@ -173,7 +170,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Curves over the times, or over an abscissa `x` of their own for each; `size` is that of what they are made of."""
+    """Curves over the times, or each over its own abscissa `x`; `size` is that of the terms of their values."""
 
     label: str
     curves: tuple[Curve, ...]
@@ -183,7 +180,7 @@ class Panel:
 
 
 def time_panels(fields: HistoryFields, time_unit: str) -> list[Panel]:
-    """Displacements, velocities, gaps, forces and energies against time; what a history has none of is left out."""
+    """Return the panels of displacements, velocities, gaps, forces and energies, as far as the history has them."""
     units, contacts = fields.problem.units, chosen_contacts(fields)
     length, force = style.length_unit(units), style.force_unit(units)
     unknowns = chosen_unknowns(fields, contacts)
@@ -208,14 +205,14 @@ def time_panels(fields: HistoryFields, time_unit: str) -> list[Panel]:
 
 
 def time_label(fields: HistoryFields, time_unit: str) -> str:
-    """What stands below the panels of `time_panels`."""
+    """Return the label below the panels of `time_panels`."""
     if fields.moving:
         return f"time [{time_unit}]" if time_unit else "time"
     return "load factor" if fields.proportional else "pseudo-time"
 
 
 def chosen_contacts(fields: HistoryFields) -> Index:
-    """Return, of many contacts, those that push hardest, then those that come nearest."""
+    """Return the contacts with the largest forces, then those with the smallest gaps."""
     with np.errstate(invalid="ignore"):
         push = np.nanmax(abs(fields.normal_force), axis=0, initial=0.0)
         near = np.nanmin(fields.gap, axis=0, initial=np.inf)
@@ -226,18 +223,18 @@ def chosen_contacts(fields: HistoryFields) -> Index:
 def chosen_unknowns(fields: HistoryFields, contacts: Index) -> Index:
     """Return the unknowns whose loads do most work on a load path, or those of contacts that move most."""
     moved, candidates = _moved(fields), np.arange(fields.displacement.shape[1])
-    tells = moved
+    weight = moved
     if fields.load is not None:
         work = work_of_unknowns(fields)
-        tells = work if np.any(work) else moved
+        weight = work if np.any(work) else moved
     elif np.any(moved[touched := _touched(fields.problem, contacts)]):
         candidates = touched
-    found = ranked(candidates, tells[candidates])
+    found = ranked(candidates, weight[candidates])
     return (found if len(found) else candidates)[:MOST_UNKNOWNS]
 
 
 def _touched(problem: ContactProblem, contacts: Index) -> Index:
-    """The unknowns in the rows of these contacts."""
+    """Return the unknowns in the rows of these contacts."""
     found = [problem.normal[contacts].nonzero()[1]]
     if problem.tangent is not None and problem.contacts:
         width = problem.tangent.shape[0] // problem.contacts
@@ -251,21 +248,21 @@ def _largest(values: Array) -> float:
 
 
 def _moved(fields: HistoryFields) -> Vector:
-    """(n,) [length]."""
+    """Return the range of each displacement, (n,) [length]."""
     u = np.where(np.isfinite(fields.displacement), fields.displacement, 0.0)
     return np.asarray(np.ptp(u, axis=0))
 
 
 def work_of_unknowns(fields: HistoryFields) -> Vector:
-    """(n,) at most what the load of each unknown does [force * length]."""
+    """Return an upper bound of the work of the load of each unknown, (n,) [force * length]."""
     load = np.zeros(1) if fields.load is None else np.max(abs(fields.load), axis=0)
     return np.asarray(load * _moved(fields))
 
 
-def ranked(unknowns: Index, tells: Vector) -> Index:
-    """Return the unknowns that move or are loaded, the largest first."""
-    order = np.argsort(-tells, kind="stable")
-    return unknowns[order[tells[order] > TELLS * np.max(tells, initial=0.0)]]
+def ranked(unknowns: Index, weight: Vector) -> Index:
+    """Return the unknowns by decreasing weight, without those of negligible weight."""
+    order = np.argsort(-weight, kind="stable")
+    return unknowns[order[weight[order] > NEGLIGIBLE * np.max(weight, initial=0.0)]]
 
 
 def _unknown_curves(fields: HistoryFields, values: Array, unknowns: Index) -> tuple[Curve, ...]:
@@ -273,7 +270,7 @@ def _unknown_curves(fields: HistoryFields, values: Array, unknowns: Index) -> tu
 
 
 def _contact_curves(fields: HistoryFields, values: Array, contacts: Index, whole: str) -> tuple[Curve, ...]:
-    """One curve each; where some are left out, one of them all."""
+    """Return a curve for each contact, and one of all together where some are left out."""
     names = fields.problem.contact_name
     curves = [Curve(names(int(i)), values[:, i], place) for place, i in enumerate(contacts)]
     count = values.shape[1]
@@ -283,27 +280,25 @@ def _contact_curves(fields: HistoryFields, values: Array, contacts: Index, whole
     return tuple(curves)
 
 
-# Load over displacement: of one load, of few loaded unknowns, or of loads that come one by one.
-
-# Loads that come one by one; more would be curves that nobody could name.
+# Loads that come one by one and are drawn as curves of their own, at most.
 MOST_LOADS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One of the loads that a load is the sum of: amount (k,) times pattern (n,) [force]."""
+    """One term of the loads: amount (k,) times pattern (n,) [force]."""
 
     amount: Vector
     pattern: Vector
 
     @property
     def size(self) -> float:
-        """Sum of the sizes of the pattern's forces [force]."""
+        """The sum of the sizes of the pattern's forces [force]."""
         return float(np.sum(abs(self.pattern)))
 
 
 def load_panel(fields: HistoryFields) -> Panel | None:
-    """Load over displacement; None where nothing is loaded, or by more loads than can be told apart.
+    """Return load over displacement; None without loads, and where there are too many loads.
 
     One load that grows and shrinks: its factor over the displacements of up to four loaded unknowns. Several loads on
     up to four unknowns: the force on each over its displacement. Loads on more unknowns: over their mean displacement
@@ -326,7 +321,9 @@ def load_panel(fields: HistoryFields) -> Panel | None:
 
 
 def load_factor(fields: HistoryFields) -> Vector | None:
-    """(k,) the times where loads are proportional to them, else the load over the largest if it is along it, or None.
+    """Return the factor (k,) of loads that are all multiples of one load, else None.
+
+    It is the time where loads are proportional to it, else the load over the largest one.
 
     >>> from types import SimpleNamespace
     >>> load_factor(SimpleNamespace(load=np.array([[0.0, 0.0], [2.0, 4.0], [-1.0, -2.0]]), proportional=False)).tolist()
@@ -341,7 +338,7 @@ def load_factor(fields: HistoryFields) -> Vector | None:
 
 
 def load_parts(load: Array) -> tuple[Part, ...]:
-    """The loads (k, n) as a sum of at most three that come one by one, each as it is when it first grows; else none.
+    """Split loads (k, n) into at most three that come one by one, each as it first grows; empty where there are more.
 
     >>> press, push = np.array([0.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0])
     >>> parts = load_parts(np.array([0 * press, press, press + push, press - push]))
@@ -361,7 +358,7 @@ def load_parts(load: Array) -> tuple[Part, ...]:
 
 
 def _loads_of_unknowns(fields: HistoryFields, unknowns: NDArray[np.int64], factor: Vector | None) -> Panel | None:
-    """A curve for each of few loaded unknowns."""
+    """Return a curve for each loaded unknown."""
     if fields.load is None or not len(unknowns):
         return None
     problem = fields.problem

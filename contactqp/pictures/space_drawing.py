@@ -1,7 +1,4 @@
-"""Draw bodies in space: their outer surface, and beside it a map of the contact pressure of each pairing.
-
-Pictures of membranes: the deflected surface, and beside it a map of the contact forces.
-"""
+"""Pictures in space: outer surfaces of bodies or deflected membranes, and beside them maps of the contact forces."""
 
 from __future__ import annotations
 
@@ -30,8 +27,6 @@ from contactqp.pictures.contact_fields import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# A map of one pairing in space: its contacts seen along their mean normal, coloured by pressure, marked by status.
-
 # Polygons between the nodes of a facet, in the node order of reference.REFERENCES.
 _PARTS: dict[str, list[list[int]]] = {
     "tri3": [[0, 1, 2]],
@@ -40,14 +35,26 @@ _PARTS: dict[str, list[list[int]]] = {
     "quad8": [[0, 4, 1, 5, 2, 6, 3, 7]],
     "quad9": [[0, 4, 8, 7], [4, 1, 5, 8], [8, 5, 2, 6], [7, 8, 6, 3]],
 }
-# Contacts under force are looked at in a window so many times wider than they spread.
+# The window around the contacts under force is so many times wider than they spread.
 WIDER = 2.5
-# Below this mean of their unit normals contacts have no common direction, as around a hole.
+# Contacts whose unit normals have a smaller mean have no common direction, as around a hole.
 NO_DIRECTION = 0.1
 
 
 def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFields) -> None:
-    """Pressure, or the force of contacts without area, at the undeformed contacts."""
+    """Draw the map of one pairing: its contacts along their mean normal, coloured by pressure, marked by state.
+
+    Contacts without area are coloured by their force.
+
+    Parameters
+    ----------
+    figure : matplotlib figure
+    axes : matplotlib axes
+        The part of the figure that the map is drawn to.
+    fields : ContactFields
+    pairing : PairingFields
+        One of its pairings.
+    """
     at, names = flattened(pairing)
     unit = style.length_unit(fields.units)
     if pairing.pressure is None:
@@ -88,9 +95,10 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
 
 
 def flattened(pairing: PairingFields) -> tuple[Array, tuple[str, str]]:
-    """The undeformed contacts (p, 2) on the plane across their mean normal, and what its directions are called.
+    """Return the undeformed contacts (p, 2) projected along their mean normal, and the names of the two directions.
 
-    An axis that is the normal to 1 % is left out; so is, where normals have no common direction, the shortest side.
+    Where the normal is a coordinate axis to 1 %, that coordinate is dropped; where normals have no common direction,
+    that of the shortest side is.
     """
     mean = pairing.direction.mean(axis=0)
     size = float(np.linalg.norm(mean))
@@ -104,7 +112,7 @@ def flattened(pairing: PairingFields) -> tuple[Array, tuple[str, str]]:
 
 
 def window(at: Array, value: Array) -> tuple[Array, Array]:
-    """The lower and the upper corner of what is worth looking at: around the contacts under force, or all."""
+    """Return the lower and the upper corner of a window around the contacts under force, or around all."""
     pushed = at[value > 0]
     low, high = at.min(axis=0), at.max(axis=0)
     margin = 0.06 * float((high - low).max())
@@ -118,7 +126,7 @@ def window(at: Array, value: Array) -> tuple[Array, Array]:
 
 
 def facets(fields: ContactFields, pairing: PairingFields) -> list[Index]:
-    """Polygons (t, k) of contacts: the boundary facets between them, tri6 and quad9 cut at their nodes."""
+    """Return polygons (t, k) of contacts: the boundary facets between them, tri6 and quad9 cut at their nodes."""
     found = []
     for number in np.unique(pairing.body):
         mesh = fields.bodies[number].body.mesh
@@ -134,7 +142,7 @@ def facets(fields: ContactFields, pairing: PairingFields) -> list[Index]:
 
 
 def fans(at: Array, value: Array, polygons: list[Index]) -> tuple[Array, Array, Index]:
-    """Polygons as triangles around their middles: places (q, 2), values (q,) and triangles (t, 3)."""
+    """Return polygons as triangles around their middles: places (q, 2), values (q,) and triangles (t, 3)."""
     places, values, triangles, first = [at], [value], [], len(at)
     for corners in polygons:
         places.append(at[corners].mean(axis=1))
@@ -145,16 +153,29 @@ def fans(at: Array, value: Array, polygons: list[Index]) -> tuple[Array, Array, 
     return np.concatenate(places), np.concatenate(values), np.concatenate(triangles)
 
 
-# Degrees: from the left, and from above, or from below where that is where the contact is.
+# Angles of the view [degrees]: from the left, and from above, or from below where the contact is below.
 AZIMUTH, FROM_ABOVE, FROM_BELOW = -60.0, 24.0, -18.0
-# Of one pairing; more of them hide the body.
+# Arrows of one pairing; more of them would hide the body.
 MOST_ARROWS = 80
-# Edges between facets that turn by more than this are seen on the undeformed body.
+# Edges of the undeformed body are drawn where facets turn by more than this.
 FEATURE = np.cos(np.radians(35.0))
 
 
 def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale: float, size: float) -> Figure:
-    """The figure: bodies on the left, one map below the other on the right."""
+    """Return the figure: bodies on the left, the maps of pairings on the right.
+
+    Parameters
+    ----------
+    fields : ContactFields
+    colour : str
+        "displacement" or "von mises".
+    label, title : str
+        The label of the colour bar, and the title.
+    scale : float
+        How many times displacements are magnified.
+    size : float
+        The largest side of the box around the undeformed bodies [length].
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -181,7 +202,7 @@ def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale
 
 
 def surface(fields: ContactFields, colour: str, scale: float) -> tuple[list[Array], list[Array]]:
-    """The deformed facets of all outer surfaces as polygons (p, q, 3), kind by kind, and their values (p,)."""
+    """Return the deformed facets of all outer surfaces as polygons (p, q, 3), kind by kind, and their values (p,)."""
     polygons, values = [], []
     for body in fields.bodies:
         mesh = body.body.mesh
@@ -196,7 +217,7 @@ def surface(fields: ContactFields, colour: str, scale: float) -> tuple[list[Arra
 
 
 def _draw_surface(axes: Any, polygons: list[Array], values: list[Array], coloured: Any) -> None:
-    """One collection of all bodies, so that all facets are sorted from the back to the front together."""
+    """Draw one collection of all bodies, so that their facets are sorted from the back to the front together."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     faces = [polygon for block in polygons for polygon in block]
@@ -208,7 +229,7 @@ def _draw_surface(axes: Any, polygons: list[Array], values: list[Array], coloure
 
 
 def _draw_undeformed(axes: Any, fields: ContactFields) -> list[Array]:
-    """The sharp edges of the undeformed bodies, behind the deformed ones."""
+    """Draw the sharp edges of the undeformed bodies behind the deformed ones."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     seen = []
@@ -222,7 +243,7 @@ def _draw_undeformed(axes: Any, fields: ContactFields) -> list[Array]:
 
 
 def sharp_edges(block: Block, points: Array) -> Array:
-    """Edges (e, 2, 3) of facets where the surface turns sharply, or where facets of this kind end."""
+    """Return edges (e, 2, 3) of facets where the surface turns sharply, or where facets of this kind end."""
     corners = block.nodes[:, : block.kind.corners]
     x = points[corners]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -240,7 +261,7 @@ def sharp_edges(block: Block, points: Array) -> Array:
 
 
 def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float) -> list[Array]:
-    """Contact forces on their bodies, as long as they are large; the pressures are in the maps."""
+    """Draw contact forces on their bodies as arrows; pressures are in the maps."""
     largest = max((float(np.nanmax(p.force, initial=0.0)) for p in fields.pairings), default=0.0)
     if largest <= 0:
         return []
@@ -274,14 +295,14 @@ def _set_axes(axes: Any, fields: ContactFields, seen: Array) -> None:
 
 
 def _seen_from_below(pairings: tuple[PairingFields, ...]) -> bool:
-    """Whether the contacts push upwards on the whole: the contact side is then the lower one."""
+    """Return whether the contacts push upwards on the whole: the contact side is then the lower one."""
     push = sum((pairing.direction.sum(axis=0) for pairing in pairings), np.zeros(3))
     return bool(push[2] > 0.5 * np.linalg.norm(push))
 
 
-# [inch]
+# Size of the figure of membranes [inch].
 MEMBRANE_WIDTH, MEMBRANE_HEIGHT = 11.0, 5.4
-# Of the smallest and the largest force, as areas of their dots [point^2].
+# Areas of the dots of the smallest and the largest force [point^2].
 DOTS = (4.0, 60.0)
 
 
@@ -293,11 +314,11 @@ class MembraneFields:
     ----------
     meshes : tuple of Mesh
     deflections : tuple of (N,) arrays
-        Along z, of the nodes of each mesh [length].
+        Displacements along z of the nodes of each mesh [length].
     position : (p, 2) array
-        The contacts, in the plane [length].
+        Places of the contacts in the plane [length].
     force : (p,) array
-        lambda_N, positive in compression [force].
+        Contact forces lambda_N, positive in compression [force].
     status : (p,) array of str
     units : Units
     """
@@ -311,7 +332,7 @@ class MembraneFields:
 
 
 def membrane_figure(fields: MembraneFields, *, title: str = "") -> Figure:
-    """The surface on the left, in its own scale along z; the contacts by status and force on the right."""
+    """Return the figure: the surface in a scale of its own along z, and the contacts by state and force."""
     result = style.new_figure(MEMBRANE_WIDTH, MEMBRANE_HEIGHT)
     space = result.add_subplot(1, 2, 1, projection="3d")
     plane = result.add_subplot(1, 2, 2)
@@ -330,7 +351,7 @@ def membrane_figure(fields: MembraneFields, *, title: str = "") -> Figure:
 
 
 def _draw_membranes(axes: Any, fields: MembraneFields) -> Any:
-    """All membranes in one range of colours."""
+    """Draw all membranes in one range of colours."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -362,7 +383,7 @@ def _box(fields: MembraneFields) -> tuple[Array, Array]:
 
 
 def _draw_edges(axes: Any, fields: MembraneFields) -> list[Any]:
-    """The boundaries."""
+    """Draw the boundaries, and return the entry of the legend."""
     from matplotlib.collections import LineCollection
 
     for mesh in fields.meshes:
@@ -374,7 +395,7 @@ def _draw_edges(axes: Any, fields: MembraneFields) -> list[Any]:
 
 
 def _draw_force_dots(axes: Any, fields: MembraneFields) -> list[Any]:
-    """Dots as large as the force, orange where there is one, and small markers of the status."""
+    """Draw dots whose area shows the force, and small markers of the state; return the entries of the legend."""
     largest = float(np.nanmax(fields.force, initial=0.0))
     handles = []
     for status, marker in style.MARKERS.items():

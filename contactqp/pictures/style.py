@@ -1,4 +1,4 @@
-"""How pictures look: colours, markers of the contact status, labels with units, legends, files."""
+"""The style of pictures: colours, markers of contact states, labels with units, legends, magnification, files."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 Colour = Literal["displacement", "von mises"]
 COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"
-# Colours of Okabe and Ito (2008), distinct to colour-blind readers and from the colour map's.
+# Colours of Okabe and Ito (2008), distinct to colour-blind readers and from those of the colour map.
 PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
-# Of curves: Okabe's and Ito's without their yellow, which is too light for a line on white; and dashes that tell curves
-# apart in print.
+# Colours of curves, without the yellow of Okabe and Ito, which is too light for a line on white; and dashes, which
+# distinguish curves in print.
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (7, 2, 1, 2, 1, 2)), (0, (2, 1)), (0, (9, 3)))
-# Of the longest arrow, relative to the size of the bodies.
+# Length of the longest arrow, relative to the size of the bodies.
 ARROW = 0.14
-# Smaller ones than this part of the longest are no more than a dot.
+# Arrows shorter than this part of the longest would be dots, and are not drawn.
 DOT = 1e-3
 
 
@@ -54,17 +54,17 @@ MARKERS: Mapping[str, Marker] = {
 
 
 def length_unit(units: Units) -> str:
-    """``"mm"``, or the dimension where no unit is stated."""
+    """Return the unit of length, ``"mm"``, or the dimension where no unit is stated."""
     return units.length or "length"
 
 
 def force_unit(units: Units) -> str:
-    """``"N"``, or the dimension where no unit is stated."""
+    """Return the unit of force, ``"N"``, or the dimension where no unit is stated."""
     return units.force or "force"
 
 
 def pressure_unit(units: Units) -> str:
-    """``"N/mm²"``, of pressures and stresses.
+    """Return the unit of pressures and stresses, ``"N/mm²"``.
 
     >>> pressure_unit(Units(length="m", force="kN")), pressure_unit(Units())
     ('kN/m²', 'force/length²')
@@ -73,7 +73,7 @@ def pressure_unit(units: Units) -> str:
 
 
 def energy_unit(units: Units) -> str:
-    """``"N·mm"``.
+    """Return the unit of energy, ``"N·mm"``.
 
     >>> energy_unit(Units(length="m", force="kN")), energy_unit(Units())
     ('kN·m', 'force·length')
@@ -82,7 +82,7 @@ def energy_unit(units: Units) -> str:
 
 
 def plain(text: str, most: int = 40) -> str:
-    """A user's text as it is, shortened: dollars start no formula, an underline in front hides nothing in a legend.
+    """Return a user's text for matplotlib, shortened: dollars start no formula, a leading underline hides no entry.
 
     >>> plain("$a$"), plain("_tip"), plain("abcdef", most=4)
     ('\\\\$a\\\\$', ' _tip', 'abc…')
@@ -92,7 +92,7 @@ def plain(text: str, most: int = 40) -> str:
 
 
 def colour_label(colour: str, units: Units) -> str:
-    """What stands at the colour bar.
+    """Return the label of the colour bar.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def colour_label(colour: str, units: Units) -> str:
 
 
 def colour_range(values: Array) -> tuple[float, float]:
-    """From the least to the largest value; wider where they differ by rounding only, so that ticks can be read."""
+    """Return the least and the largest value, or a wider range where they differ by rounding only."""
     low, high = float(values.min()), float(values.max())
     size = max(abs(low), abs(high))
     if high - low > 1e-6 * size:
@@ -116,7 +116,7 @@ def colour_range(values: Array) -> tuple[float, float]:
 
 
 def number(value: float) -> str:
-    """Four digits, written out where that is readable.
+    """Return a number with four digits, without exponent where that is readable.
 
     >>> number(14992.27), number(0.00012345), number(2.5e-9)
     ('14990', '0.0001234', '2.5e-09')
@@ -127,14 +127,15 @@ def number(value: float) -> str:
 
 
 def count_label(status: str, number: int) -> str:
-    """``"closed (13)"``."""
+    """Return a state with its count: ``"closed (13)"``."""
     return f"{status} ({number})"
 
 
 def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64]:
-    """Which contacts get an arrow: all that push; of more than `most` every so many-th, and always the largest.
+    """Return the contacts that get an arrow: all that push, or about `most` of them with the largest.
 
-    They are counted along the longest side of the box around their positions (p, d).
+    `position` (p, d) and `value` (p,) are those of the contacts, which are counted along the longest side of the box
+    around them.
     """
     largest = float(np.nanmax(value, initial=0.0))
     along = position[:, np.argmax(np.ptp(position, axis=0))] if len(position) else np.zeros(0)
@@ -146,25 +147,25 @@ def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64
 
 
 def headline(title: str, text: str) -> str:
-    """The user's title, if any, and below it what the picture shows."""
+    """Return the user's title, if any, and below it what the picture shows."""
     return "\n".join(filter(None, [title.replace("$", r"\$"), text[0].upper() + text[1:]]))
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure [inch] whose parts are laid out so that none covers another."""
+    """Return a figure of this size [inch], whose layout keeps its parts from overlapping."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def add_legend(figure: Figure, handles: Sequence[Any], columns: int) -> None:
-    """Below everything else."""
+    """Add a legend below everything else."""
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 
 
 def marker_handle(status: str, label: str) -> Any:
-    """A contact point in a legend."""
+    """Return the entry of a contact point in a legend."""
     from matplotlib.lines import Line2D
 
     marker = MARKERS[status]
@@ -174,19 +175,19 @@ def marker_handle(status: str, label: str) -> Any:
 
 
 def line_handle(label: str, **style: Any) -> Any:
-    """A line in a legend."""
+    """Return the entry of a line in a legend."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
 
 
 def check_picture(file: str | Path) -> Path:
-    """The file as a path, if a picture can be written to it.
+    """Return the file as a path if a picture can be written to it.
 
     Raises
     ------
     InvalidProblem
-        A suffix that is none of .png, .pdf and .svg, a folder that is not there.
+        The suffix is none of .png, .pdf and .svg, or the folder does not exist.
     BackendMissing
         matplotlib is not installed.
     """
@@ -196,15 +197,13 @@ def check_picture(file: str | Path) -> Path:
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Write the figure whole or not at all."""
-    # The layout is right from the second time on: the first one does not know the ticks yet.
+    """Write the figure to a file, completely or not at all."""
+    # The layout is right from the second time on: the first one does not have the ticks yet.
     figure.draw_without_rendering()
     write_whole(file, lambda beside: figure.savefig(beside, dpi=160))
 
 
-# How many times larger than they are displacements are drawn.
-
-# The largest displacement is drawn as at most this part of the picture's size...
+# The largest displacement is magnified to at most this part of the picture's size...
 LARGEST = 0.06
 # ... and at least this part counts as visible without magnification.
 VISIBLE = 0.02
@@ -214,22 +213,22 @@ OVERLAP = 0.01
 
 
 def magnification(scale: float | None, size: float, displacement: Array, initial_gap: Array, gap: Array) -> float:
-    """The stated scale, or 1, 2 or 5 times a power of ten that makes the displacements visible.
+    """Return the stated scale, or 1, 2 or 5 times a power of ten that makes the displacements visible.
 
     Parameters
     ----------
     scale : float or None
-        As stated by the user; None to choose one.
+        The scale that the user states; None to choose one.
     size : float
-        Of the undeformed bodies, the largest side of the box around them [length].
+        The largest side of the box around the undeformed bodies [length].
     displacement : (N, d) array [length]
     initial_gap, gap : (m,) arrays
-        Of all contacts, before and under the load [length].
+        Gaps of all contacts, before and under the load [length].
 
     Raises
     ------
     InvalidProblem
-        A scale that is not finite or not positive.
+        The scale is not finite or not positive.
 
     >>> magnification(None, 100.0, np.array([[0.0, -0.01]]), np.zeros(1), np.zeros(1))
     500.0
@@ -252,13 +251,13 @@ def magnification(scale: float | None, size: float, displacement: Array, initial
 
 
 def _rounded_down(value: float) -> float:
-    """1, 2 or 5 times a power of ten, not above the value but for rounding."""
+    """Return 1, 2 or 5 times a power of ten, at most the value but for rounding."""
     power = 10.0 ** math.floor(math.log10(value * (1 + 1e-12)))
     return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-12)))
 
 
 def scale_text(scale: float) -> str:
-    """What the title says of it.
+    """Return the sentence of the title on the scale.
 
     >>> scale_text(500.0), scale_text(1.0)
     ('displacements magnified 500 times', 'displacements true to scale')
@@ -266,17 +265,15 @@ def scale_text(scale: float) -> str:
     return "displacements true to scale" if scale == 1 else f"displacements magnified {scale:g} times"
 
 
-# Pictures as small PNG files for pages that hold many of them.
-
-# Of a palette: enough for a colour map of 256 colours in bands that are told apart, and for the letters' edges.
+# Colours of a small picture: enough for a colour map in distinct bands and for the edges of letters.
 PALETTE_SIZE = 64
 
 
 def small_png(figure: Figure, dpi: float) -> bytes:
-    """The figure as a PNG of at most `COLOURS` colours, without an alpha channel.
+    """Return the figure as a PNG of at most `PALETTE_SIZE` colours, for pages that hold many of them.
 
-    Colours are chosen by maximum coverage: a few arrows keep theirs beside large coloured bodies. Needs Pillow, which
-    matplotlib brings with it.
+    Colours are chosen by maximum coverage, so that a few arrows keep theirs beside large coloured bodies. There is no
+    alpha channel. It needs Pillow, which matplotlib requires.
     """
     from PIL import Image
 
@@ -284,6 +281,7 @@ def small_png(figure: Figure, dpi: float) -> bytes:
     figure.draw_without_rendering()  # the layout is right from the second time on
     figure.savefig(drawn, format="png", dpi=dpi)
     with Image.open(drawn) as image:
-        few = image.convert("RGB").quantize(PALETTE_SIZE, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(small, "PNG", optimize=True)
+        plain = image.convert("RGB")
+        reduced = plain.quantize(PALETTE_SIZE, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    reduced.save(small, "PNG", optimize=True)
     return small.getvalue()

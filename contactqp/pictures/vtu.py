@@ -46,12 +46,12 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
     ----------
     fields : ContactFields or FrameFields
     file : str or Path
-        Ends in .vtu.
+        A file that ends in .vtu.
 
     Raises
     ------
     InvalidProblem
-        Another suffix, a folder that is not there.
+        The suffix is another one, or the folder does not exist.
     BackendMissing
         meshlane is not installed.
     """
@@ -63,7 +63,7 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
 
 
 def check_vtu(file: str | Path) -> Path:
-    """The file as a path, if a VTU file can be written to it; raises as `write_vtu`."""
+    """Return the file as a path if a VTU file can be written to it; raises as `write_vtu`."""
     path = check_file(file, VTU)
     check_installed("meshlane", "solids", f"writing {path.name}")
     return path
@@ -71,7 +71,7 @@ def check_vtu(file: str | Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """What meshlane.Mesh takes."""
+    """The arguments of meshlane.Mesh."""
 
     points: Array
     cells: list[tuple[str, Index]]
@@ -81,7 +81,7 @@ class _Data:
 
 @dataclass(frozen=True, eq=False)
 class _Contacts:
-    """Contacts with the number of their node among all points."""
+    """Contacts, with the number of their node among all points."""
 
     node: Index
     gap: Array
@@ -147,7 +147,7 @@ def _frame_data(fields: FrameFields) -> _Data:
 
 
 def _at_points(contacts: list[_Contacts], count: int, *, pressure: bool) -> dict[str, NDArray[Any]]:
-    """The fields of the contact that governs each node, NaN and "none" where there is none."""
+    """Return the fields of the contact that governs each node, NaN and "none" where there is none."""
     nothing = np.zeros(0)
     node = np.concatenate([nothing.astype(np.int64), *[c.node for c in contacts]])
     values = {
@@ -170,7 +170,7 @@ def _at_points(contacts: list[_Contacts], count: int, *, pressure: bool) -> dict
 
 
 def _padded(vectors: Array, axes: list[int]) -> Array:
-    """(N, d) components along some of x, y, z as (N, 3)."""
+    """Return (N, d) components along some of x, y, z as (N, 3)."""
     full = np.zeros((len(vectors), 3))
     full[:, axes] = vectors
     return full

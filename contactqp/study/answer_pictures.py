@@ -1,4 +1,4 @@
-"""Pictures and VTU files of an answer, from the fields that they show."""
+"""Pictures and VTU files of the answer to a scene: its fields, its figures, and the files of the command line."""
 
 from __future__ import annotations
 
@@ -32,13 +32,11 @@ from contactqp.scene.schema import SceneData
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# From a scene and its solution to the fields that pictures and VTU files show.
-
 
 def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFields:
-    """The fields of a scene's solution, in the scene's units.
+    """Return the fields of a scene's solution, in the scene's units.
 
-    The one place that decides what kind of picture a scene gets. Bars, springs, beams, strings and matrices give
+    This decides what kind of picture a scene gets. Bars, springs, beams, strings and matrices give
     FrameFields. Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made
     of; draw, write_vtu and the command line take either.
 
@@ -46,7 +44,7 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
     ----------
     scene : Scene
     solution : Solution
-        Of ``scene.problem()``, by any method.
+        A solution of ``scene.problem()``, by any method.
 
     Raises
     ------
@@ -70,7 +68,7 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
 
 
 def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
-    """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
+    """Return the fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
     from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
@@ -113,7 +111,7 @@ def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
         push = [[-float(form.normal.get(name, 0)) for name in scene.displacements(node)] for node in contact.touched]
         initial_gap = float(form.gap)
         if isinstance(solution, LargeSolution) and solution.position is not None:
-            # The plane that touches the obstacle where it is nearest to the node now, seen from where the node was.
+            # The plane that touches the obstacle at the point nearest to the node, as a gap from the initial node.
             normal = obstacle(scene, str(contact.obstacle)).normals(solution.position[i : i + 1])[0]
             push = [[float(x) for x in normal]]
             moved = solution.position[i] - _point(scene, contact.touched[0])
@@ -144,7 +142,7 @@ DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
 def answer_figure(scene: SceneData, solution: Solution, *, title: str = "") -> Figure:
-    """Geometry, deformed shape and contact forces; magnified, large displacements would be others."""
+    """Return the figure of geometry, deformed shape and contact forces; large displacements are true to scale."""
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)
     fields = fields_of(scene, solution)
@@ -155,7 +153,7 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "") -> F
 
 @dataclass(frozen=True)
 class AnswerPictures:
-    """PNG of one answer; None where there is none to draw."""
+    """Pictures of one answer as PNG; None where there is nothing to draw."""
 
     answer: bytes | None = None
     history: bytes | None = None  # of a path or a motion
@@ -163,7 +161,7 @@ class AnswerPictures:
 
 
 def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
-    """Small pictures for a page, without the case's title; nothing is raised where a picture cannot be had."""
+    """Return small pictures for a page, without the case's title; why there is none is stated, not raised."""
     if importlib.util.find_spec("matplotlib") is None:
         return AnswerPictures(why_not="matplotlib is not installed: pip install 'contactqp[report]'")
     history = None if outcome.history is None else _history(outcome.history)
@@ -177,13 +175,11 @@ def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
 
 
 def _history(history: History) -> bytes | None:
-    """One instant has no history."""
+    """Return the picture of a history; None for one of a single instant."""
     return small_png(history_figure(history, time_unit=TIME_UNIT), DPI) if len(history) > 1 else None
 
 
-# Pictures and VTU files of what was solved on the command line.
-
-# What the picture of a history is called after its case and method.
+# Part of the file name of the picture of a history, after case and method.
 HISTORY = "history"
 
 
@@ -194,12 +190,13 @@ class AnswerFiles:
     Parameters
     ----------
     plot, vtu : Path or None
-        As asked for. With several cases the name of the case is put before the suffix, with several answers of one
-        case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a picture of its
-        own, ``bar.history.png``.
+        The files that were asked for. With several cases the name of the case is put before the suffix, with several
+        answers of one case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a
+        picture of its own, ``bar.history.png``.
     several_cases : bool
+        Whether names of cases are put into file names.
     every_method : bool
-        All answers of a case; otherwise the first one, which is the one that is printed in full.
+        Write all answers of a case; otherwise the first one, which is printed in full.
     """
 
     plot: Path | None
@@ -210,7 +207,7 @@ class AnswerFiles:
     def write(self, outcomes: Sequence[Judgement | Failure]) -> list[Path]:
         """Write the files of one scene's outcomes, and return them.
 
-        A trial without an answer has none, but for the picture of a history that was cut short.
+        A trial without an answer has no files, except the picture of a history that was cut short.
         """
         chosen = outcomes if self.every_method else outcomes[:1]
         written = []
@@ -237,7 +234,7 @@ class AnswerFiles:
         return written
 
     def _write_history(self, history: History, title: str, names: Sequence[str]) -> list[Path]:
-        """The picture of a path or a motion; one instant has none."""
+        """Draw a path or a motion and return the file; a history of one instant has none."""
         if self.plot is None or len(history) < 2:
             return []
         file = _named(self.plot, [*names, HISTORY])
@@ -246,12 +243,21 @@ class AnswerFiles:
 
 
 def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
-    """What the command line asks for, checked before anything is solved.
+    """Check the files that the command line asks for, before anything is solved.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        The cases.
+    plot, vtu : str or None
+        The files of pictures and of fields.
+    every_method : bool
+        Write all answers of a case, not the first one alone.
 
     Raises
     ------
     InvalidProblem
-        A wrong suffix, a folder that is not there, two cases that would write to one file.
+        A suffix is wrong, a folder does not exist, or two cases would write to one file.
     BackendMissing
         matplotlib or meshlane is not installed.
     """
@@ -277,7 +283,7 @@ def _stem(scene: SceneData) -> str:
 
 
 def _slug(trial: Trial) -> str:
-    """The trial as a part of a file name: ``penalty-penalty=1e8-kN-m``."""
+    """Return the trial as a part of a file name: ``penalty-penalty=1e8-kN-m``."""
     return re.sub(r"[^\w.+=-]+", "-", str(trial))
 
 

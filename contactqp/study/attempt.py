@@ -1,8 +1,7 @@
-"""The settings of a method's knob that a study tries, and one of them tried: solved, timed, held against the truth."""
+"""Settings of methods that a study tries, and one attempt: solve with a setting, time it, compare it with the truth."""
 
 from __future__ import annotations
 
-import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,16 +27,14 @@ from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.solving.methods import Method, find, methods
 from contactqp.solving.solve import solve
 from contactqp.study import rows
-from contactqp.study.rows import Row
+from contactqp.study.rows import Row, finite
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
-
-# What a study tries: each method with each value of its knob, one setting of a ladder after the other.
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.
 STIFFENINGS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
-# Of solve() itself.
+# The tolerance that `solve` asks for by default.
 DEFAULT_TOLERANCE = 1e-9
 UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
 # What is tried on all unknowns where the contact unknowns alone would do: every setting, where condensation takes away
@@ -57,12 +54,12 @@ class Setting:
 
     @property
     def whole(self) -> bool:
-        """Whether it is to work on all unknowns, though fewer would do."""
+        """Whether the method is to work on all unknowns, without condensation."""
         return self.options.get("condense") is False
 
     @property
     def tolerance(self) -> float:
-        """What is asked of the method, relative."""
+        """The relative tolerance that is asked of the method."""
         return float(self.options.get("tolerance", DEFAULT_TOLERANCE))
 
     @property
@@ -72,7 +69,7 @@ class Setting:
 
 
 def contact_stiffness(problem: ContactProblem) -> float:
-    """The largest 1 / Σ_j (E_ij² / K_jj) over the contacts [force / length].
+    """Return the largest 1 / Σ_j (E_ij² / K_jj) over the contacts [force / length].
 
     An upper estimate of the stiffness that a contact feels, (E K⁻¹ Eᵀ)⁻¹, which also exists for bodies that float. An
     unknown without stiffness of its own counts with the largest stiffness of the problem; without contacts, that is
@@ -85,21 +82,21 @@ def contact_stiffness(problem: ContactProblem) -> float:
 
 
 def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
-    """The methods of these names, all by default, installed or not.
+    """Return the methods of these names, all by default, installed or not.
 
     Raises
     ------
     Unsupported
         There is no method of that name; the nearest names are given.
     """
-    known = {method.name: method for method in methods()}
-    return tuple(known.values()) if names is None else tuple(known.get(name) or find(name) for name in names)
+    by_name = {method.name: method for method in methods()}
+    return tuple(by_name.values()) if names is None else tuple(by_name.get(name) or find(name) for name in names)
 
 
 def single_settings(
     problem: ContactProblem, method: Method, values: Sequence[float] | None = None
 ) -> Iterator[Setting]:
-    """The method as `solve` runs it, over the values of its knob if it has no default or if values are given."""
+    """Yield the method as `solve` runs it, over the values of its knob if it has no default or if values are given."""
     if not method.installed:
         yield Setting(method)
     elif values is not None:
@@ -118,14 +115,18 @@ def all_settings(
     tolerances: Sequence[float] = TOLERANCES,
     stated: Sequence[tuple[str, str, Sequence[float]]] = (),
 ) -> Iterator[Setting]:
-    """Every variant of a method over its knob.
+    """Yield every variant of a method over the values of its knob.
 
     Parameters
     ----------
+    problem : ContactProblem
+        The problem whose contact stiffness scales penalties and perturbations.
+    method : Method
+        The method; one that is not installed yields a single setting.
     tolerances : sequence of float
-        For the methods whose knob they are; each is run raw and polished.
+        Values for the methods whose knob is the tolerance; each is run raw and polished.
     stated : sequence of (variant, knob, values)
-        Ladders that the case states for this method; they take the place of the default ones.
+        Values that the case states for this method; they take the place of the default ones.
     """
     if not method.installed:
         yield Setting(method)
@@ -136,9 +137,9 @@ def all_settings(
         yield from () if stated else ladder(method, method.required[0], stiffness_ladder(problem))
         return
     if method.knob == "tolerance":
-        named = [values for _, knob, values in stated if knob == "tolerance"]
-        yield from () if named else ladder(method, "tolerance", tolerances, "polished")
-        yield from ladder(method, "tolerance", named[0] if named else tolerances, "raw")
+        own = [values for _, knob, values in stated if knob == "tolerance"]
+        yield from () if own else ladder(method, "tolerance", tolerances, "polished")
+        yield from ladder(method, "tolerance", own[0] if own else tolerances, "raw")
         return
     yield Setting(method, knob=method.knob or "")
     if method.polish and method.kind != "active set":
@@ -148,7 +149,19 @@ def all_settings(
 
 
 def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Setting]:
-    """One setting for each value."""
+    """Yield one setting for each value of a knob.
+
+    Parameters
+    ----------
+    method : Method
+        The method that is set.
+    knob : str
+        "tolerance", "penalty", "perturbation" or "iterations".
+    values : sequence of float
+        Values of the knob, in the order of the settings.
+    variant : str
+        "raw", "polished" or "uzawa"; by default "polished" where the method polishes its answer.
+    """
     variant = variant or ("polished" if method.polish else "")
     for value in values:
         option = {"max_iter": int(value)} if knob == "iterations" else {knob: float(value)}
@@ -159,12 +172,12 @@ _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa":
 
 
 def on_all_unknowns(problem: ContactProblem, settings: Iterable[Setting]) -> Iterator[Setting]:
-    """Yield the settings that are tried on the whole problem too, marked so.
+    """Yield the settings that are tried on the whole problem too, with ``condense=False``.
 
-    All are where condensation takes away ten unknowns or more of at most 1000. With fewer to take away both ways are
-    much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes minutes: up
-    to 10 000 the default of methods that keep matrices sparse is tried. Where nothing is condensed there is no second
-    way.
+    All of them are where condensation eliminates ten unknowns or more of at most 1000. Where it eliminates fewer both
+    problems are much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes
+    minutes: up to 10 000 the default of methods that keep matrices sparse is tried. Where nothing is condensed no
+    setting is.
     """
     n = problem.dimension
     ladder_pays = n <= WHOLE_LADDER and n - len(_touched(problem)) >= WORTH_A_LADDER
@@ -175,7 +188,7 @@ def on_all_unknowns(problem: ContactProblem, settings: Iterable[Setting]) -> Ite
 
 
 def note_on_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
-    """What `on_all_unknowns` leaves out of a problem, in words; empty where it leaves out nothing."""
+    """Return in words which settings `on_all_unknowns` does not try on a problem; empty where it tries all."""
     n, inside = problem.dimension, problem.dimension - len(_touched(problem))
     if not any(condensable(problem, method) for method in methods):
         return ""
@@ -183,13 +196,16 @@ def note_on_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> 
         return f"{n} unknowns: no method is tried on all of them, only on those of contact"
     if n > WHOLE_LADDER:
         return f"{n} unknowns: on all of them only methods that keep matrices sparse are tried, at their default"
-    few = f"condensation takes away {inside} of {n} unknowns: on all of them methods are tried at their default only"
-    return few if inside < WORTH_A_LADDER else ""
+    if inside >= WORTH_A_LADDER:
+        return ""
+    return f"condensation takes away {inside} of {n} unknowns: on all of them methods are tried at their default only"
 
 
 def condensable(problem: ContactProblem, method: Method) -> bool:
-    """Whether `condense` of solve makes a difference to an installed method: not to the active set, whose every step
-    is one on the contact unknowns, and not to what finds friction."""
+    """Return whether the option `condense` of solve makes a difference to an installed method.
+
+    It makes none to the active set, whose every step is one on the contact unknowns, and none with friction.
+    """
     bare = not problem.contacts and not problem.ties
     if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
         return False
@@ -199,12 +215,12 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
 
 
 def _touched(problem: ContactProblem) -> NDArray[np.intp]:
-    """The unknowns that contacts and ties touch."""
+    """Return the unknowns that contacts and ties touch."""
     return np.union1d(problem.normal.indices, problem.tie.indices)
 
 
 def stiffness_ladder(problem: ContactProblem) -> tuple[float, ...]:
-    """`STIFFENINGS` times the contact stiffness, rounded to two digits."""
+    """Return `STIFFENINGS` times the contact stiffness, rounded to two digits [force / length]."""
     stiffness = contact_stiffness(problem)
     return tuple(float(f"{factor * stiffness:.1e}") for factor in STIFFENINGS)
 
@@ -216,15 +232,15 @@ LONG = 2.0
 # Seconds of timed calls after which a median is good enough.
 ENOUGH = 0.05
 
-# What a case expects that a solution misses; None where nothing was compared.
+# Maps a solution to the expectations of its case that it misses; None where nothing was compared.
 Judge = Callable[[Solution], Sequence[str] | None]
-# From a problem, a method's name and its options to the last solution of a load path.
+# Maps a problem, a method's name and its options to the last solution of a load path or a motion.
 FollowHistory = Callable[..., Solution]
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one call of solve gave: a solution, an error, or an error that carries its solution."""
+    """The outcome of one call of solve: a solution, an error, or an error that carries its solution."""
 
     solution: Solution | None
     error: ContactQPError | None
@@ -233,14 +249,24 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Timing:
-    """How long an answer takes."""
+    """The run time of one setting."""
 
     seconds: float  # median of the repeats
     repeats: int  # 0: one call, which was its own warm-up
 
 
 def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repeats: int = 1) -> Row:
-    """The row of one setting, answered and timed in this process."""
+    """Solve with one setting and time it, in this process.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    truth : Truth or None
+        The solution that errors are measured against; without one they are None.
+    repeats : int
+        Timed calls after the first, at most; none where that took seconds.
+    """
     row = answer(problem, setting, truth)
     if row.seconds is None or row.seconds >= LONG or not repeats:
         return row
@@ -255,10 +281,22 @@ def answer(
     judge: Judge | None = None,
     follow: FollowHistory | None = None,
 ) -> Row:
-    """The row of one setting by its first call, whose time may have imports in it, or what else the machine did.
+    """Return the row of one setting by its first call, whose time may include imports.
 
-    Every call gets a fresh problem, so that nobody lives off another's factorisation. Where the answer depends on the
-    way to it, with friction, `follow` is called in place of solve.
+    Every call gets a fresh problem, so that no method profits from the factorisation of another.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    truth : Truth or None
+        The solution that errors are measured against; without one they are None.
+    case : str
+        Name of the case, for the row.
+    judge : callable, optional
+        Returns the expectations of the case that a solution misses.
+    follow : callable, optional
+        Called in place of solve where the answer depends on the history that leads to it.
     """
     outcome = call(problem, setting, follow)
     unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
@@ -273,14 +311,20 @@ def timing(
     follow: FollowHistory | None = None,
     warm: bool = True,
 ) -> Timing:
-    """The time of one setting: the median of so many calls, fewer where they are long, or one very long call.
+    """Return the run time of one setting: the median of several calls, or the time of one very long call.
 
     Parameters
     ----------
+    problem : ContactProblem
+    setting : Setting
     first : float
-        What a call took before [s], in this process or another.
+        Time that a call took before [s], in this process or another.
+    repeats : int
+        Timed calls at most; fewer once `ENOUGH` seconds are spent.
+    follow : callable, optional
+        Called in place of solve where the answer depends on the history that leads to it.
     warm : bool
-        Whether what the method imports is here already; else one call is not timed.
+        Whether the modules of the method are imported already; else a first call is not timed.
     """
     if first >= LONG or not repeats:
         return Timing(call(problem, setting, follow).seconds, 0)
@@ -293,12 +337,22 @@ def timing(
 
 
 def timed(row: Row, time: Timing) -> Row:
-    """The row of an answer with its time."""
+    """Return the row with its run time."""
     return replace(row, seconds=time.seconds, repeats=time.repeats)
 
 
 def crashed(problem: ContactProblem, setting: Setting, case: str, message: str) -> Row:
-    """The row of a setting whose process died, or that never came to an end."""
+    """Return the row of a setting whose process died or was stopped.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    case : str
+        Name of the case.
+    message : str
+        Why there is no answer.
+    """
     return Row(**_setting_columns(problem, setting, case), verdict=rows.CRASHED, message=message)
 
 
@@ -323,7 +377,7 @@ def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None
 
 
 def _fresh(problem: ContactProblem) -> ContactProblem:
-    """The same problem that shares no factorisation."""
+    """Return the same problem, sharing no factorisation with it."""
     values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in (*MEASURED, *CARRIED)}
     return ContactProblem(**values)
 
@@ -337,41 +391,44 @@ def _row(
     unmet: Sequence[str] | None,
 ) -> Row:
     solution = outcome.solution
-    known = _setting_columns(problem, setting, case)
+    columns = _setting_columns(problem, setting, case)
     if not isinstance(outcome.error, BackendMissing | Unsupported):
-        known |= dict(seconds=outcome.seconds)
+        columns |= dict(seconds=outcome.seconds)
     errors = raw_errors = None
     if solution is not None:
         raw = solution.raw
         if truth is not None:
             errors = truth.errors(solution.displacement, solution.normal_force, solution.tie_force)
             raw_errors = truth.errors(raw.displacement, raw.normal_force, raw.tie_force) if raw else None
-        known |= _certificate_columns(solution.certificate) | _work_columns(solution)
+        columns |= _certificate_columns(solution.certificate) | _work_columns(solution)
     claimed = _claimed(setting, outcome)
-    known |= _error_columns(errors, raw_errors)
+    columns |= _error_columns(errors, raw_errors)
     if errors is not None:
-        known |= dict(error_asked=_asked(setting, errors))
-    known |= dict(claimed=claimed, flag_wrong=_flag_wrong(setting, claimed, raw_errors or errors))
+        columns |= dict(error_asked=_asked(setting, errors))
+    columns |= dict(claimed=claimed, flag_wrong=_flag_wrong(setting, claimed, raw_errors or errors))
     if unmet is not None:
-        known |= dict(expectations_unmet=len(unmet))
-    message = _message(outcome, unmet)
-    return Row(**known, verdict=_verdict(setting, outcome, errors), message=message)
+        columns |= dict(expectations_unmet=len(unmet))
+    return Row(**columns, verdict=_verdict(setting, outcome, errors), message=_message(outcome, unmet))
 
 
 def _setting_columns(problem: ContactProblem, setting: Setting, case: str) -> dict[str, Any]:
     method = setting.method
-    known: dict[str, Any] = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
-    known |= dict(variant=setting.variant, knob=setting.knob, knob_value=setting.value)
-    return known | dict(condensed=_condensed(problem, setting), unknowns=problem.dimension, contacts=problem.contacts)
+    condensed = rows.CONDENSED if condensable(problem, method) else ""
+    return dict(
+        case=case,
+        method=method.name,
+        kind=method.kind,
+        promises_exact=method.exact,
+        variant=setting.variant,
+        condensed=rows.WHOLE if setting.whole else condensed,
+        knob=setting.knob,
+        knob_value=setting.value,
+        unknowns=problem.dimension,
+        contacts=problem.contacts,
+    )
 
 
-def _condensed(problem: ContactProblem, setting: Setting) -> str:
-    if setting.whole:
-        return rows.WHOLE
-    return rows.CONDENSED if condensable(problem, setting.method) else ""
-
-
-_OF_ERRORS = (
+_VERDICTS_OF_ERRORS = (
     (BackendMissing, rows.MISSING),
     (Unsupported, rows.UNSUPPORTED),
     (BackendFailed, rows.BACKEND_FAILED),
@@ -382,14 +439,14 @@ _OF_ERRORS = (
 
 def _verdict(setting: Setting, outcome: Outcome, errors: Errors | None) -> str:
     if outcome.error is not None:
-        return next(verdict for kind, verdict in _OF_ERRORS if isinstance(outcome.error, kind))
+        return next(verdict for kind, verdict in _VERDICTS_OF_ERRORS if isinstance(outcome.error, kind))
     if outcome.solution is None or not outcome.solution.certificate.passed:
         return rows.REFUSED if setting.method.exact else rows.APPROXIMATE
     return rows.RIGHT if errors is None or errors.small else rows.WRONG
 
 
 def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
-    """Whether the method itself called its answer solved; the active set has no answer but the refined one."""
+    """Return whether the method itself called its answer solved; None for the active set, whose answer is refined."""
     solution = outcome.solution
     if solution is None or setting.method.kind == "active set":
         return None
@@ -397,7 +454,7 @@ def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
 
 
 def _flag_wrong(setting: Setting, claimed: bool | None, errors: Errors | None) -> bool | None:
-    """Claimed, and worse than both the certificate's error tolerance and what was asked of the method, generously."""
+    """Return whether an answer was claimed and is worse than both the error tolerance and what was asked allow."""
     if claimed is None or errors is None or not setting.method.exact:
         return None
     return claimed and errors.judged > _asked(setting, errors)
@@ -413,10 +470,10 @@ def _certificate_columns(certificate: Certificate) -> dict[str, Any]:
         certificate_passed=certificate.passed,
         certificate_proven=certificate.proven,
         certificate_basis=certificate.basis,
-        certificate_worst=_finite(getattr(certificate, worst)),
+        certificate_worst=finite(getattr(certificate, worst)),
         certificate_figure=worst,
-        bound_displacement=_finite(certificate.energy_error),
-        bound_force=_finite(certificate.force_error),
+        bound_displacement=finite(certificate.energy_error),
+        bound_force=finite(certificate.force_error),
     )
 
 
@@ -431,31 +488,29 @@ def _work_columns(solution: Solution) -> dict[str, Any]:
 
 
 def _error_columns(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
-    known: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     if errors is not None:
-        known |= dict(error_displacement=_finite(errors.displacement))
-        known |= dict(error_displacement_max=_finite(errors.displacement_max))
-        known |= dict(error_force=_finite(errors.force), error_measure=errors.measure)
-        known |= dict(error_judged=_finite(errors.judged), error_allowed=errors.allowed)
+        columns |= dict(
+            error_displacement=finite(errors.displacement),
+            error_displacement_max=finite(errors.displacement_max),
+            error_force=finite(errors.force),
+            error_measure=errors.measure,
+            error_judged=finite(errors.judged),
+            error_allowed=errors.allowed,
+        )
     if raw is not None:
-        known |= dict(raw_error_displacement=_finite(raw.displacement), raw_error_force=_finite(raw.force))
-    return known
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
+        columns |= dict(raw_error_displacement=finite(raw.displacement), raw_error_force=finite(raw.force))
+    return columns
 
 
 def _message(outcome: Outcome, unmet: Sequence[str] | None) -> str:
-    said = []
     if isinstance(outcome.error, BackendMissing):
         return str(outcome.error).rpartition(": ")[2]
-    if unmet:
-        said.append("expected otherwise: " + "; ".join(unmet))
+    messages = ["expected otherwise: " + "; ".join(unmet)] if unmet else []
     if outcome.error is not None:
-        said.append(str(outcome.error))
+        messages.append(str(outcome.error))
     elif outcome.solution is not None:
-        said.extend(outcome.solution.certificate.failures)
+        messages.extend(outcome.solution.certificate.failures)
     if outcome.solution is not None and isinstance(outcome.error, NotCertified) and outcome.solution.raw is not None:
-        said.append(f"raw: {outcome.solution.raw.status}")
-    return "; ".join(said)
+        messages.append(f"raw: {outcome.solution.raw.status}")
+    return "; ".join(messages)

@@ -1,4 +1,4 @@
-"""One case made ready for a report: its problem, its truth, its settings, and what it says of its answers."""
+"""One case prepared for a report: its problem, its truth, the settings to be tried, and its expectations."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from contactqp.study.rows import Row
 from contactqp.study.running.journal import digest
 from contactqp.study.truth import Truth, proven_solution, truth_of_solution
 
-# Expected values that are stated less exactly than this are no truth to measure errors against.
+# Expected values with a larger relative tolerance than this are no truth that errors are measured against.
 EXACT = Fraction(1, 10**12)
-# What is said of exact values that are not those of the problem.
+# Added to the source of exact values that are not those of the problem.
 CONTRADICTED = "which the proven solution contradicts: one of them is wrong"
 
 
@@ -49,16 +49,16 @@ class CaseStudy:
     scene: Scene
     problem: ContactProblem
     settings: tuple[Setting, ...]
-    left_out: tuple[str, ...] = ()  # of all that could be tried, in words
+    left_out: tuple[str, ...] = ()  # settings that are not tried, in words
 
     @cached_property
     def expected(self) -> FullLoad:
-        """What the case says of its answers."""
+        """The expectations of the case under the full load."""
         return FullLoad(self.scene)
 
     @cached_property
     def follow(self) -> FollowHistory | None:
-        """What follows the whole history to its last solution; None where one solve has the answer.
+        """The function that follows the history to its last solution; None where one solve gives it.
 
         The answer depends on the history with friction on a load path, in a motion and at large deformations.
         """
@@ -75,27 +75,38 @@ class CaseStudy:
         return digest(b"" if file is None else file.read_bytes(), self.problem)
 
     def answer(self, setting: Setting, truth: Truth | None) -> Row:
-        """The row of a setting, not timed yet."""
+        """Return the row of a setting, not timed yet."""
         judge = self.expected.unmet if setting.stands_for_exactness else None
         return answer(self.problem, setting, truth, self.name, judge, self.follow)
 
     def timing(self, setting: Setting, first: float, repeats: int, warm: bool) -> Timing:
-        """The time of a setting; see `contactqp.study.attempt.timing`."""
+        """Return the run time of a setting.
+
+        Parameters
+        ----------
+        setting : Setting
+        first : float
+            Time of an earlier call [s].
+        repeats : int
+            Timed calls at most.
+        warm : bool
+            Whether the modules of the method are imported already.
+        """
         return timing(self.problem, setting, first, repeats, self.follow, warm)
 
     def truth(self) -> Truth | None:
-        """What the case states exactly, and the proven solution where it states nothing.
+        """Return what the case states exactly, completed by the proven solution; None where neither exists.
 
         Where the two contradict each other, by the measure that answers are judged by, the source says so.
         """
         if self.scene.motion is not None:  # its exact values are those of the continuum, not of its steps
             return None
-        if self.scene.large:  # no one problem has its answer
+        if self.scene.large:  # there is no single problem with this solution
             return None
         own = proven_solution(self.problem)
         displacement, normal_force = self._stated()
-        known = np.concatenate([displacement, normal_force])
-        count, size = int(np.sum(np.isfinite(known))), len(known)
+        values = np.concatenate([displacement, normal_force])
+        count, size = int(np.sum(np.isfinite(values))), len(values)
         if own is None:
             whole = count == size
             return Truth(self.problem, displacement, normal_force, None, "the case's exact values") if whole else None
@@ -114,7 +125,7 @@ class CaseStudy:
         return replace(stated, source=f"{stated.source}, {CONTRADICTED}", contradicted=True)
 
     def _stated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Exact displacements and contact forces under the full load, NaN where the case states none."""
+        """Return (n,) displacements and (m,) contact forces that the case states exactly, NaN where it states none."""
         problem = self.problem
         unknowns, contacts = list(problem.dof_names or ()), list(problem.contact_names or ())
         vectors = np.full(problem.dimension, np.nan), np.full(problem.contacts, np.nan)
@@ -127,9 +138,9 @@ class CaseStudy:
 
 
 def _at_full_load(claim: Expectation) -> bool:
-    whole = claim.load_factor == 1 and claim.time is None
-    of_way = claim.measure.path or claim.measure.motion or claim.measure.whole_way
-    return claim.method is None and whole and claim.reached is None and claim.measure.solved and not of_way
+    at_end = claim.load_factor == 1 and claim.time is None and claim.reached is None
+    of_history = claim.measure.path or claim.measure.motion or claim.measure.whole_way
+    return claim.method is None and at_end and claim.measure.solved and not of_history
 
 
 def _is_exact(claim: Expectation) -> bool:
@@ -139,21 +150,21 @@ def _is_exact(claim: Expectation) -> bool:
 
 
 class FullLoad:
-    """What a case expects of every exact answer under the full load."""
+    """The expectations of a case that every exact answer under the full load must meet."""
 
     def __init__(self, scene: Scene) -> None:
         self._model = build(scene)
         self._claims = [claim for claim in scene.expect if _at_full_load(claim)]
 
     def unmet(self, solution: Solution) -> Sequence[str] | None:
-        """The expectations that this answer misses; None where there are none to compare."""
+        """Return the expectations that this answer misses; None where there are none to compare."""
         answer = answer_of(self._model, solution)
         missed = [str(claim) for claim in self._claims if not compare_expectation(claim, answer).ok]
         return missed if self._claims else None
 
 
 def _refuse_twins(paths: Sequence[Path]) -> None:
-    """A case that is named twice would be two with one name."""
+    """Raise SceneError where a case is named twice: two would have one name."""
     seen: dict[Path, Path] = {}
     for path in paths:
         before = seen.setdefault(path.resolve(), path)
@@ -164,12 +175,12 @@ def _refuse_twins(paths: Sequence[Path]) -> None:
 def load_studies(
     files: Iterable[str | Path], methods: Sequence[Method], tolerances: Sequence[float] = TOLERANCES
 ) -> tuple[CaseStudy, ...]:
-    """The cases with their settings; all files are read before anything is solved.
+    """Return the cases with their settings; all files are read before anything is solved.
 
     Raises
     ------
     SceneError, InvalidProblem
-        A file is no case, or its problem is none; the message names the file.
+        A file is no case, or its problem is invalid; the message names the file.
     """
     paths = [Path(file) for file in files]
     _refuse_twins(paths)
@@ -198,7 +209,7 @@ def _settings(scene: Scene, problem: ContactProblem, method: Method, tolerances:
 
 
 def stated_ladders(scene: Scene, method: Method) -> list[tuple[str, str, list[float]]]:
-    """The (variant, knob, values) that the case's study tables state for a method, in the scene's units."""
+    """Return the (variant, knob, values) that the case's study tables state for a method, in the scene's units."""
     ladders = []
     for study in scene.study:
         if study.method == method.name:

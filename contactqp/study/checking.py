@@ -1,4 +1,4 @@
-"""`contactqp check`: judge somebody else's answer to a case, to matrices or to a file of forces."""
+"""Judge an answer of another code to a case, to matrices or to a file of frictional contact: `contactqp check`."""
 
 from __future__ import annotations
 
@@ -31,15 +31,14 @@ from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene
 from contactqp.solving.solve import solve
-from contactqp.study.friction_files import MOST_CONTACTS, figures, finite, vector_text
+from contactqp.study.friction_files import MOST_CONTACTS, figures, vector_text
+from contactqp.study.rows import finite
 from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, finite_list, read_areas, read_order
-
-# Somebody else's answer to a problem of energy and contacts, judged: from a case file, or from matrices.
 
 
 @dataclass(frozen=True, eq=False)
 class AnswerVerdict(Verdict):
-    """What is said of an answer."""
+    """The verdict on an answer to a problem with displacements."""
 
     problem: ContactProblem
     certificate: JudgedAnswer
@@ -51,9 +50,10 @@ def check_case(problem_file: str, candidate_file: str, options: CheckOptions) ->
     Raises
     ------
     SceneError, InvalidProblem
-        Of either file.
+        One of the files is invalid.
     Unsupported
-        A motion, a load path with friction, a large deformation: what is right at its end depends on the way there.
+        The case is a motion, a load path with friction or a large deformation: what is right at its end depends on the
+        history that leads there.
     """
     scene = load_scene(problem_file)
     problem = build(scene).problem
@@ -77,10 +77,22 @@ def check_problem(
 ) -> AnswerVerdict:
     """Judge an answer against a problem.
 
+    Parameters
+    ----------
+    problem : ContactProblem
+    ledger : Ledger
+        What was read of the problem's file, which the verdict lists.
+    candidate_file : str
+        The file of the answer.
+    options : CheckOptions
+        Tolerances, sign of compression, areas and maps.
+    tie_names : sequence of str, optional
+        Names of the ties, by which the answer may give their forces.
+
     Raises
     ------
     InvalidProblem
-        Of the candidate, the areas or the maps.
+        The candidate, the areas or the maps are invalid.
     BackendMissing
         The candidate's reader is not installed.
     """
@@ -112,7 +124,7 @@ def check_problem(
 
 
 def _renamed(problem: ContactProblem, dofs: Order | None, contacts: Order | None) -> ContactProblem:
-    """The problem under the names that the candidate uses."""
+    """Return the problem under the names that the candidate uses."""
     changes = {}
     for key, order in (("dof_names", dofs), ("contact_names", contacts)):
         if order is not None and order.renamed is not None:
@@ -123,7 +135,7 @@ def _renamed(problem: ContactProblem, dofs: Order | None, contacts: Order | None
 
 
 def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | Sequence[str] | None:
-    """The map for values that came in order; values that came by name are in the problem's order already."""
+    """Return the map for values that came in order; None for values by name, which are in the problem's order."""
     if order is None:
         return None
     named = part in found.named or (part == "normal_force" and "normal_pressure" in found.named)
@@ -135,7 +147,7 @@ def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | S
 
 
 def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> None:
-    """A pressure becomes a force by its area, and by nothing else."""
+    """Replace a pressure, which has been multiplied by its area, with the force that it is."""
     if "normal_pressure" not in given:
         return
     if "normal_force" in given:
@@ -145,26 +157,25 @@ def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> N
     given["normal_force"] = given.pop("normal_pressure")
 
 
-# Somebody else's forces for a file's problem, judged: what is wrong, at which contacts, and what is right there.
-
 # A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
 OTHER_VELOCITY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class WorstContact:
-    """One contact whose forces break the law."""
+    """One contact whose forces break the contact law."""
 
     name: str
     index: int
     figure: str  # the figure that is broken most
-    size: float  # as the certificate measures it
+    size: float  # of that figure, as the certificate measures it
     force: NDArray[np.float64]  # (d,) as given
     velocity: NDArray[np.float64]  # (d,) W r + q of all the given forces
     right_force: NDArray[np.float64] | None  # (d,) of our solution
     right_velocity: NDArray[np.float64] | None
 
     def data(self) -> dict[str, Any]:
+        """Return the findings as plain data for JSON."""
         return {
             "contact": self.name,
             "figure": self.figure,
@@ -178,7 +189,7 @@ class WorstContact:
 
 @dataclass(frozen=True, eq=False)
 class ForcesVerdict(Verdict):
-    """What is said of forces for a file."""
+    """The verdict on forces for a problem of a file."""
 
     problem: LocalProblem
     certificate: LocalCertificate
@@ -186,13 +197,13 @@ class ForcesVerdict(Verdict):
 
 
 def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) -> ForcesVerdict:
-    """Judge a file of forces against a file's problem, by the law and W as given and nothing else.
+    """Judge a file of forces against a file's problem, by the contact law and W as given.
 
     Raises
     ------
     InvalidProblem, Unsupported, BackendMissing
-        Of either file; M is singular, so that forces alone do not say how the bodies move; a map, which forces contact
-        by contact have no use for.
+        One of the files is invalid; M is singular, so that forces alone do not determine the motion; or there is a map,
+        which does not apply to forces contact by contact.
     """
     for name, file in (("--dof-map", options.dof_map), ("--contact-map", options.contact_map)):
         if file is not None:
@@ -305,11 +316,11 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
     Raises
     ------
     SceneError, InvalidProblem, Unsupported, BackendMissing
-        Of the files and options.
+        The files or the options are invalid.
     """
     if Path(problem).is_dir() and not is_problem_file(problem):
-        held = ", ".join(sorted(file.name for file in Path(problem).iterdir())[:5]) or "nothing"
-        raise wrong(problem, "folder", "problem.json, or a file called stiffness or K", f"{held:.100}")
+        names = ", ".join(sorted(file.name for file in Path(problem).iterdir())[:5]) or "nothing"
+        raise wrong(problem, "folder", "problem.json, or a file called stiffness or K", f"{names:.100}")
     if not is_problem_file(problem):
         return check_case(problem, candidate, options)
     if not is_of_matrices(problem):
@@ -320,7 +331,7 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
 
 
 def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> None:
-    """Right or wrong, why, the worst contacts with right values beside, and what was read."""
+    """Print the verdict and its reasons, the worst contacts with right values beside them, and what was read."""
     word = "[green]right[/green]" if verdict.passed else "[red]WRONG[/red]"
     console.print(f"{escape(verdict.candidate_file)}: {word} (tolerance {verdict.certificate.tolerance:g})")
     if isinstance(verdict, AnswerVerdict) and not verdict.passed:
@@ -340,7 +351,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
 
 
 def _print_lines(console: Console, lines: Sequence[str]) -> None:
-    """As they are: no markup, no line broken."""
+    """Print lines without markup and without line breaks."""
     for line in lines:
         console.print(escape(line), soft_wrap=True)
 

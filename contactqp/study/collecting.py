@@ -1,4 +1,4 @@
-"""Run a report's cells and collect their results: first all answers side by side, then all times alone."""
+"""Run the cells of a report and collect their results: first all answers side by side, then all timings one by one."""
 
 from __future__ import annotations
 
@@ -31,19 +31,16 @@ from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Pool, Workers
 from contactqp.study.truth import Truth
 
-# Solves timed at most, and the seconds of them after which a median is good enough.
+# Timed linear solves at most, and the seconds after which their median is good enough.
 REPEATS, ENOUGH_SOLVES = 9, 0.2
 
 
-# The physical limit of a contact problem: what one linear solve of its bodies costs.
-
-
 def linear_solve_seconds(problem: ContactProblem) -> float | None:
-    """Seconds of one factorisation of K and one back-substitution of the load, by the sparse solver of contact.
+    """Return the time [s] of one linear solve of the bodies without contact: the physical limit of a contact problem.
 
-    Contacts and ties are left out, and where the bodies then float, as few unknowns are held as it takes. The median of
-    at most nine solves after a first; finding what to hold is not timed. None where a body is too large to factorise,
-    and where nothing is elastic.
+    It is one factorisation of K and one back-substitution of the load by the sparse solver of contact, the median of at
+    most nine solves after a first. Contacts and ties are left out, and where the bodies then float, as few unknowns are
+    fixed as necessary, which is not timed. None where a body is too large to factorise, and where nothing is elastic.
     """
     solve = None if iterated(problem) else linear_solve(problem)
     if solve is None:
@@ -58,14 +55,14 @@ def linear_solve_seconds(problem: ContactProblem) -> float | None:
 
 
 def linear_solve(problem: ContactProblem) -> Callable[[], Vector] | None:
-    """What is timed: from the stiffness of the unknowns that are not held to their displacement; None if all are."""
-    way = condense(problem)
-    held = fixing_unknowns(way.rigid.motions, np.zeros(0, dtype=np.intp), problem.diagonal)
-    moving = np.setdiff1d(np.arange(problem.dimension), held)
+    """Return the function that is timed, which solves for the unknowns that are not fixed; None if all are."""
+    condensation = condense(problem)
+    fixed = fixing_unknowns(condensation.rigid.motions, np.zeros(0, dtype=np.intp), problem.diagonal)
+    moving = np.setdiff1d(np.arange(problem.dimension), fixed)
     if not moving.size:
         return None
     stiffness, load = sp.csr_matrix(problem.stiffness_rows[moving][:, moving]), problem.load[moving]
-    by_pardiso = way.solver == LastBlock.solver and _positive(stiffness)
+    by_pardiso = condensation.solver == LastBlock.solver and _positive(stiffness)
     return (lambda: _pardiso(stiffness).solve_all(load)) if by_pardiso else lambda: factorise(stiffness).solve(load)
 
 
@@ -74,7 +71,7 @@ def _pardiso(stiffness: Any) -> Pardiso:
 
 
 def _positive(stiffness: Any) -> bool:
-    """Whether PARDISO factorises it: where bodies hardly do not float it may not, and contact does without it too."""
+    """Return whether PARDISO factorises this stiffness: it may not where bodies nearly float."""
     try:
         _pardiso(stiffness)
     except NotPositive:
@@ -82,20 +79,18 @@ def _positive(stiffness: Any) -> bool:
     return True
 
 
-# What a report does with one case, as cells: its truth, its record, and each of its settings answered and timed.
-
-# Cases whose problems a process keeps: the one at hand, and the one before while others still work on it.
+# Cases whose problems a process keeps: the current one, and the one before while others still work on it.
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# What is expected of a cell, relative to one answer to a problem of a few unknowns: unknowns that make it twice that,
-# and what a record takes more than an answer, as it has pictures.
+# Costs of cells, relative to one answer to a problem of a few unknowns: the unknowns that double it, and the pictures
+# of a record.
 DOUBLING, PICTURES = 100, 30
 
 
 @dataclass(frozen=True)
 class Ticket:
-    """A case on its way to another process, which makes the problem of it; equal where the case is the same."""
+    """A case as it is sent to another process, which builds its problem; equal where the case is the same."""
 
     name: str
     digest: str
@@ -116,13 +111,14 @@ class FoundTruth:
 
     @classmethod
     def of(cls, truth: Truth | None) -> FoundTruth:
+        """Return the truth without its problem."""
         if truth is None:
             return cls("nothing, as no answer is proven")
         values = (truth.displacement, truth.normal_force, truth.tie_force)
         return cls(truth.source, *values, truth.unique_forces, truth.free, truth.contradicted)
 
     def on(self, study: CaseStudy) -> Truth | None:
-        """The truth of that case's problem."""
+        """Return the truth of that case's problem; None where nothing is proven."""
         if self.displacement is None or self.normal_force is None:
             return None
         values = (self.displacement, self.normal_force, self.tie_force)
@@ -131,45 +127,58 @@ class FoundTruth:
 
 @dataclass(frozen=True)
 class LinearSolve:
-    """What one linear solve takes; see `contactqp.study.collecting`."""
+    """The time of one linear solve; see `linear_solve_seconds`."""
 
     seconds: float | None
 
 
 def ticket_of(study: CaseStudy) -> Ticket:
+    """Return the case as it is sent to another process."""
     return Ticket(study.name, study.digest, study.scene)
 
 
 def truth_cell(study: CaseStudy) -> Cell:
-    """Finds the truth of a case."""
+    """Return the cell that finds the truth of a case."""
     return _cell(study, "truth", find_truth, (ticket_of(study),), FoundTruth)
 
 
 def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
-    """Finds what is told of a case besides its rows."""
+    """Return the cell that makes the record of a case."""
     cell = _cell(study, "record", make_record, (ticket_of(study), truth), CaseRecord)
     return replace(cell, cost=PICTURES + 2 * cell.cost)
 
 
 def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Setting, Cell]]:
-    """Each setting of a case answered, and held against the truth."""
+    """Yield each setting of a case with the cell that solves by it."""
     for setting in study.settings:
         yield setting, _cell(study, _name(setting), find_answer, (ticket_of(study), truth, setting), Row)
 
 
 def footprint_cell(study: CaseStudy) -> Cell:
-    """Measures what solving a case takes."""
+    """Return the cell that measures the footprint of a case."""
     return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
 
 
 def timing_cell(study: CaseStudy, setting: Setting, first: float, repeats: int, cost: float) -> Cell:
-    """A setting timed, whose first call took so long."""
+    """Return the cell that times a setting.
+
+    Parameters
+    ----------
+    study : CaseStudy
+    setting : Setting
+    first : float
+        Time of its first call [s].
+    repeats : int
+        Timed calls at most.
+    cost : float
+        Expected time [s].
+    """
     arguments = (ticket_of(study), setting, first, repeats)
     return Cell(f"{study.name}/{_name(setting)}/time", take_time, arguments, Timing, study.digest, cost)
 
 
 def limit_cell(study: CaseStudy) -> Cell:
-    """One linear solve of the case's bodies timed."""
+    """Return the cell that times one linear solve of the bodies of a case."""
     return _cell(study, "linear solve", time_linear_solve, (ticket_of(study),), LinearSolve)
 
 
@@ -179,31 +188,47 @@ def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...]
 
 
 def _name(setting: Setting) -> str:
-    """osqp/raw/tolerance=1e-06,polish=False: everything that solve is told."""
+    """Return all options of solve as a key: osqp/raw/tolerance=1e-06,polish=False."""
     options = ",".join(f"{name}={value}" for name, value in setting.options.items())
     return "/".join((setting.method.name, setting.variant, options or setting.knob))
 
 
 def take_footprint(ticket: Ticket) -> Footprint:
+    """Return the footprint of a case; the functions from here on run in the processes of the cells."""
     return measure(str(ticket.scene.file), time_limit=PATIENCE)
 
 
 def find_truth(ticket: Ticket) -> FoundTruth:
+    """Return the truth of a case."""
     return FoundTruth.of(_study(ticket).truth())
 
 
 def make_record(ticket: Ticket, truth: FoundTruth) -> CaseRecord:
+    """Return the record of a case."""
     study = _study(ticket)
     return record(study, truth.on(study))
 
 
 def find_answer(ticket: Ticket, truth: FoundTruth, setting: Setting) -> Row:
+    """Return the row of one setting, not timed yet."""
     study = _study(ticket)
     return study.answer(setting, truth.on(study))
 
 
 def take_time(ticket: Ticket, setting: Setting, first: float, repeats: int) -> Timing:
-    """Warm from the second time on that this process has the method on this case."""
+    """Return the run time of one setting.
+
+    The process is warm from the second time on that it times this method on this case.
+
+    Parameters
+    ----------
+    ticket : Ticket
+    setting : Setting
+    first : float
+        Time of its first call [s].
+    repeats : int
+        Timed calls at most.
+    """
     tried = (ticket.digest, setting.method.name)
     warm = tried in _WARM
     _WARM.add(tried)
@@ -211,6 +236,7 @@ def take_time(ticket: Ticket, setting: Setting, first: float, repeats: int) -> T
 
 
 def time_linear_solve(ticket: Ticket) -> LinearSolve:
+    """Return the time of one linear solve of the bodies of a case."""
     return LinearSolve(linear_solve_seconds(_study(ticket).problem))
 
 
@@ -219,11 +245,11 @@ _WARM: set[tuple[str, str]] = set()
 
 @lru_cache(maxsize=KEPT)
 def _study(ticket: Ticket) -> CaseStudy:
-    """The case in this process; its settings come one by one."""
+    """Return the case as it is in this process, without settings, which come one by one."""
     return CaseStudy(ticket.name, ticket.scene, ticket.scene.problem(), ())
 
 
-# Seconds that a cell takes beside what it is there for.
+# Seconds that a cell takes in addition to its function.
 OVERHEAD = 1e-3
 
 
@@ -237,7 +263,7 @@ class _Try:
 
 
 class Collector:
-    """Runs a report, and knows how far it is.
+    """Runs the cells of a report and counts what is done.
 
     Parameters
     ----------
@@ -246,9 +272,9 @@ class Collector:
     journal : Journal
     progress : Progress
     repeats : int
-        Timed calls of each setting, at most.
+        Timed calls of each setting at most.
     time_limit : float
-        Of each cell [s].
+        Limit for each cell [s].
     """
 
     def __init__(
@@ -264,12 +290,12 @@ class Collector:
         self._repeats, self._time_limit = repeats, time_limit
         self.rows = sum(len(study.settings) for study in studies)
         self.answered = self.timed = 0
-        self._changed: dict[str, None] = {}  # cases whose kept results are not theirs any more
+        self._changed: dict[str, None] = {}  # cases that changed since their results were kept
         self._kept = 0
         self._seconds = 0.0  # that timing the answered rows is expected to take
 
     def collect(self) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
-        """All records and rows, in the order of the cases.
+        """Run all cells and return the records and rows, in the order of the cases.
 
         Raises
         ------
@@ -281,8 +307,8 @@ class Collector:
         with self._workers.side_by_side() as pool:
             truths = self._truths(studies, pool)
             tries = [_Try(study, *each) for study in studies for each in answer_cells(study, truths[study.name])]
-            told = {study.name: record_cell(study, truths[study.name]) for study in studies}
-            answers = [*told.values(), *(one.cell for one in tries)]
+            record_cells = {study.name: record_cell(study, truths[study.name]) for study in studies}
+            answers = [*record_cells.values(), *(one.cell for one in tries)]
             found = self._run("answers", answers, pool, later=self._timing_left)
         with self._workers.alone() as pool:
             limits, footprints = self._limits(studies, pool), self._footprints(studies, pool)
@@ -291,7 +317,7 @@ class Collector:
         of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
         records = (
             replace(
-                _record(study, truths[study.name], found[told[study.name].key]),
+                _record(study, truths[study.name], found[record_cells[study.name].key]),
                 contradicted=truths[study.name].contradicted,
                 linear_solve=limits[study.name],
                 footprint=footprints.get(study.name),
@@ -305,9 +331,9 @@ class Collector:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was taken from an interrupted report, and what was not."""
-        said = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
-        return (*said, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
+        """Notes on what was kept of an interrupted report, and what was not."""
+        kept = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
+        return (*kept, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
     def _truths(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, FoundTruth]:
         cells = {study.name: truth_cell(study) for study in studies}
@@ -315,7 +341,7 @@ class Collector:
         return {name: _truth(found[cell.key]) for name, cell in cells.items()}
 
     def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], pool: Pool) -> dict[str, Row]:
-        """The rows with their times; a method that crashes while it is timed has crashed."""
+        """Return the rows with their times; a method that crashes while it is timed has crashed."""
         cells = {
             key: timing_cell(one.study, one.setting, row.seconds, self._repeats, self._expected(row))
             for one in tries
@@ -325,14 +351,14 @@ class Collector:
         return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
 
     def _footprints(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, Footprint]:
-        """What solving each case takes that has a file."""
+        """Return the footprint of each case that has a file."""
         cells = {study.name: footprint_cell(study) for study in studies if study.scene.file is not None}
         found = self._run("footprints", list(cells.values()), pool, later=self._timing_left)
         results = ((name, found[cell.key]) for name, cell in cells.items())
         return {name: result for name, result in results if isinstance(result, Footprint)}
 
     def _limits(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, float | None]:
-        """Seconds of one linear solve of each case; None where it crashed, as the case's rows will have too."""
+        """Return the seconds of one linear solve of each case; None where it crashed."""
         cells = {study.name: limit_cell(study) for study in studies}
         found = self._run("linear solves", list(cells.values()), pool, later=self._timing_left)
         results = {name: found[cell.key] for name, cell in cells.items()}
@@ -346,6 +372,7 @@ class Collector:
         return run_cells(cells, pool, self._journal, watcher=self, time_limit=self._time_limit)
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
+        """Start a part: `found` holds the results of the cells that are finished already."""
         for cell in cells:
             if cell.key in found:
                 self._kept += 1
@@ -353,10 +380,12 @@ class Collector:
         self._progress.begin(cells, found)
 
     def done(self, cell: Cell, result: Result) -> None:
+        """Count a finished cell."""
         self._count(cell, result)
         self._progress.done(cell, result)
 
     def tick(self) -> None:
+        """Show the progress."""
         self._progress.tick()
 
     def _count(self, cell: Cell, result: Result) -> None:
@@ -368,7 +397,7 @@ class Collector:
         return self._seconds * self.rows / max(self.answered, 1)
 
     def _expected(self, row: Row) -> float:
-        """Seconds that timing a row will take."""
+        """Return the seconds that timing a row is expected to take."""
         if row.seconds is None:
             return 0.0
         calls = 1 if row.seconds >= LONG else min(self._repeats, ceil(ENOUGH / max(row.seconds, OVERHEAD)))

@@ -1,4 +1,4 @@
-"""compare(): one problem by many methods, as a table of errors, times and verdicts."""
+"""`compare`: solve one problem by many methods; a table of errors, run times and verdicts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from contactqp.study.truth import Reference, truth_of, truth_of_reference
 
 @dataclass(frozen=True)
 class Comparison:
-    """The table of `compare`: one row for each method and value of its knob; `str` of it is readable."""
+    """The table of `compare`, with one row for each method and value of its knob; `str` prints it."""
 
     rows: tuple[Row, ...]
     truth: str  # what the errors are measured against
@@ -32,11 +32,11 @@ class Comparison:
         return f"{text_table(self.rows)}\nerrors against: {self.truth}"
 
     def to_dicts(self) -> list[dict[str, Any]]:
-        """Rows as plain data; `contactqp.study.rows.COLUMNS` says what each key is."""
+        """Return rows as plain data; `contactqp.study.rows.COLUMNS` has the meaning of each key."""
         return as_dicts(self.rows)
 
     def to_csv(self) -> str:
-        """Comma-separated values with a header."""
+        """Return comma-separated values with a header."""
         return to_csv(self.rows)
 
 
@@ -48,10 +48,11 @@ def compare(
     *,
     knobs: Mapping[str, Sequence[float]] | None = None,
 ) -> Comparison:
-    """Solve one problem by many methods and hold every answer against the truth.
+    """Solve one problem by many methods and compare every answer with the truth.
 
     Parameters
     ----------
+    problem : ContactProblem
     methods : sequence of names, optional
         All of `contactqp.methods()` by default; those that are not installed are listed as missing.
     reference : Solution, or (displacement, normal_force[, tie_force]), optional
@@ -95,7 +96,7 @@ def compare(
 
 
 def _on_acting_rows(rows: ActingRows, reference: Reference) -> Reference:
-    """What a reference of the whole problem says of the rows that constrain something."""
+    """Return a reference of the whole problem restricted to the rows that constrain something."""
     whole = truth_of_reference(rows.whole, reference)
     ties = () if whole.tie_force is None else (whole.tie_force[rows.ties],)
     return (whole.displacement, whole.normal_force[rows.contacts], *ties)

@@ -12,12 +12,10 @@ from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.statistics import Route
 
-# A chart of a page: what Plotly draws, what a newcomer must know to read it, and its numbers as a table.
-
 
 @dataclass(frozen=True)
 class Chart:
-    """One chart.
+    """One chart of a page: its figure, a caption that explains it, and its numbers as a table.
 
     Parameters
     ----------
@@ -25,11 +23,11 @@ class Chart:
         Its identifier on the page.
     title : str
     caption : str
-        What is drawn, and how to read it.
+        What the chart shows and how to read it.
     figure : mapping
         "data" and "layout" of Plotly; colours of text, grid and background are the page's, not the figure's.
     headings, lines : tuples of str
-        The same numbers as a table, for those who read.
+        The same numbers as a table.
     """
 
     name: str
@@ -41,10 +39,8 @@ class Chart:
 
 
 # Okabe and Ito (2008), distinct to colour-blind readers. Their yellow is too light on white; for their black stands a
-# grey that is seen on white and on black.
+# grey that is visible on white and on black.
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
-# How a method looks in every chart: the same colour, symbol and dash wherever it appears.
-
 GREY = "#767676"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
 # Plotly's names; each has an "-open" twin.
@@ -55,7 +51,7 @@ DASHES = ("solid", "6px,3px", "2px,2px", "8px,2px,2px,2px", "12px,3px", "8px,2px
 
 @dataclass(frozen=True)
 class MethodStyle:
-    """Colour, symbol and dash of one method, in Plotly's words."""
+    """Colour, symbol and dash of one method in every chart, in Plotly's words."""
 
     colour: str
     symbol: str
@@ -95,7 +91,7 @@ STYLES: Mapping[str, MethodStyle] = {
 
 
 def method_style(name: str) -> MethodStyle:
-    """The style of a method, whatever else is shown beside it.
+    """Return the style of a method, which does not depend on the other methods of a chart.
 
     Names that are not in `STYLES` get one that depends on nothing but the name; two such may coincide.
 
@@ -111,14 +107,12 @@ def method_style(name: str) -> MethodStyle:
     return MethodStyle(COLOURS[rest % len(COLOURS)], SYMBOLS[symbol], DASHES[rest // len(COLOURS) % len(DASHES)])
 
 
-# Numbers in charts: rounded as data, so that pages stay small, and written as text.
-
-# Digits that a screen can show.
+# Digits of the numbers in charts, which are rounded so that pages stay small.
 DIGITS = 4
 
 
 def rounded(value: float) -> float:
-    """To four digits.
+    """Return a value rounded to four digits.
 
     >>> rounded(0.0123456), rounded(1234567.0)
     (0.01235, 1235000.0)
@@ -127,7 +121,7 @@ def rounded(value: float) -> float:
 
 
 def error_text(value: float | None) -> str:
-    """An error in a table.
+    """Return an error as text in a table.
 
     >>> error_text(3.14e-9), error_text(0.0), error_text(None)
     ('3.1e-09', '0', '')
@@ -136,7 +130,7 @@ def error_text(value: float | None) -> str:
 
 
 def milliseconds(seconds: float | None) -> str:
-    """A time in a table [ms].
+    """Return a time as text in a table [ms].
 
     >>> milliseconds(0.01234), milliseconds(None)
     ('12.3', '')
@@ -145,7 +139,7 @@ def milliseconds(seconds: float | None) -> str:
 
 
 def percent(part: int, whole: int) -> str:
-    """Return a part of a whole in per cent; of nothing, nothing.
+    """Return a part of a whole in per cent as text; empty where the whole is zero.
 
     >>> percent(1, 3), percent(0, 0)
     ('33 %', '')
@@ -154,7 +148,7 @@ def percent(part: int, whole: int) -> str:
 
 
 def plural(count: int, word: str) -> str:
-    """A number of things.
+    """Return a number of things as text.
 
     >>> plural(1, "case"), plural(2, "case")
     ('1 case', '2 cases')
@@ -162,24 +156,22 @@ def plural(count: int, word: str) -> str:
     return f"{count} {word}{'' if count == 1 else 's'}"
 
 
-# Room around the points of a logarithmic axis: a factor, and at least this part of it, which shows symbols whole.
+# Room around the points of a logarithmic axis: a factor, and at least this part of the axis, so that symbols are whole.
 ROOM, MARGIN = 1.6, 0.03
-# Axes, legends and lines that charts share, in Plotly's words; colours of text, grid and background are the page's.
-
-# A logarithmic axis of more than so many is labelled at powers of ten alone.
+# Largest number of decades of a logarithmic axis that has labels between powers of ten.
 DECADES = 6
 METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the names
 
 
 def on_cases(cases: Sequence[str]) -> str:
-    """The problems that a chart of many cases rests on."""
+    """Return the sentence that says on which cases a chart rests."""
     return f"On the {plural(len(cases), 'case')} with a known answer that every installed method was put to."
 
 
 def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:
-    """A logarithmic axis around positive values."""
-    known = [value for value in values if value > 0 and math.isfinite(value)] or [1.0]
-    lowest, highest = math.log10(min(known)), math.log10(max(known))
+    """Return a logarithmic axis around positive values."""
+    shown = [value for value in values if value > 0 and math.isfinite(value)] or [1.0]
+    lowest, highest = math.log10(min(shown)), math.log10(max(shown))
     room = max(math.log10(ROOM), MARGIN * (highest - lowest))
     ends = lowest - room, highest + room
     # Powers of ten where there are many, else 2 and 5 between them.
@@ -188,19 +180,19 @@ def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:
 
 
 def legend(title: str, **changes: Any) -> dict[str, Any]:
-    """Beside each other in lines, under the chart."""
+    """Return a legend whose entries stand beside each other under the chart."""
     below = dict(orientation="h", x=0, xanchor="left", y=-0.22, yanchor="top", title=dict(text=title, side="top"))
     return below | dict(itemsizing="trace") | changes
 
 
 def layout(xaxis: Mapping[str, Any], yaxis: Mapping[str, Any], height: int, **others: Any) -> dict[str, Any]:
-    """What every chart has: its axes, its height in pixels, margins, hover at the nearest point."""
+    """Return a layout with axes, height [px], margins, and hover at the nearest point."""
     around = dict(margin=dict(l=70, r=20, t=40, b=60), hovermode="closest", showlegend=True)
     return dict(xaxis=dict(xaxis), yaxis=dict(yaxis), height=height) | around | others
 
 
 def vertical_line(x: float, text: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A shape across the chart at x on a logarithmic axis, and its label."""
+    """Return a vertical line at x on a logarithmic axis, and its label."""
     line = dict(color=GREY, width=2, dash="12px,4px,2px,4px")
     shape = dict(type="line", xref="x", yref="paper", x0=x, x1=x, y0=0, y1=1, line=line)
     place = dict(x=rounded(math.log10(x)), y=1, xref="x", yref="paper", xanchor="left", yanchor="top", xshift=4)
@@ -208,7 +200,19 @@ def vertical_line(x: float, text: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def method_line(name: str, xs: Sequence[float], ys: Sequence[float], variant: str, **changes: Any) -> dict[str, Any]:
-    """A curve in the colour and dash of its method."""
+    """Return a curve in the colour and dash of its method.
+
+    Parameters
+    ----------
+    name : str
+        Name of the method.
+    xs, ys : sequences of float
+        The points of the curve.
+    variant : str
+        The variant, by which the page can hide the curve.
+    **changes
+        Other properties of the trace.
+    """
     style = method_style(name)
     drawn = dict(type="scatter", name=name, x=list(xs), y=list(ys), legendgroup=name, line=method_dash(name))
     marker = dict(symbol=style.symbol, color=style.colour, size=8)
@@ -216,25 +220,25 @@ def method_line(name: str, xs: Sequence[float], ys: Sequence[float], variant: st
 
 
 def method_dash(name: str) -> dict[str, Any]:
-    """The line of a method where dashes tell methods apart."""
+    """Return the line of a method in charts that distinguish methods by dashes."""
     style = method_style(name)
     return dict(color=style.colour, dash=style.dash, width=2)
 
 
 def meta(method: str, variant: str) -> dict[str, str]:
-    """What a page filters traces by; both empty for what belongs to no method."""
+    """Return the values by which a page filters traces; both are empty where a trace belongs to no method."""
     return dict(method=method, variant=variant)
 
 
-# Errors below are drawn here: a logarithm has no zero, and doubles have no more digits.
+# Smaller errors are drawn here: a logarithmic axis has no zero, and doubles have no more digits.
 FLOOR = 1e-17
-# Written over the points of answers that nobody should use.
+# Written over the points of answers that are not to be used.
 MARKS: Mapping[str, str] = {rows.REFUSED: "\u00d7", rows.NOT_CONVERGED: "+", rows.BACKEND_FAILED: "+", rows.WRONG: "‼"}
-# What stands for the variants of the rows: a method that does not polish hands its answer over as it is.
+# Names of the variants of rows; the answer of a method that does not polish is final.
 FINAL, RAW, UZAWA, ALL_UNKNOWNS = "final", "raw", "Uzawa", ", all unknowns"
 VARIANTS: Mapping[str, str] = {"": FINAL, "raw": RAW, "uzawa": UZAWA}
 LINES: Mapping[str, str] = {"": "solid", "raw": "5px,3px", "uzawa": "1px,3px"}
-# What Plotly adds to the names of symbols.
+# Suffixes of Plotly to the names of symbols.
 FILLINGS: Mapping[str, str] = {"raw": "-open", "uzawa": "-open-dot"}
 # On all unknowns lines are thinner and symbols smaller [px].
 WIDTHS, SIZES = {False: 2.0, True: 1.0}, {False: 9, True: 6}
@@ -242,7 +246,7 @@ WIDTHS, SIZES = {False: 2.0, True: 1.0}, {False: 9, True: 6}
 
 @dataclass(frozen=True)
 class Curve:
-    """The rows of one method, one way and one knob that have a time and an error."""
+    """The rows of one route and one knob that have a time and an error."""
 
     route: Route
     knob: str
@@ -250,7 +254,7 @@ class Curve:
 
 
 def curves(all_rows: Iterable[Row], error: str) -> tuple[Curve, ...]:
-    """Curves of a column of errors, in the order of the rows."""
+    """Return the curves of a column of errors, in the order of the rows."""
     found: dict[tuple[Route, str], list[Row]] = {}
     for row in all_rows:
         if getattr(row, error) is not None and row.seconds is not None:
@@ -259,11 +263,11 @@ def curves(all_rows: Iterable[Row], error: str) -> tuple[Curve, ...]:
 
 
 def variant_name(route: Route) -> str:
-    """ "final", "raw, all unknowns" and so on."""
+    """Return the name of a variant: "final", "raw, all unknowns" and so on."""
     return VARIANTS.get(route.variant, route.variant) + (ALL_UNKNOWNS if route.whole else "")
 
 
-# What all traces of such a figure have, once: Plotly's template of a layout.
+# Properties of all traces of a figure of errors against time, as a template of Plotly.
 TEMPLATE: Mapping[str, Any] = dict(
     data=dict(
         scatter=[
@@ -279,7 +283,7 @@ TEMPLATE: Mapping[str, Any] = dict(
 
 
 def traces(drawn: Sequence[Curve], error: str, stiffness: str) -> list[dict[str, Any]]:
-    """One trace for each curve; each method is in the legend once. `stiffness` is the unit of penalties."""
+    """Return one trace for each curve, each method once in the legend; `stiffness` is the unit of penalties."""
     first = {curve.route.method: i for i, curve in reversed(list(enumerate(drawn)))}
     return [
         _trace(curve, error, stiffness) | dict(showlegend=first[curve.route.method] == i)
@@ -307,13 +311,13 @@ def _trace(curve: Curve, error: str, stiffness: str) -> dict[str, Any]:
 
 
 def hover(row: Row, stiffness: str) -> list[str]:
-    """Knob, error in u, error in λ and verdict in words."""
+    """Return the hint of a point: knob, error in u, error in λ and verdict."""
     errors = error_text(row.error_displacement), error_text(row.error_force)
     return [knob_text(row, stiffness), *errors, row.verdict or "median"]
 
 
 def knob_text(row: Row, stiffness: str) -> str:
-    """A knob and its value with its unit."""
+    """Return a knob with its value and unit as text."""
     if row.knob_value is None:
         return f"{row.knob}: its default" if row.knob else "no knob"
     unit = f" {stiffness}" if row.knob in ("penalty", "perturbation") else ""
@@ -321,23 +325,34 @@ def knob_text(row: Row, stiffness: str) -> str:
 
 
 def line(colour: str, variant: str, whole: bool) -> dict[str, Any]:
-    """Solid, dashed before polish, dotted by Uzawa's iteration; thin on all unknowns."""
+    """Return a line: solid, dashed before polish, dotted by Uzawa's iteration; thin on all unknowns."""
     return dict(color=colour, dash=LINES.get(variant, "solid"), width=WIDTHS[whole])
 
 
 def marker(colour: str, symbol: str, variant: str, whole: bool) -> dict[str, Any]:
-    """Hollow before polish, with a dot in it by Uzawa's iteration, small on all unknowns."""
+    """Return a marker: hollow before polish, with a dot in it by Uzawa's iteration, small on all unknowns.
+
+    Parameters
+    ----------
+    colour : str
+    symbol : str
+        Plotly's name.
+    variant : str
+        "raw", "uzawa" or empty.
+    whole : bool
+        Whether the method worked on all unknowns, without condensation.
+    """
     return dict(color=colour, symbol=symbol + FILLINGS.get(variant, ""), size=SIZES[whole])
 
 
 def key_traces(drawn: Sequence[Curve]) -> list[dict[str, Any]]:
-    """What the lines and marks mean, as far as they are there: entries of a second legend."""
+    """Return the entries of a second legend, which explains the lines and marks that occur."""
     routes = {(curve.route.variant, curve.route.whole) for curve in drawn}
     verdicts = {row.verdict for curve in drawn for row in curve.points}
     shown = [
-        route_key(*way) | dict(mode="lines+markers", line=line(GREY, *way), legend="legend2")
-        for way in _ROUTES
-        if way in routes
+        route_key(*route) | dict(mode="lines+markers", line=line(GREY, *route), legend="legend2")
+        for route in _ROUTES
+        if route in routes
     ]
     marks = [
         _key(f"{MARKS[verdict]} {words}") | dict(mode="none", legend="legend2")
@@ -363,12 +378,12 @@ _MARK_MEANINGS: Mapping[str, str] = {
 
 
 def route_key(variant: str, whole: bool) -> dict[str, Any]:
-    """An entry of a legend that says what hollow and small symbols mean."""
+    """Return an entry of a legend that explains hollow and small symbols."""
     return _key(_ROUTES[variant, whole]) | dict(mode="markers", marker=marker(GREY, "circle", variant, whole))
 
 
 def _key(words: str) -> dict[str, Any]:
-    # Nothing is drawn of it but its entry.
+    # A trace without points, of which only the entry is shown.
     nowhere = dict(type="scatter", x=[None], y=[None], name=words, hoverinfo="skip", showlegend=True)
     return nowhere | dict(meta=meta("", ""))
 

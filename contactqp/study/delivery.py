@@ -17,15 +17,13 @@ from contactqp.errors import SceneError
 from contactqp.solving.methods import Method
 from contactqp.study.running.journal import Journal
 
-# Where and with what a report was made: enough to run it again.
-
 BASE = ("contactqp", "numpy", "scipy", "qpsolvers", "cvxpy", "matplotlib")
 # Environment variables that decide on how many threads linear algebra runs.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def machine() -> dict[str, str]:
-    """Platform, processor, Python, and the limits of threads."""
+    """Return the platform, the processor, the version of Python and the limits of threads."""
     found = dict(
         platform=platform.platform(),
         processor=platform.processor() or platform.machine(),
@@ -36,7 +34,7 @@ def machine() -> dict[str, str]:
 
 
 def versions(methods: Sequence[Method]) -> dict[str, str]:
-    """Version of every distribution that was or could have been used; "not installed" where it is not."""
+    """Return the version of every distribution that was or could have been used, or "not installed"."""
     homes = _homes()
     packages = dict.fromkeys(package for method in methods for package in method.packages)
     names = dict.fromkeys([*BASE, *(homes.get(package, [package])[0] for package in packages)])
@@ -45,7 +43,7 @@ def versions(methods: Sequence[Method]) -> dict[str, str]:
 
 @cache
 def _homes() -> Mapping[str, list[str]]:
-    """The distributions of each package: to read the files of all that are installed takes seconds."""
+    """Return the distributions of each package; cached, as reading the files of all of them takes seconds."""
     return importlib.metadata.packages_distributions()
 
 
@@ -57,17 +55,17 @@ def _version(name: str) -> str:
 
 
 JOURNAL = "unfinished_report.jsonl"
-# Of the folder that finished files wait in until all are there.
+# Prefix of the folder in which finished files wait until all are there.
 _WORKSHOP = ".unfinished-"
 
 
 def report_folder(folder: str | Path) -> Path:
-    """The folder, made if need be.
+    """Return the folder of a report, made if need be.
 
     Raises
     ------
     SceneError
-        It cannot be made.
+        The folder cannot be made.
     """
     if not str(folder):
         raise SceneError("-o: expected a folder for the report, got an empty name")
@@ -83,7 +81,18 @@ def report_folder(folder: str | Path) -> Path:
 
 @contextmanager
 def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool, name: str = JOURNAL) -> Iterator[Journal]:
-    """The journal of this folder's report, removed when the report is finished and kept when it is not.
+    """Yield the journal of this folder's report, removed when the report is finished and kept when it is not.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the report.
+    conditions : mapping
+        Versions, machine and settings under which kept results are the same.
+    fresh : bool
+        Discard the results of an interrupted report.
+    name : str
+        File name of the journal.
 
     Raises
     ------
@@ -103,18 +112,18 @@ def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool, name: s
 
 @contextmanager
 def workshop(folder: Path) -> Iterator[Path]:
-    """A folder for files that are being written, gone at the end whatever happens."""
+    """Yield a folder for files that are being written, which is removed at the end."""
     with tempfile.TemporaryDirectory(prefix=_WORKSHOP, dir=folder) as path:
         yield Path(path)
 
 
 def write(file: Path, text: str) -> None:
-    """In UTF-8, with the same line ends everywhere."""
+    """Write text in UTF-8, with the same line ends on every platform."""
     file.write_text(text, encoding="utf-8", newline="\n")
 
 
 def deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
-    """Every file is moved in one step; the page comes last."""
+    """Move every file to the folder, each in one step and the page last, and return their new names."""
     made = sorted(shop.iterdir(), key=lambda file: (file.suffix == ".html", file.suffix, file.name))
     for file in made:
         os.replace(file, folder / file.name)

@@ -1,6 +1,6 @@
-"""What one case takes in a process of its own: time by stage, memory, modules, factorisations, contacts.
+"""The footprint of a case: time of each stage, memory, modules, factorisations and contacts of one answer.
 
-The process (`contactqp.study.footprint_child`) is a fresh interpreter, where nothing else is in it.
+It is measured in a process of its own (`contactqp.study.footprint_child`), a fresh interpreter.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 IMPORT = "import modules"
-# What a case brings in where it needs it, and what for.
+# Optional packages, which a case imports only where it needs them, by their purpose.
 OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("files of meshes", ("meshlane",)),
     (
@@ -34,7 +34,7 @@ OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 @dataclass(frozen=True)
 class StageTime:
-    """What one stage took, without the stages in it."""
+    """The time of one stage, without the stages in it."""
 
     name: str
     seconds: float
@@ -42,46 +42,46 @@ class StageTime:
 
 @dataclass(frozen=True)
 class ContactCount:
-    """How many contacts the solver had to do with: looked at = without partner + dropped + kept."""
+    """Counts of contacts: looked at = without partner + dropped + kept."""
 
     looked_at: int  # nodes of the sides that may touch
-    without_partner: int  # nothing is opposite, or it is out of reach: they have no row
-    dropped: int  # rows left out of the condensed problem, being far from closing
+    without_partner: int  # without a row, as nothing is opposite or within reach
+    dropped: int  # rows left out of the condensed problem, far from closing
     kept: int  # rows condensed onto
-    least_dropped_gap: float | None = None  # over all answers; the answer was checked against these too [length]
+    least_dropped_gap: float | None = None  # over all answers, which are checked against these rows too [length]
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Resident memory, bytes; None where the system does not say."""
+    """Resident memory [bytes]; None where the system does not report it."""
 
     peak: int | None
-    interpreter: int | None  # of the peak: Python itself, before anything of ours
-    modules: int | None  # what importing added
+    interpreter: int | None  # before anything is imported
+    modules: int | None  # added by imports
 
 
 @dataclass(frozen=True)
 class Modules:
-    """What was imported."""
+    """The modules that were imported."""
 
     count: int  # all modules, those of the standard library included
-    packages: tuple[str, ...]  # of third parties
-    left_out: tuple[str, ...]  # optional ones that are installed and were not needed
-    missing: tuple[str, ...]  # optional ones that are not installed
+    packages: tuple[str, ...]  # imported packages of third parties
+    left_out: tuple[str, ...]  # optional packages that are installed and were not needed
+    missing: tuple[str, ...]  # optional packages that are not installed
 
 
 @dataclass(frozen=True)
 class Footprint:
     """One case from its file to its certified answer, in a fresh interpreter.
 
-    Where it came to no answer `failure` says why in one line, and the rest is what was measured until then; a process
-    that died or was stopped leaves nothing but that.
+    Where there is no answer, `failure` gives the reason in one line, and the other fields are what was measured until
+    then; of a process that died or was stopped there is nothing else.
     """
 
     case: str
     method: str
     failure: str | None = None
-    seconds: float | None = None  # all of it, without starting the interpreter
+    seconds: float | None = None  # total time, without starting the interpreter
     stages: tuple[StageTime, ...] = ()  # their sum is `seconds`, but for what is in no stage
     instants: int = 0  # solutions: more than one of a path or a motion
     certified: bool = False  # whether the certificate of the last one passes
@@ -92,12 +92,12 @@ class Footprint:
     modules: Modules | None = None
 
     def data(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the footprint as plain data for JSON."""
         return asdict(self)
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> Footprint:
-        """What `data` was made of."""
+        """Return the footprint that `data` was made of."""
         parts: dict[str, Any] = {"stages": tuple(StageTime(**stage) for stage in data["stages"])}
         for name, kind in (("contacts", ContactCount), ("memory", Memory)):
             parts[name] = None if data[name] is None else kind(**data[name])
@@ -111,7 +111,7 @@ CHILD = "contactqp.study.footprint_child"
 
 
 def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit: float | None = None) -> Footprint:
-    """What a case takes from its file to its certified answer.
+    """Measure a case from its file to its certified answer.
 
     Parameters
     ----------
@@ -125,11 +125,11 @@ def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit
     Returns
     -------
     Footprint
-        Its `failure` says in one line why there is no answer: what the error of the package says, the signal that
-        ended the process, that it took too long.
+        Where there is no answer, its `failure` is the message of the error, the signal that ended the process, or that
+        it took too long.
     """
-    known = (str(case), method)
-    command = [sys.executable, "-P", "-m", CHILD, *known]  # -P: no modules from the folder that it is run in
+    asked = (str(case), method)
+    command = [sys.executable, "-P", "-m", CHILD, *asked]  # -P: no modules from the folder that it is run in
     try:
         done = subprocess.run(
             command,
@@ -137,35 +137,30 @@ def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit
             text=True,
             errors="replace",
             timeout=time_limit,
-            env=_environment(),
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(folder or os.getcwd() for folder in sys.path)},
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Footprint(*known, failure=f"stopped after {time_limit:g} s")
+        return Footprint(*asked, failure=f"stopped after {time_limit:g} s")
     except OSError as error:
-        return Footprint(*known, failure=f"no process could be started: {error.strerror or error}")
+        return Footprint(*asked, failure=f"no process could be started: {error.strerror or error}")
     if done.returncode:
-        return Footprint(*known, failure=_ending(done.returncode, done.stderr))
+        return Footprint(*asked, failure=_ending(done.returncode, done.stderr))
     try:
         return Footprint.from_data(json.loads(done.stdout.splitlines()[-1]))  # libraries may have said something
     except (IndexError, ValueError, TypeError, KeyError):
-        return Footprint(*known, failure="the process that measured said nothing that can be read")
+        return Footprint(*asked, failure="the process that measured said nothing that can be read")
 
 
-def _environment() -> dict[str, str]:
-    """This process's, modules looked for where it does."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(folder or os.getcwd() for folder in sys.path)}
-
-
-def _ending(code: int, said: str) -> str:
-    """How a process ended that did not end well."""
+def _ending(code: int, stderr: str) -> str:
+    """Return how a process failed, in words."""
     if code < 0:
         try:
             name = signal.Signals(-code).name
         except ValueError:
             name = f"signal {-code}"
         return f"the process died of {name}"
-    last = said.strip().splitlines()[-1:] or [f"exit code {code}"]
+    last = stderr.strip().splitlines()[-1:] or [f"exit code {code}"]
     return f"the process ended early: {last[0]}"
 
 
@@ -173,7 +168,7 @@ MEBIBYTE = 2**20
 
 
 def print_footprint(console: Console, footprint: Footprint) -> None:
-    """What the answer took, line by line, and the time of each stage."""
+    """Print the outcome, the time of each stage, and the other figures line by line."""
     from rich.markup import escape
 
     from contactqp.scene.tables import print_table
@@ -191,12 +186,12 @@ def print_footprint(console: Console, footprint: Footprint) -> None:
 
 
 def share_text(part: float) -> str:
-    """A part of the whole in percent."""
+    """Return a part of a whole in per cent as text."""
     return "< 1 %" if part < 0.005 else f"{100 * part:.0f} %"
 
 
 def footprint_outcome(footprint: Footprint) -> str:
-    """How it ended."""
+    """Return the outcome in words."""
     if footprint.failure is not None:
         return f"no answer: {footprint.failure}"
     count = f"{footprint.instants} instants, " if footprint.instants > 1 else ""
@@ -204,7 +199,7 @@ def footprint_outcome(footprint: Footprint) -> str:
 
 
 def footprint_lines(footprint: Footprint) -> Iterator[str]:
-    """Work, contacts, memory and modules, one sentence each."""
+    """Yield work, contacts, memory and modules as one line each."""
     factorisations, right_hand_sides = footprint.factorisations, footprint.back_substitutions
     yield f"work: {factorisations} {_many('factorisation', factorisations)} of the stiffness, {right_hand_sides} " + (
         _many("back-substitution", right_hand_sides)
@@ -236,10 +231,10 @@ def _memory(memory: Memory, peak: int) -> str:
     text = f"{peak / MEBIBYTE:.0f} MiB at most"
     if memory.interpreter is None or memory.modules is None:
         return text
-    left = max(peak - memory.interpreter - memory.modules, 0)
+    rest = max(peak - memory.interpreter - memory.modules, 0)
     return (
         f"{text}: {memory.interpreter / MEBIBYTE:.0f} the interpreter, {memory.modules / MEBIBYTE:.0f} imported "
-        f"modules, {left / MEBIBYTE:.0f} this case"
+        f"modules, {rest / MEBIBYTE:.0f} this case"
     )
 
 

@@ -1,4 +1,4 @@
-"""The process in which one case is solved alone; it prints what that took as a line of JSON.
+"""The process that solves one case and prints its footprint as a line of JSON.
 
 Nothing but the standard library is imported before the measurement begins.
 """
@@ -26,15 +26,16 @@ if TYPE_CHECKING:
 
 
 class ImportMeter:
-    """Gives imports a stage of their own, wherever they happen, and adds up the memory that they take."""
+    """Times imports as a stage of their own, wherever they happen, and adds up the memory that they take."""
 
     def __init__(self, clock: StageClock) -> None:
         self._clock, self._import, self._inside = clock, builtins.__import__, False
-        self._thread = threading.get_ident()  # whose clock it is
+        self._thread = threading.get_ident()  # the thread that the clock times
         self.taken = 0  # bytes
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[ImportMeter]:
+        """Measure the imports of this thread until the end of the context."""
         builtins.__import__ = self._watched
         try:
             yield self
@@ -54,7 +55,7 @@ class ImportMeter:
 
 
 def resident() -> int | None:
-    """Bytes in memory now; None where there is no /proc."""
+    """Return the resident memory [bytes]; None where there is no /proc."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -63,9 +64,9 @@ def resident() -> int | None:
 
 
 def peak() -> int | None:
-    """The most bytes that were in memory at once.
+    """Return the largest resident memory so far [bytes]; None where the system does not report it.
 
-    Of /proc where there is one: what `getrusage` says starts with the memory of the process that started this one.
+    It is read from /proc where there is one: `getrusage` starts with the memory of the process that started this one.
     """
     try:
         with open("/proc/self/status") as file:
@@ -82,8 +83,8 @@ def peak() -> int | None:
 
 
 def main(case: str, method: str) -> None:
-    """Print the footprint."""
-    started, at_start, known = time.perf_counter(), resident(), set(sys.modules)
+    """Solve a case by a method and print the footprint."""
+    started, at_start, loaded = time.perf_counter(), resident(), set(sys.modules)
     failure: str | None = None
     model: Model | None = None
     history: History | None = None
@@ -110,13 +111,13 @@ def main(case: str, method: str) -> None:
         factorisations=clock.factorisations,
         back_substitutions=clock.back_substitutions,
         memory=Memory(peak(), at_start, imports.taken if at_start is not None else None),
-        modules=_modules(known),
+        modules=_modules(loaded),
     )
     print(json.dumps(footprint.data()))
 
 
 def _look_at(history: History, model: Model) -> None:
-    """Have every answer certified that is so when it is looked at; those of motions are certified as they are made."""
+    """Have every answer certified, which happens on first access; those of motions are certified while stepping."""
     for solution in history if model.scene.motion is None else (history[-1],):
         assert solution.certificate is not None
 

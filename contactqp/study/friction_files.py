@@ -1,8 +1,7 @@
-"""Solve files of frictional contact, on ranks too, and print one outcome a file and method."""
+"""Solve problems in files of other codes, in one process or on ranks, and print one outcome per file and method."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,13 +38,12 @@ from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Certificate, LocalCertificate, Solution
 from contactqp.solving.solve import solve
-
-# What is said of a file of frictional contact and of its answer.
+from contactqp.study.rows import finite
 
 
 @dataclass(frozen=True)
 class Outline:
-    """What is said of a problem beside its answer; on several ranks nobody keeps the problem itself."""
+    """Facts about a problem that are printed with its answer; on several ranks no rank keeps the problem itself."""
 
     form: str  # as solved: "local" wherever there is one, else "bodies"
     dimension: int  # 1 where nothing says it
@@ -55,7 +53,7 @@ class Outline:
 
 @dataclass(frozen=True, eq=False)
 class FileOutcome:
-    """What one method made of one file."""
+    """The outcome of one method on the problem of one file."""
 
     file: str
     problem: Outline
@@ -70,7 +68,7 @@ class FileOutcome:
 
     @property
     def statuses(self) -> dict[str, int]:
-        """How many contacts are open, sticking, slipping, ..."""
+        """The number of contacts in each state: open, sticking, slipping, ..."""
         if self.solution is None:
             return {}
         found = [str(status) for status in self.solution.contact_status]
@@ -78,7 +76,7 @@ class FileOutcome:
 
 
 def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
-    """A file's problem in local form; with its bodies where nothing but contact holds them, so that M is singular.
+    """Return a file's problem in local form, or with its bodies where M is singular as only contact holds them.
 
     A problem of matrices stays as it is.
     """
@@ -95,24 +93,23 @@ def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
 
 
 def outline_of(problem: LocalProblem | ContactProblem) -> Outline:
+    """Return the facts about a problem that are printed with its answer."""
     if isinstance(problem, LocalProblem):
         return Outline("local", problem.dimension, problem.contacts, problem.asymmetry)
     origin = problem.slip_origin
     return Outline("bodies", 1 + (0 if origin is None else origin.shape[1]), problem.contacts, problem.asymmetry)
 
 
-# Files of problems, solved on the ranks of MPI: the first one reads, deals out what it has read, and tells.
-#
-# It has K whole while it reads and deals; the others never have more than an equal share of the rows and their part.
-
-
 def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> FileOutcome:
-    """As `run_file`, on all ranks; the answer is whole on the first one. Collective.
+    """Solve a file's problem on all ranks of MPI; collective. The first rank has the whole answer.
+
+    The first rank reads the file and distributes the problem. It holds all of K while it does so; the others never hold
+    more than an equal share of the rows and their part.
 
     Raises
     ------
     InvalidProblem, Unsupported, BackendMissing
-        As there, on all ranks in the same words.
+        As `run_file` raises, on all ranks with the same message.
     """
     refuse_method(method)
     chosen, ranks = options_on_ranks(dict(options)), Ranks()
@@ -133,12 +130,12 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
 
 
 def _read(file: str, ranks: Ranks) -> tuple[Outline, Portion]:
-    """What is said of a file's problem, and this rank's share of it; the whole is forgotten."""
+    """Return the facts about a file's problem and this rank's share of it; the whole problem is dropped."""
     found = ranks.by_first(lambda: _first_reads(file))
     outline, whole = (None, None) if found is None else found
     share = share_of_first(whole, ranks)
-    said: Any = ranks.told(outline)
-    return said, share
+    shared_outline: Any = ranks.told(outline)
+    return shared_outline, share
 
 
 def _first_reads(file: str) -> tuple[Outline, Portion]:
@@ -156,7 +153,7 @@ DEFAULT_METHOD = "active-set"
 
 
 def split_files(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Case files (and folders of them), and files of other codes."""
+    """Split arguments into case files (and folders of them) and files of other codes."""
     foreign = [argument for argument in arguments if is_problem_file(argument)]
     return [argument for argument in arguments if argument not in foreign], foreign
 
@@ -170,7 +167,22 @@ def run_files(
     progress: bool = False,
     engine: str = SERIAL,
 ) -> list[FileOutcome]:
-    """Every file by every method, by our own where none is named; `progress` shows a bar on stderr.
+    """Solve every file by every method.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Files of problems in formats of other codes.
+    methods : sequence of str
+        Names of methods; active-set where there is none.
+    knobs : mapping
+        Options of the methods.
+    drawn : bool
+        Whether a picture was asked for, which these files cannot have.
+    progress : bool
+        Show a bar on stderr.
+    engine : str
+        "serial", or the engine that solves on ranks.
 
     Raises
     ------
@@ -195,12 +207,23 @@ def run_files(
 def run_file(
     file: str, method: str | None = None, options: Mapping[str, Any] | None = None, engine: str = SERIAL
 ) -> FileOutcome:
-    """Solve a file's problem; with an engine of several ranks, where the answer is whole on the first, collectively.
+    """Solve a file's problem.
+
+    Parameters
+    ----------
+    file : str
+        A file of a problem in a format of another code.
+    method : str, optional
+        Name of the method, active-set by default.
+    options : mapping, optional
+        Options of the method.
+    engine : str
+        "serial", or the engine that solves on ranks: then the call is collective, and the first rank has the answer.
 
     Raises
     ------
     InvalidProblem, Unsupported, BackendMissing
-        The file, the method or its options are no good. That a method finds no answer is an outcome.
+        The file, the method or its options are invalid. That a method finds no answer is an outcome.
     """
     if engine != SERIAL:
         return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
@@ -218,13 +241,13 @@ def run_file(
 
 
 def figures(certificate: LocalCertificate | Certificate) -> dict[str, float]:
-    """The certificate's figures by name."""
+    """Return the certificate's figures by name."""
     names = LOCAL_FIGURES if isinstance(certificate, LocalCertificate) else BODY_FIGURES
     return {name: float(getattr(certificate, name)) for name in names}
 
 
 def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
-    """All that is known of one outcome, for JSON."""
+    """Return one outcome as plain data for JSON."""
     solution, problem = outcome.solution, outcome.problem
     data: dict[str, Any] = {
         "file": outcome.file,
@@ -257,27 +280,18 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
             "joint_force": solution.joint_force.tolist(),
         }
     elif solution is not None:
-        parts = {
-            name: getattr(solution, name) for name in ("displacement", "normal_force", "friction_force", "tie_force")
-        }
+        parts = {name: getattr(solution, name) for name in ANSWER_PARTS}
         data |= {name: part.tolist() for name, part in parts.items() if part is not None}
     return data
 
 
-def finite(value: float) -> float | None:
-    """JSON has no numbers that are not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
-# Outcomes of frictional files as a table on a screen.
-
-# Contacts on a screen; --json has all.
+# Contacts that a table on a screen lists; --json has all.
 MOST_CONTACTS = 10
 PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
 
 
 def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
-    """One row a file and method: sizes, the worst of each figure, the errors that other codes publish."""
+    """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish."""
     if not outcomes:
         return
     header = ["file", "contacts", "", "algorithm", "state of contacts", *(n.replace("_", " ") for n in SHARED_FIGURES)]
@@ -292,27 +306,23 @@ def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
 
 def _row(outcome: FileOutcome) -> list[str | Text]:
     solution = outcome.solution
-    known = figures(solution.certificate) if solution is not None else {}
+    values = figures(solution.certificate) if solution is not None else {}
+    errors = (values.get(name) for name in (*SHARED_FIGURES, "natural_map", "siconos_error"))
+    dimension = outcome.problem.dimension
     states = ", ".join(f"{number} {status}" for status, number in outcome.statuses.items())
     return [
         escape(Path(outcome.file).name),
         f"{outcome.problem.contacts}",
-        f"{outcome.problem.dimension}D"
-        if outcome.problem.dimension > 1
-        else "",  # without tangential rows nothing says
+        f"{dimension}D" if dimension > 1 else "",  # unknown without tangential rows
         escape(solution.method) if solution is not None else "",
         states,
-        *(_figure(known.get(name)) for name in (*SHARED_FIGURES, "natural_map", "siconos_error")),
+        *("" if value is None else f"{value:.1e}" for value in errors),
         f"{outcome.problem.asymmetry:.0e}",
         f"{outcome.seconds:.2f}",
         PASSED if outcome.passed else REFUSED,
     ]
 
 
-def _figure(value: float | None) -> str:
-    return "" if value is None else f"{value:.1e}"
-
-
 def vector_text(values: NDArray[np.float64]) -> str:
-    """``(1, 2.5, -3)``."""
+    """Return a vector as text: ``(1, 2.5, -3)``."""
     return "(" + ", ".join(f"{value:.6g}" for value in values) + ")"

@@ -1,4 +1,4 @@
-"""Charts of error against run time, case by case, and of methods compared over all cases."""
+"""Charts of a report: error against run time, case by case, and methods compared over all cases."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ from contactqp.study.statistics import (
 )
 from contactqp.study.truth import ABSOLUTE_ENERGY, ABSOLUTE_FORCE
 
-# Half the distance from 1 to the next double: relative errors below it are rounding of the answer itself.
+# Half the distance from 1 to the next double: smaller relative errors are rounding of the answer itself.
 ROUNDING = 1.1e-16
 TIME_AXIS = "run time [ms]"
 HEIGHT = 620
@@ -71,13 +71,13 @@ HEIGHT = 620
 
 @dataclass(frozen=True)
 class Quantity:
-    """What an error is of."""
+    """A part of the answer whose errors are drawn."""
 
     column: str  # of the rows
     name: str
     title: str
     measure: str  # of the relative error
-    absolute: str  # what `Row.error_measure` says where it is not relative
+    absolute: str  # part of `Row.error_measure` where it is not relative
 
 
 QUANTITIES = (
@@ -87,7 +87,7 @@ QUANTITIES = (
 
 
 def case_charts(data: ReportData, case: CaseRecord) -> tuple[Chart, ...]:
-    """Error in u and in λ against run time; none where nothing could be measured.
+    """Return the charts of error in u and in λ against run time; none where nothing could be measured.
 
     They have no tables: their numbers are the case's rows, which a page shows once.
     """
@@ -104,11 +104,11 @@ def _case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Ch
     figure = work_precision(mine, quantity, unit, f"{force}/{length}", case.linear_solve)
     if figure is None:
         return None
-    said = _CAPTION, _limit_text(case.linear_solve), _truth_text(case), _without_points(mine, quantity)
+    sentences = _CAPTION, _limit_text(case.linear_solve), _truth_text(case), _without_points(mine, quantity)
     return Chart(
         name=f"{case.name}-error-{'u' if quantity.name == 'u' else 'force'}",
         title=f"{case.title}: {quantity.title} against run time",
-        caption=" ".join(filter(None, said)),
+        caption=" ".join(filter(None, sentences)),
         figure=figure,
     )
 
@@ -141,16 +141,20 @@ def _truth_text(case: CaseRecord) -> str:
 def work_precision(
     drawn_rows: Sequence[Row], quantity: Quantity, unit: str, stiffness: str, limit: float | None
 ) -> Mapping[str, Any] | None:
-    """The figure, or None if no row has a time and an error.
+    """Return the figure of errors against run time, or None if no row has a time and an error.
 
     Parameters
     ----------
+    drawn_rows : sequence of Row
+        The rows of one case, or medians.
+    quantity : Quantity
+        The part of the answer whose errors are drawn.
     unit : str
-        Of the error, and what it is relative to.
+        Unit of the error, and what it is relative to.
     stiffness : str
         Unit of penalties.
     limit : float, optional
-        Seconds of one linear solve.
+        Time of one linear solve [s].
     """
     drawn = curves(drawn_rows, quantity.column)
     if not drawn:
@@ -174,7 +178,7 @@ def work_precision(
 
 
 def _rounding(unit: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The band in which an error is that of writing the answer in double precision; only relative ones have it."""
+    """Return the band of errors of rounding to double precision, which only relative errors have, and its label."""
     relative = unit.startswith("relative")
     text = f"zero is drawn at {FLOOR:g}"
     place = dict(x=1, y=-17, xref="paper", yref="y", xanchor="right", yanchor="bottom", showarrow=False)
@@ -186,22 +190,19 @@ def _rounding(unit: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _without_points(mine: Sequence[Row], quantity: Quantity) -> str:
-    """Which rows have no point, and why: none is left out silently."""
+    """Return a sentence on rows without a point, and why; empty where there are none."""
     missing = [row.method for row in mine if row.verdict == rows.MISSING]
     lacking = [row for row in mine if getattr(row, quantity.column) is None or row.seconds is None]
     verdicts = Counter(row.verdict for row in lacking if row.verdict != rows.MISSING)
-    said = [f"Answers without a point: {_listed(verdicts)}."] if verdicts else []
-    return " ".join(said + ([f"Not installed: {', '.join(dict.fromkeys(missing))}."] if missing else []))
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    sentences = [f"Answers without a point: {counts}."] if counts else []
+    return " ".join(sentences + ([f"Not installed: {', '.join(dict.fromkeys(missing))}."] if missing else []))
 
 
-def _listed(verdicts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
-
+# Rates: how often methods call their own answers solved, and how often these are right, as bars side by side.
 
 BAR_HEIGHT, AROUND_BARS = 44, 170  # pixels for each method, and for axis and legend
-# How often methods call their own answers solved, and how often they are right: bars side by side.
-
-# Colour, pattern and words of each bar: what the method says, what is true, what the certificate lets pass.
+# Colour, pattern and words of the three bars of a method.
 _BARS = {
     "claimed": (ORANGE, "/", "called solved by the method itself"),
     "right": (BLUE, "", "right, by the true error"),
@@ -210,7 +211,7 @@ _BARS = {
 
 
 def rates_chart(found: Overview) -> Chart:
-    """Claimed, right, and passed by the certificate."""
+    """Return the chart of answers that were claimed, that were right, and that passed the certificate."""
     shown = [rates for rates in found.rates if rates.own or rates.certifiable]
     data = [_bar(shown, column, *words) for column, words in _BARS.items()]
     missing = [rates.method for rates in found.rates if not rates.installed]
@@ -265,7 +266,7 @@ def _rate_cells(rates: Rates) -> tuple[str, ...]:
 
 
 def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
-    """Wrong answers that were called solved, by the methods' flags and by the certificate."""
+    """Return the chart of wrong answers that methods called solved or that passed the certificate."""
     found = [rates for rates in method_rates(all_rows) if rates.installed]
     total, ours = sum(rates.silently_wrong for rates in found), sum(rates.wrong_but_passed for rates in found)
     counts = {
@@ -310,7 +311,7 @@ def _of(part: int, whole: int) -> str:
     return f"{part} of {whole}" if whole else "no flag"
 
 
-# How fast methods are over many cases: performance profiles and mean run times.
+# Run times over many cases: performance profiles and means.
 
 SOLVED = "Solved means a true error of at most 1e-6 (and what rounding the answer adds), whatever flags say."
 PROFILE_HEIGHT = 620
@@ -319,7 +320,7 @@ FACTORS = (1.0, 2.0, 10.0)  # of the fastest time, in the tables
 
 
 def profile_charts(found: Overview) -> Iterator[Chart]:
-    """As solve runs the methods, and as they are by themselves."""
+    """Yield the performance profiles of methods as solve runs them, and of their raw answers on all unknowns."""
     usual = [times for times in found.times if not times.route.variant and not times.route.whole]
     yield _profile(
         "profile",
@@ -337,11 +338,11 @@ def profile_charts(found: Overview) -> Iterator[Chart]:
 
 
 def _by_themselves(all_times: Sequence[RouteTimes]) -> Iterator[RouteTimes]:
-    """One route for each method: before polish where it is polished, on all unknowns where there is a choice."""
+    """Yield one route for each method: before polish where it is polished, on all unknowns where there is a choice."""
     by_route = {times.route: times for times in all_times}
     for name in dict.fromkeys(route.method for route in by_route):
-        ways = (Route(name, variant, whole) for variant in ("raw", "") for whole in (True, False))
-        yield next(by_route[way] for way in ways if way in by_route)
+        routes = (Route(name, variant, whole) for variant in ("raw", "") for whole in (True, False))
+        yield next(by_route[route] for route in routes if route in by_route)
 
 
 def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> Chart:
@@ -381,24 +382,24 @@ def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> 
 
 
 def _steps(times: RouteTimes, compared: np.ndarray, last: float) -> dict[str, Any]:
-    """The profile as steps, its symbol where it rises."""
+    """Return the profile as steps, with symbols where it rises."""
     factors = np.unique(np.concatenate([[1.0], compared[np.isfinite(compared)], [last]]))
     parts = 100 * profile(compared, factors)
     name = times.route.method
-    told = f"<b>{name}</b><br>right on %{{y}} % of {len(compared)} cases within %{{x}} times the fastest<extra></extra>"
+    hint = f"<b>{name}</b><br>right on %{{y}} % of {len(compared)} cases within %{{x}} times the fastest<extra></extra>"
     xs, ys = [rounded(x) for x in factors], [rounded(float(y)) for y in parts]
-    drawn = method_line(name, xs, ys, variant_name(times.route), hovertemplate=told, mode="lines+markers")
+    drawn = method_line(name, xs, ys, variant_name(times.route), hovertemplate=hint, mode="lines+markers")
     drawn["line"] |= dict(shape="hv")
     return drawn
 
 
 def means_chart(found: Overview) -> Chart:
-    """Shifted geometric means of every way of every method, the fastest method on top."""
+    """Return the chart of shifted geometric means of every route, the fastest method on top."""
     order = _order(found)
     shown = list(zip(found.times, found.means, strict=True))
     data = [_mean_point(times, mean) for times, mean in shown]
-    ways = dict.fromkeys((times.route.variant, times.route.whole) for times, _ in shown)
-    keyed = [route_key(*way) for way in ways]
+    routes = dict.fromkeys((times.route.variant, times.route.whole) for times, _ in shown)
+    legend_keys = [route_key(*route) for route in routes]
     methods = dict(type="category", categoryorder="array", categoryarray=order[::-1], automargin=True)
     axis = log_axis("shifted geometric mean of the run times [ms]", [1e3 * mean for _, mean in shown])
     return Chart(
@@ -410,7 +411,7 @@ def means_chart(found: Overview) -> Chart:
         f"mean. {SOLVED} A case without a right answer counts as {LIMIT:g} s, and there the clock stops for answers "
         "that take longer.",
         figure=dict(
-            data=data + keyed,
+            data=data + legend_keys,
             layout=layout(
                 axis,
                 methods | dict(title=METHOD),
@@ -427,7 +428,7 @@ def means_chart(found: Overview) -> Chart:
 
 
 def _order(found: Overview) -> list[str]:
-    """Methods by their best mean."""
+    """Return the methods in the order of their best mean."""
     best: dict[str, float] = {}
     for times, mean in zip(found.times, found.means, strict=True):
         best[times.route.method] = min(mean, best.get(times.route.method, math.inf))

@@ -1,4 +1,4 @@
-"""All that a report says, as data: the record of each case, and what the rows come to."""
+"""The contents of a report as plain data: the record of each case, the rows and their summary."""
 
 from __future__ import annotations
 
@@ -24,8 +24,6 @@ from contactqp.study.rows import COLUMNS, VERDICTS, Row, as_dicts
 from contactqp.study.statistics import Rates, method_rates, overview, overview_data
 from contactqp.study.truth import Truth
 
-# What a report knows of one case besides its rows: plain data, made once, drawn and written by others.
-
 
 @dataclass(frozen=True)
 class Sizes:
@@ -33,7 +31,7 @@ class Sizes:
 
     unknowns: int  # n
     contacts: int  # m
-    tangential_rows: int  # (d - 1) m where anything rubs, else 0
+    tangential_rows: int  # (d - 1) m with friction, else 0
     ties: int  # k
     nonzeros: int  # of the stiffness
 
@@ -53,7 +51,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class CaseRecord:
-    """One case as a report tells it."""
+    """The facts about one case in a report, apart from its rows."""
 
     name: str
     title: str
@@ -66,19 +64,19 @@ class CaseRecord:
     explanation: Explanation  # what was included and what was left out, and why
     truth: str  # what errors are measured against
     judgements: tuple[dict[str, Any], ...]  # as `contactqp run --json` prints them
-    unmet: tuple[str, ...]  # expectations that are not met, in words
-    remarks: tuple[Remark, ...]  # sentences of the source, with our verdict
+    unmet: tuple[str, ...]  # expectations that are not met
+    remarks: tuple[Remark, ...]  # sentences of the source and our verdicts on them
     picture: bytes | None = None  # PNG of geometry, deformed shape and contact forces
     history_picture: bytes | None = None  # PNG of a path or a motion
     no_picture: str = ""  # why there is no picture
-    contradicted: bool = False  # the case's exact values, by the proven solution
-    scheme: str = ""  # by which a motion is stepped
-    linear_solve: float | None = None  # seconds of one linear solve of the bodies without contact
-    footprint: Footprint | None = None  # what one answer takes in a process of its own
+    contradicted: bool = False  # whether the proven solution contradicts the case's exact values
+    scheme: str = ""  # impact scheme of a motion
+    linear_solve: float | None = None  # time of one linear solve of the bodies without contact [s]
+    footprint: Footprint | None = None  # time and memory of one answer in a process of its own
 
 
 def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
-    """Everything of one case that does not depend on a method's knob."""
+    """Return the record of a case that has been judged and drawn."""
     judged = tuple(_judgements(study.scene))
     drawn = answer_pictures(judged[0]) if judged else AnswerPictures(why_not="no method answers")
     return replace(
@@ -92,7 +90,7 @@ def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
 
 
 def unjudged(study: CaseStudy, truth: str, *unmet: str) -> CaseRecord:
-    """What is known of a case before anything is solved; `truth` says what errors are measured against."""
+    """Return the record of a case before anything is solved; `truth` says what errors are measured against."""
     scene = study.scene
     return CaseRecord(
         name=study.name,
@@ -113,7 +111,7 @@ def unjudged(study: CaseStudy, truth: str, *unmet: str) -> CaseRecord:
 
 
 def _judgements(scene: Scene) -> Iterator[Judgement | Failure]:
-    """All that the case says, of the active-set answer along its load path and of each method that it names itself."""
+    """Yield the judgements of the active-set answer along its load path and of each method that the case names."""
     for trial in trials(scene):
         try:
             yield judge(scene, trial)
@@ -124,19 +122,16 @@ def _judgements(scene: Scene) -> Iterator[Judgement | Failure]:
 
 
 def _unmet(outcome: Judgement | Failure) -> list[str]:
-    """What is not met, in words."""
+    """Return the expectations that are not met, in words."""
     if isinstance(outcome, Failure):
         return [outcome.message]
     rows = (*outcome.expectations, *outcome.published)
     return [f"{outcome.trial}: {row.quantity}: expected {row.expected}, got {row.got}" for row in rows if not row.ok]
 
 
-# What a report's rows come to: rates for each method, and whether anything claims to be right and is not.
-
-
 @dataclass(frozen=True)
 class MethodSummary:
-    """One method over all cases and knobs; failures count, missing methods have no rows to count."""
+    """Counts of one method over all cases and knobs; failures count, missing methods have no rows."""
 
     method: str
     installed: bool
@@ -146,9 +141,9 @@ class MethodSummary:
     approximate: int
     wrong_but_passed: int
     own_answers: int  # before polish and certificate; of methods that promise exact ones and have a flag
-    claimed: int  # of these, those that the method itself called solved
-    own_right: int  # of the own answers, those that are right, by what was asked of them
-    silently_wrong: int  # of the claimed, those that are wrong
+    claimed: int  # own answers that the method itself called solved
+    own_right: int  # own answers that are right, by what was asked of them
+    silently_wrong: int  # claimed answers that are wrong
 
 
 @dataclass(frozen=True)
@@ -156,10 +151,10 @@ class Summary:
     """The summary of a whole report."""
 
     methods: tuple[MethodSummary, ...]
-    wrong_but_passed: int  # ours: must be 0
-    silently_wrong: int  # the methods' own flags
+    wrong_but_passed: int  # wrong answers that our certificate passed: must be 0
+    silently_wrong: int  # wrong answers that methods called solved
     unmet: tuple[str, ...]  # expectations of the cases that are not met
-    contradicted: tuple[str, ...] = ()  # cases whose exact values are not those of the proven solution
+    contradicted: tuple[str, ...] = ()  # cases whose exact values differ from the proven solution
 
     @property
     def exit_code(self) -> int:
@@ -167,13 +162,13 @@ class Summary:
         return 1 if self.wrong_but_passed or self.unmet else 0
 
     def cells(self) -> list[list[str]]:
-        """The table of the methods, headings first."""
+        """Return the table of the methods, headings first."""
         words = {True: "yes", False: "no"}
         lines = [[words[cell] if isinstance(cell, bool) else str(cell) for cell in astuple(m)] for m in self.methods]
         return [[column.name.replace("_", " ") for column in fields(MethodSummary)], *lines]
 
     def unmet_lines(self) -> list[str]:
-        """What is not met, each line once, with how often it is said."""
+        """Return the expectations that are not met, each line once with its count."""
         return [f"{text} ({count} times)" if count > 1 else text for text, count in Counter(self.unmet).items()]
 
     @property
@@ -192,7 +187,7 @@ class Summary:
 
 
 def summarise(all_rows: Sequence[Row], unmet: Iterable[str], contradicted: Iterable[str] = ()) -> Summary:
-    """Counts by method. A raw answer is counted once: on its own row where it has one, else on that of the method."""
+    """Count rows by method. A raw answer is counted once: on its own row if it has one, else on that of the method."""
     methods = tuple(_method_summary(rates, all_rows) for rates in method_rates(all_rows))
     of_rows = (f"{row.case}: {row.method}: {row.message}" for row in all_rows if row.expectations_unmet)
     return Summary(
@@ -227,7 +222,7 @@ SCHEMA, SCHEMA_VERSION = "contactqp-report", 2
 
 @dataclass(frozen=True)
 class ReportData:
-    """Cases, rows and what they come to, and where and with what they were made."""
+    """The cases, rows and summary of a report, and the machine and versions that they were made with."""
 
     cases: tuple[CaseRecord, ...]
     rows: tuple[Row, ...]
@@ -240,13 +235,13 @@ class ReportData:
 
 
 def as_json(data: ReportData) -> str:
-    """results.json."""
-    written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **data.facts)
-    written |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(data.summary))
-    written |= dict(overview=overview_data(overview(data.rows)))
-    written["cases"] = [_case(case) for case in data.cases]
-    written["rows"] = as_dicts(data.rows)
-    return json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    """Return the text of results.json."""
+    contents = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **data.facts)
+    contents |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(data.summary))
+    contents |= dict(overview=overview_data(overview(data.rows)))
+    contents["cases"] = [_case(case) for case in data.cases]
+    contents["rows"] = as_dicts(data.rows)
+    return json.dumps(contents, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def _case(case: CaseRecord) -> dict[str, Any]:

@@ -1,11 +1,10 @@
-"""The main job: every case by every method and every value of its knob, written to a folder."""
+"""The report: every case by every method and every value of its knob, written to a folder."""
 
 from __future__ import annotations
 
 import datetime
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,7 +21,7 @@ from contactqp.study.report_charts import case_charts, overview_charts
 from contactqp.study.report_data import ReportData, Summary, as_json, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.running.journal import source_digest
-from contactqp.study.running.runner import Running, Stopped, progress, stopped_by_signals, workers_of
+from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
 
 REPEATS = 3
@@ -33,7 +32,7 @@ PAGE = "index.html"
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What a report found, and the files that it wrote."""
+    """The results of a report, and the files that it wrote."""
 
     summary: Summary
     rows: tuple[Row, ...]
@@ -47,7 +46,7 @@ class ReportResult:
 
 
 def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
-    """The report of the command line: says on the terminal what it found and where, and returns the exit code.
+    """Write the report of the command line, print what it found and where it is, and return the exit code.
 
     Without cases those of the folder ``cases`` are taken.
     """
@@ -99,7 +98,7 @@ def write_report(
     repeats : int
         Timed calls after the first, at most; each on a fresh problem.
     running : Running
-        Where and how it runs.
+        Processes, time limit and display of progress.
 
     Raises
     ------
@@ -108,7 +107,7 @@ def write_report(
     BackendMissing
         A Dask cluster is asked for and distributed is not installed.
     Stopped
-        By Ctrl-C or SIGTERM; it says how far it was.
+        The report was interrupted by Ctrl-C or SIGTERM; the message says how far it was.
     """
     chosen = chosen_methods(methods)
     studies = load_studies(cases, chosen, tolerances)
@@ -124,7 +123,7 @@ def write_report(
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
             collector = Collector(studies, workers, journal, bar, repeats, running.time_limit)
-            with _told_how_far(collector):
+            with stopped_after(lambda: str(collector)):
                 records, rows = collector.collect()
                 facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
                 summary = summarise(
@@ -135,7 +134,7 @@ def write_report(
                 data = ReportData(records, rows, summary, facts)
                 notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows))
                 with workshop(folder) as shop:
-                    notes = (*notes, *_missing())
+                    notes = (*notes, *filter(None, [missing_packages()]))
                     write(shop / "results.csv", to_csv(rows))
                     write(shop / "results.json", as_json(data))
                     if not missing_packages():
@@ -143,15 +142,6 @@ def write_report(
                         write(shop / PAGE, render(data, overview_charts(data), charts, notes=notes))
                     files = _deliver(shop, folder)
     return ReportResult(summary, rows, files, notes)
-
-
-@contextmanager
-def _told_how_far(collector: Collector) -> Iterator[None]:
-    """An interruption says what is done."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        raise Stopped(f"{collector}; the same command goes on from there", stop) from None
 
 
 def _settings(tolerances: Sequence[float], repeats: int, workers: Workers) -> dict[str, Any]:
@@ -167,26 +157,22 @@ def _settings(tolerances: Sequence[float], repeats: int, workers: Workers) -> di
 
 
 def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
-    """What is not tried on which case."""
+    """Yield which settings are not tried on which case."""
     for study in studies:
         for text in study.left_out:
             yield f"{study.name}: {text}"
 
 
 def _crashed(rows: Sequence[Row]) -> Iterator[str]:
-    """How many rows crashed, and the first of them."""
+    """Yield how many rows crashed, and the first of them."""
     crashed = [row for row in rows if row.verdict == CRASHED]
     if crashed:
         first = crashed[0]
         yield f"crashed: {len(crashed)} of {len(rows)} rows; the first: {first.case}: {first.method}: {first.message}"
 
 
-def _missing() -> tuple[str, ...]:
-    return tuple(filter(None, [missing_packages()]))
-
-
 def _deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
-    """The page comes last."""
+    """Move the finished files to the folder; where there is no page, that of an earlier report is removed."""
     if not (shop / PAGE).exists():  # one of an earlier report would speak of other rows
         (folder / PAGE).unlink(missing_ok=True)
     return deliver(shop, folder)

@@ -1,9 +1,10 @@
-"""The one table of every study: a flat row for each method and value of its knob, its columns, and CSV."""
+"""The table of every study: one flat row for each method and value of its knob, the columns, CSV and text."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
@@ -18,7 +19,7 @@ MISSING = "missing"
 UNSUPPORTED = "unsupported"
 WRONG = "wrong but passed"
 
-# What `condensed` says where there is a choice.
+# Values of the column `condensed` where there is a choice.
 CONDENSED, WHOLE = "yes", "no"
 
 # In the order in which a reader wants them.
@@ -36,7 +37,7 @@ VERDICTS: Mapping[str, str] = {
 
 
 def column(meaning: str, default: Any = None) -> Any:
-    """A field of a row, with its meaning."""
+    """Return a dataclass field of a row, with the meaning of its column."""
     return field(default=default, metadata={"meaning": meaning})
 
 
@@ -93,20 +94,25 @@ class Row:
 
 
 def columns_of(kind: type) -> Mapping[str, str]:
-    """The meaning of each column of a table whose rows are of a kind."""
-    return {known.name: known.metadata["meaning"] for known in fields(kind)}
+    """Return the meaning of each column of a table whose rows are of a kind."""
+    return {column.name: column.metadata["meaning"] for column in fields(kind)}
 
 
 COLUMNS: Mapping[str, str] = columns_of(Row)
 
 
+def finite(value: float | None) -> float | None:
+    """Return a number that JSON can hold: None where it is infinite or not a number."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
 def as_dicts(rows: Iterable[Any]) -> list[dict[str, Any]]:
-    """Rows as plain data, one key a column."""
+    """Return rows as plain data with one key for each column."""
     return [asdict(row) for row in rows]
 
 
 def to_csv(rows: Iterable[Any], columns: Mapping[str, str] = COLUMNS) -> str:
-    """Comma-separated values with a header; numbers with all their digits, None as nothing."""
+    """Return comma-separated values with a header; numbers have all their digits, None is empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
@@ -115,7 +121,7 @@ def to_csv(rows: Iterable[Any], columns: Mapping[str, str] = COLUMNS) -> str:
 
 
 def from_csv(text: str) -> tuple[Row, ...]:
-    """The rows that `to_csv` wrote."""
+    """Return the rows that `to_csv` wrote."""
     lines = csv.DictReader(io.StringIO(text))
     return tuple(Row(**{name: _parsed(name, cell) for name, cell in line.items()}) for line in lines)
 
@@ -126,7 +132,7 @@ def _cell(value: Any) -> str:
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
-_TYPES = {known.name: str(known.type).removesuffix(" | None") for known in fields(Row)}
+_TYPES = {column.name: str(column.type).removesuffix(" | None") for column in fields(Row)}
 
 
 def _parsed(name: str, cell: str) -> Any:
@@ -138,7 +144,7 @@ def _parsed(name: str, cell: str) -> Any:
     return cell == "true" if kind == "bool" else int(cell) if kind == "int" else float(cell)
 
 
-# What of the table fits a screen, and how it is headed there.
+# The columns that fit a screen, with their headings there.
 READABLE: Mapping[str, str] = {
     "method": "method",
     "variant": "variant",
@@ -159,7 +165,7 @@ READABLE: Mapping[str, str] = {
 
 
 def readable(row: Row) -> dict[str, str]:
-    """The cells of `READABLE`, rounded."""
+    """Return the cells of `READABLE` as text, rounded."""
     return {name: _rounded(name, getattr(row, name)) for name in READABLE}
 
 
@@ -174,14 +180,14 @@ def _rounded(name: str, value: Any) -> str:
 
 
 def text_table(rows: Iterable[Row], widest: int = 60) -> str:
-    """A table for a terminal; messages are cut at `widest` letters."""
-    cells = [[heading for heading in READABLE.values()]]
+    """Return a table for a terminal; messages are cut at `widest` letters."""
+    cells = [list(READABLE.values())]
     cells += [[shortened_text(cell, widest) for cell in readable(row).values()] for row in rows]
     return aligned(cells)
 
 
 def aligned(cells: Sequence[Sequence[str]]) -> str:
-    """Columns side by side under the headings of the first line; columns with nothing below it are left out."""
+    """Return columns side by side under the headings of the first line; empty columns are left out."""
     shown = [cell for cell in zip(*cells, strict=True) if any(cell[1:])]
     widths = [max(map(len, cell)) for cell in shown]
     padded = [[cell.ljust(width) for cell in column] for column, width in zip(shown, widths, strict=True)]
@@ -189,6 +195,6 @@ def aligned(cells: Sequence[Sequence[str]]) -> str:
 
 
 def shortened_text(text: str, widest: int) -> str:
-    """A text on one line, cut at `widest` letters."""
+    """Return the text on one line, cut at `widest` letters."""
     text = " ".join(text.split())
     return text if len(text) <= widest else text[: widest - 1] + "…"

@@ -1,4 +1,4 @@
-"""Statistics over a study's rows: comparable routes, rates, mean and median times, performance profiles."""
+"""Statistics of the rows of a study: comparable routes, rates, mean and median times, performance profiles."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from contactqp.model.arrays import Array
 from contactqp.study import rows
 from contactqp.study.rows import Row
 
-# Verdicts of answers that a method handed over as such.
+# Verdicts of rows in which a method returned an answer.
 ANSWERED = (rows.RIGHT, rows.APPROXIMATE, rows.REFUSED)
 
 
 @dataclass(frozen=True, order=True)
 class Route:
-    """A way to an answer, whatever the value of the knob."""
+    """A method and its variant, with or without condensation, whatever the value of its knob."""
 
     method: str
     variant: str = ""  # "": as `solve` runs it, polished where it polishes; "raw", "uzawa"
@@ -32,10 +32,10 @@ class Route:
         return cls(row.method, "" if row.variant == "polished" else row.variant, row.condensed == rows.WHOLE)
 
     def takes(self, row: Row) -> bool:
-        """Whether a row went this way; where nothing can be condensed both ways are one."""
-        theirs = Route.of(row)
-        same = theirs.method == self.method and theirs.variant == self.variant
-        return same and (theirs.whole == self.whole or not row.condensed)
+        """Return whether a row belongs to this route; where nothing can be condensed both routes are the same."""
+        other = Route.of(row)
+        same = other.method == self.method and other.variant == self.variant
+        return same and (other.whole == self.whole or not row.condensed)
 
     def __str__(self) -> str:
         parts = [self.method, {"uzawa": "Uzawa"}.get(self.variant, self.variant), "all unknowns" if self.whole else ""]
@@ -43,31 +43,31 @@ class Route:
 
 
 def solved(row: Row) -> bool:
-    """Whether an answer was handed over whose true error is at most 1e-6, and rounding: whatever flags say."""
+    """Return whether the true error of an answer is at most 1e-6 and rounding, whatever the method reports."""
     if row.verdict not in ANSWERED or row.error_judged is None or row.error_allowed is None:
         return False
     return row.error_judged <= row.error_allowed
 
 
 def compared_cases(all_rows: Iterable[Row]) -> tuple[str, ...]:
-    """The cases that every installed method of a study was put to, and whose truth is known."""
-    known: dict[str, set[str]] = {}
+    """Return the cases that every installed method of a study was tried on and whose truth is known."""
+    tried: dict[str, set[str]] = {}
     judged = set()
     for row in all_rows:
         if row.verdict == rows.MISSING:
             continue
-        known.setdefault(row.case, set()).add(row.method)
+        tried.setdefault(row.case, set()).add(row.method)
         if row.error_judged is not None:
             judged.add(row.case)
-    everyone = set().union(*known.values())
-    return tuple(case for case, methods in known.items() if methods == everyone and case in judged)
+    everyone = set().union(*tried.values())
+    return tuple(case for case, methods in tried.items() if methods == everyone and case in judged)
 
 
 @dataclass(frozen=True)
 class RouteTimes:
-    """One route over the compared cases; the clock is that of its fastest right answer, by whichever value of the knob.
+    """The run times of one route over the compared cases: those of its fastest right answers, by any value of the knob.
 
-    A case counts as unsupported if the method said so of every setting, else as failed if no answer is right.
+    A case counts as unsupported if every setting of the method is, else as failed if no answer is right.
     """
 
     route: Route
@@ -79,7 +79,7 @@ class RouteTimes:
 
 
 def route_times(all_rows: Sequence[Row]) -> tuple[RouteTimes, ...]:
-    """Every route of the installed methods, in the order of the rows."""
+    """Return the run times of every route of the installed methods, in the order of the rows."""
     cases = compared_cases(all_rows)
     compared = [row for row in all_rows if row.case in cases and row.verdict != rows.MISSING]
     routes = dict.fromkeys(Route.of(row) for row in compared)
@@ -98,16 +98,15 @@ def _fastest(tried: Iterable[Row]) -> float:
     return min((row.seconds for row in tried if row.seconds is not None and solved(row)), default=math.inf)
 
 
-# The shifted geometric mean of run times (Mittelmann's benchmarks): neither the longest nor the shortest decide.
-
-# What is added to every time before and taken off after the mean [s]: times far below it count as equal.
+# The shifted geometric mean (Mittelmann's benchmarks): the shift [s] is added to every time and taken off the mean, so
+# that neither the longest nor the shortest times decide.
 SHIFT = 1e-3
-# What a failure counts as, and where the clock stops [s].
+# The time of a failure, and the largest time that counts [s].
 LIMIT = 10.0
 
 
 def shifted_geometric_mean(seconds: Iterable[float], shift: float = SHIFT, limit: float = LIMIT) -> float:
-    """exp(mean log(min(t, limit) + shift)) - shift [s]; failures are infinite and count as the limit.
+    """Return exp(mean log(min(t, limit) + shift)) - shift [s]; failures are infinite and count as the limit.
 
     Examples
     --------
@@ -120,17 +119,14 @@ def shifted_geometric_mean(seconds: Iterable[float], shift: float = SHIFT, limit
     return float(np.exp(np.mean(np.log(times + shift))) - shift)
 
 
-# The median over cases of error and run time, for each setting that all cases share.
-
-
 def median_cases(all_rows: Sequence[Row]) -> tuple[str, ...]:
-    """The compared cases whose errors are all relative: others cannot be put beside them."""
+    """Return the compared cases whose errors are all relative, since only those can be put beside each other."""
     absolute = {row.case for row in all_rows if row.error_judged is not None and row.error_measure != "relative"}
     return tuple(case for case in compared_cases(all_rows) if case not in absolute)
 
 
 def median_rows(all_rows: Sequence[Row]) -> tuple[Row, ...]:
-    """One row for each way and value of the knob that was tried on each of `median_cases`.
+    """Return the medians of error and run time over `median_cases`, one row for each route and value of the knob.
 
     An answer that failed has infinite errors and takes infinitely long; a median that is infinite is None. Knobs with
     units differ from case to case and are left out.
@@ -148,11 +144,11 @@ def median_rows(all_rows: Sequence[Row]) -> tuple[Row, ...]:
 
 
 def median_limit(all_rows: Sequence[Row]) -> float | None:
-    """The median over `median_cases` of one linear solve [s]; None if one of them has none."""
+    """Return the median over `median_cases` of one linear solve [s]; None if one of them has none."""
     cases = median_cases(all_rows)
     limits = {row.case: row.linear_solve_seconds for row in all_rows if row.case in cases}
-    known = [limit for limit in limits.values() if limit is not None]
-    return statistics.median(known) if known and len(known) == len(limits) else None
+    measured = [limit for limit in limits.values() if limit is not None]
+    return statistics.median(measured) if measured and len(measured) == len(limits) else None
 
 
 def _median_row(route: Route, group: Sequence[Row]) -> Row:
@@ -175,9 +171,6 @@ def _median(group: Sequence[Row], column: str) -> float | None:
     values = [getattr(row, column) if row.verdict in (*ANSWERED, rows.WRONG) else None for row in group]
     middle = statistics.median(math.inf if value is None else value for value in values)
     return middle if math.isfinite(middle) else None
-
-
-# How often methods call their own answers solved, how often those are right, and what the certificate makes of it.
 
 
 @dataclass(frozen=True)
@@ -228,7 +221,7 @@ def _rates(name: str, mine: Sequence[Row]) -> Rates:
 
 
 def own_answers(tried: Sequence[Row]) -> list[Row]:
-    """The rows of a method's own answers: none of a method that promises no exact answer, or has no flag."""
+    """Return the rows of a method's own answers: none of a method that is approximate or has no flag."""
     exact = [row for row in tried if row.promises_exact and row.kind != "active set"]
     return [row for row in exact if row.variant == "raw"] or exact
 
@@ -239,12 +232,9 @@ def _right(row: Row) -> bool:
     return row.error_judged <= row.error_asked
 
 
-# What all rows of a study come to, computed once for the page, the JSON and the terminal.
-
-
 @dataclass(frozen=True)
 class Overview:
-    """Methods compared on the cases that all of them were put to."""
+    """Methods compared on the cases that all of them were tried on, for the page, the JSON and the terminal."""
 
     cases: tuple[str, ...]
     rates: tuple[Rates, ...]  # on those cases
@@ -260,7 +250,7 @@ def overview(all_rows: Sequence[Row]) -> Overview:
 
 
 def overview_data(found: Overview) -> dict[str, Any]:
-    """As it stands in results.json; a time without end is null."""
+    """Return the overview as it stands in results.json; an infinite time is null."""
     return dict(
         compared_cases=list(found.cases),
         solved="error_judged at most error_allowed, by the truth, whatever flags say",
@@ -282,13 +272,11 @@ def _overview_times(times: RouteTimes, mean: float) -> dict[str, Any]:
     )
 
 
-# Performance profiles (Dolan and More 2002): the part of the problems solved within a factor of the fastest time.
-
 Solver = TypeVar("Solver")
 
 
 def ratios(seconds: Mapping[Solver, Sequence[float]]) -> dict[Solver, Array]:
-    """t / min t of every problem, (problems,) a solver; infinite where a solver did not solve it.
+    """Return t / min t of every problem, (problems,) for each solver; infinite where a solver did not solve it.
 
     Parameters
     ----------
@@ -306,7 +294,7 @@ def ratios(seconds: Mapping[Solver, Sequence[float]]) -> dict[Solver, Array]:
 
 
 def profile(compared: Array, factors: Array) -> Array:
-    """rho(tau) = the part of all problems with t / min t <= tau, for every factor tau.
+    """Return the performance profile (Dolan and Moré 2002): the part of the problems with t / min t <= tau, each tau.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The truth that answers are held against, and how far from it an answer is."""
+"""The solution that answers are compared with, and the errors of an answer relative to it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from contactqp.model.problem_data import read_array
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
 
-# What a chain of a few dozen rounded additions can make of zero, relative to the size of its terms.
+# The rounding error of a chain of a few dozen additions, relative to the size of its terms.
 ROUNDING = 64 * float(np.finfo(float).eps)
 # True errors above this are wrong: the certificate's own tolerance of errors.
 ERROR_TOLERANCE = 1e-6
-# What `Errors.measure` says of errors that are not relative.
+# Values of `Errors.measure` where errors are not relative.
 ABSOLUTE_ENERGY = "u absolute in the energy norm (the true energy vanishes)"
 ABSOLUTE_FORCE = "λ absolute (the truth is zero)"
 
@@ -32,13 +32,13 @@ class Errors:
     displacement: float | None  # ‖u − u*‖_K / ‖u*‖_K
     displacement_max: float | None  # max |u − u*| / max |u*|
     force: float | None  # max |λ_i − λ_i*| e_i / max |λ_i*| e_i with e_i = max_j |E_ij|
-    measure: str  # "relative", or which error is measured otherwise
+    measure: str  # "relative", or which errors are measured otherwise
     judged: float  # the worst of those that decide, relative to sizes that do not vanish; infinite if not finite
-    allowance: float  # what rounding the answer to doubles adds to it
+    allowance: float  # the part of it that rounding the answer to doubles may cause
 
     @property
     def allowed(self) -> float:
-        """`judged` up to which the answer is right."""
+        """The largest value of `judged` of an answer that is right."""
         return ERROR_TOLERANCE + self.allowance
 
     @property
@@ -49,10 +49,10 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The solution of a problem, from wherever it is known.
+    """The solution of a problem: stated exactly, given by a user, or proven.
 
-    Contact forces are not unique where contacts are redundant; the forces that they sum to at each unknown are, and are
-    compared instead. Displacements are unique up to motions that nothing holds.
+    Contact forces are not unique where contacts are redundant; their resultants at the unknowns are, and are compared
+    instead. Displacements are unique up to motions that nothing constrains.
     """
 
     problem: ContactProblem
@@ -61,14 +61,14 @@ class Truth:
     tie_force: Vector | None  # (k,)
     source: str
     unique_forces: bool = True
-    free: bool = False  # there are motions that nothing drives and nothing holds
-    contradicted: bool = False  # by a solution that is proven: one of the two is wrong
+    free: bool = False  # there are motions that nothing drives and nothing constrains
+    contradicted: bool = False  # a proven solution differs: one of the two is wrong
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
-        """How far an answer is from the truth.
+        """Return the errors of an answer: displacement (n,), normal_force (m,), tie_force (k,) or None.
 
-        The energy norm decides about u, and where the stiffness is singular, the largest unknown too. A truth of zero
-        leaves absolute errors, which are judged against the lengths and forces that meet in the problem.
+        The energy norm decides about u, and where the stiffness is singular, the largest unknown too. Where the truth
+        is zero, errors are absolute and are judged relative to the lengths and forces that meet in the problem.
         """
         if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(normal_force))):
             return Errors(None, None, None, "the answer is not finite", float("inf"), 0.0)
@@ -97,7 +97,7 @@ class Truth:
         return float(np.sqrt(max(displacement @ (self.problem.stiffness @ displacement), 0.0)))
 
     def _norm_of_sizes(self) -> float:
-        """√(|u|ᵀ|K||u|): what cancels in ‖u‖_K."""
+        """Return √(|u|ᵀ|K||u|), the size of the terms that cancel in ‖u‖_K."""
         size = abs(self.displacement)
         return float(np.sqrt(size @ (abs(self.problem.stiffness) @ size)))
 
@@ -106,15 +106,11 @@ class Truth:
         return ROUNDING * self._norm_of_sizes() / norm if norm > ROUNDING * self._norm_of_sizes() else 0.0
 
     def _length(self) -> float:
-        """The largest length that meets at a contact or tie."""
+        """Return the largest length that meets at a contact or tie."""
         problem, size = self.problem, abs(self.displacement)
         at_contacts = (abs(problem.normal) @ size + abs(problem.gap)) / _row_sizes(problem.normal)
         at_ties = (abs(problem.tie) @ size + abs(problem.tie_value)) / _row_sizes(problem.tie)
         return max(_largest(at_contacts), _largest(at_ties))
-
-    def _force_size(self) -> float:
-        """The largest force that meets at an unknown."""
-        return _largest(abs(self.problem.stiffness) @ abs(self.displacement) + abs(self.problem.load))
 
     def _force(self, normal_force: Vector, tie_force: Vector | None) -> _Measured | None:
         if self.unique_forces:
@@ -125,22 +121,23 @@ class Truth:
         else:
             truth = self._resultant(self.normal_force, self.tie_force)
             change = self._resultant(normal_force - self.normal_force, tie_force - self.tie_force)
-        return _Measured.of(_largest(change), _largest(truth), self._force_size())
+        meeting = abs(self.problem.stiffness) @ abs(self.displacement) + abs(self.problem.load)  # at each unknown
+        return _Measured.of(_largest(change), _largest(truth), _largest(meeting))
 
     def _resultant(self, normal_force: Vector, tie_force: Vector) -> Vector:
         return np.asarray(self.problem.normal.T @ normal_force + self.problem.tie.T @ tie_force)
 
     def _measure(self, energy: _Measured, largest: _Measured, force: _Measured | None) -> str:
-        said = []
+        notes = []
         if not energy.relative:
-            said.append(ABSOLUTE_ENERGY)
+            notes.append(ABSOLUTE_ENERGY)
         if not largest.relative:
-            said.append("max-norm of u absolute (the truth is zero)")
+            notes.append("max-norm of u absolute (the truth is zero)")
         if not self.unique_forces:
-            said.append(f"redundant contacts: λ {'as resultants on the unknowns' if force else 'not unique'}")
+            notes.append(f"redundant contacts: λ {'as resultants on the unknowns' if force else 'not unique'}")
         if force and not force.relative:
-            said.append(ABSOLUTE_FORCE)
-        return "; ".join(said) or "relative"
+            notes.append(ABSOLUTE_FORCE)
+        return "; ".join(notes) or "relative"
 
 
 @dataclass(frozen=True)
@@ -153,7 +150,7 @@ class _Measured:
 
     @classmethod
     def of(cls, change: float, truth: float, scale: float) -> _Measured:
-        """`scale` is the size of what cancels in the truth; it stands in for a truth of zero. 0/0 is 0."""
+        """Measure a change; `scale` is the size of the terms that cancel in the truth, used where it is zero."""
         if truth > ROUNDING * scale:
             return cls(change / truth, True, change / truth)
         if scale > 0:
@@ -166,7 +163,7 @@ def _largest(values: Vector) -> float:
 
 
 def _row_sizes(rows: Matrix) -> Vector:
-    """max_j |E_ij| of each row; no row is zero."""
+    """Return max_j |E_ij| of each row, (m,); no row is zero."""
     return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
 
 
@@ -174,7 +171,7 @@ Reference = Solution | tuple[ArrayLike, ...]
 
 
 def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Truth | None:
-    """The reference as a truth, or the proven active-set solution, or None where nothing is proven.
+    """Return the reference as a truth, or the proven active-set solution, or None where nothing is proven.
 
     Raises
     ------
@@ -191,7 +188,7 @@ def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Tru
 
 
 def proven_solution(problem: ContactProblem) -> Solution | None:
-    """By the active-set method, if its certificate passes with both bounds proven."""
+    """Return the active-set solution if its certificate passes with both bounds proven, else None."""
     try:
         solution = solve(problem)
     except ContactQPError:  # the method's own row says why
@@ -200,7 +197,7 @@ def proven_solution(problem: ContactProblem) -> Solution | None:
 
 
 def truth_of_solution(solution: Solution) -> Truth:
-    """A solution whose errors are proven small."""
+    """Return a solution whose errors are proven small as the truth."""
     bound = solution.certificate.energy_error, solution.certificate.force_error
     return Truth(
         problem=solution.problem,
@@ -219,7 +216,7 @@ def _unique(solution: Solution) -> bool:
 
 
 def truth_of_reference(problem: ContactProblem, reference: Reference) -> Truth:
-    """A reference as a truth.
+    """Return a reference as the truth.
 
     Raises
     ------

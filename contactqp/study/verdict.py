@@ -1,4 +1,10 @@
-"""The verdict on somebody else's answer, and the options that say how its numbers are to be read."""
+"""The verdict on an answer of another code, and the options by which its numbers are read.
+
+The options are the sign of compression, the areas that turn pressures into forces, and maps of unknowns and contacts. A
+map is a text file: the place of each unknown (or contact) of the problem in the candidate, counted from 0, one a line;
+or the candidate's own names in the candidate's order, one a line; or a table "problem,candidate" of what each is called
+(or where it stands) in the candidate.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +26,11 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate, Solution
 from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.oracle.judged_answer import JudgedAnswer
-from contactqp.study.friction_files import figures, finite
-
-# What `contactqp check` is told of a candidate: its sign of compression, its areas, its order.
-#
-# A map is a text file: the place of each unknown (or contact) of the problem in the candidate, counted from 0, one a
-# line; or the candidate's own names in the candidate's order, one a line; or a table "problem,candidate" of what each
-# is called (or where it stands) in the candidate.
+from contactqp.study.friction_files import figures
+from contactqp.study.rows import finite
 
 EXPECTED = "places or names, one a line, or a table problem,candidate"
-# What a diagnosis calls an argument of `cq.certify`, as its option.
+# Arguments of `cq.certify` as a diagnosis writes them, and the options of the command line that set them.
 OPTIONS = (
     (r"\bcompression='(\w+)'", r"--compression \1"),
     (r"\bpressure_area=", "--pressure-areas"),
@@ -41,7 +42,7 @@ OPTIONS = (
 
 @dataclass(frozen=True)
 class CheckOptions:
-    """As on the command line; the rest are names of files."""
+    """The options of `contactqp check`; areas and maps are names of files."""
 
     tolerance: float = 1e-9
     compression: str = "positive"
@@ -56,7 +57,7 @@ class CheckOptions:
 
 
 def as_options(text: str) -> str:
-    """A diagnosis with the options of the command line in place of arguments in Python.
+    """Return a diagnosis with the options of the command line in place of arguments in Python.
 
     >>> as_options("with compression='negative' this answer is right; tolerance=1e-07 passes it")
     'with --compression negative this answer is right; --tolerance 1e-07 passes it'
@@ -68,7 +69,11 @@ def as_options(text: str) -> str:
 
 @dataclass(frozen=True)
 class Order:
-    """One of: where the problem's unknowns stand, the names in the candidate's order, what the problem's are called."""
+    """A map between a problem and a candidate, in one of three forms.
+
+    `places` says where the problem's unknowns stand in the candidate, `names` lists the candidate's names in its order,
+    `renamed` holds the candidate's name of each of the problem's unknowns.
+    """
 
     file: str
     places: tuple[int, ...] | None = None
@@ -77,12 +82,12 @@ class Order:
 
 
 def read_order(file: str | None, names: Sequence[str]) -> Order | None:
-    """A map; `names` are what the unknowns or contacts are called in the problem.
+    """Read a map; `names` are the problem's names of its unknowns or contacts. None without a file.
 
     Raises
     ------
     InvalidProblem
-        No such file, nothing in it, a name of the problem that is missing, unknown or there twice.
+        There is no such file, it is empty, or a name of the problem is missing, unknown or there twice.
     """
     if file is None:
         return None
@@ -115,12 +120,12 @@ def _renaming(file: str, names: Sequence[str]) -> Order:
 
 
 def read_areas(file: str, contact_names: Sequence[str], ledger: Ledger) -> Vector:
-    """(m,) areas, in the problem's order of contacts or by their names in a table contact,area.
+    """Read the (m,) areas [length^2], in the problem's order of contacts or by name in a table contact,area.
 
     Raises
     ------
     InvalidProblem
-        No such file, no numbers, names that are not the problem's.
+        There is no such file, it holds no numbers, or its names are not the problem's.
     """
     if not is_table(file, "contact"):
         matrix, _, own = read_matrix(file)
@@ -143,32 +148,32 @@ def read_areas(file: str, contact_names: Sequence[str], ledger: Ledger) -> Vecto
 
 
 class JudgedContact(Protocol):
-    """What is said of one contact."""
+    """The findings on one contact."""
 
     def data(self) -> dict[str, Any]:
-        """All that is known, for JSON."""
+        """Return the findings as plain data for JSON."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What is said of a candidate."""
+    """The verdict on a candidate."""
 
     problem_file: str
     candidate_file: str
     problem: ContactProblem | LocalProblem
     certificate: JudgedAnswer | LocalCertificate
     worst: Sequence[JudgedContact]
-    right: Solution | LocalSolution | None  # looked for where the candidate is wrong
-    why_not: str | None  # why there is no solution to set beside it
+    right: Solution | LocalSolution | None  # our solution, where the candidate is wrong
+    why_not: str | None  # why we have no solution
     ledgers: tuple[Ledger, ...]  # of the problem and of the candidate
-    notes: tuple[str, ...] = ()  # beside those of the certificate
+    notes: tuple[str, ...] = ()  # in addition to those of the certificate
 
     @property
     def passed(self) -> bool:
         return self.certificate.passed
 
     def data(self) -> dict[str, Any]:
-        """All that is known, for JSON."""
+        """Return the verdict as plain data for JSON."""
         certificate = self.certificate
         return {
             "problem": self.problem_file,
@@ -198,5 +203,5 @@ def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
 
 
 def finite_list(values: NDArray[np.float64] | None) -> list[float | None] | None:
-    """Numbers for JSON, None where they are not finite."""
+    """Return numbers for JSON, None where they are not finite."""
     return None if values is None else [finite(float(value)) for value in values]

@@ -1,7 +1,6 @@
 """The report as one HTML page that needs nothing beside it: no network, no other file.
 
-formulation     the problem of a case in mathematics, with its sizes
-schemes         the equations of the schemes in time
-case_view       what the page says of a case, in words and tables
-render          render(data, overview, by_case): all of it into the templates
+formulation     the problem of a case in mathematics, with its sizes and the equations of its impact scheme
+case_view       one case in words and tables
+render          the pages of a report and of the stability study, filled into the templates
 """

@@ -1,4 +1,4 @@
-"""Describe one case on the page in words and tables."""
+"""One case on the page of a report, in words and tables, whose lines the filters of the page can hide."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ from contactqp.study.report_data import CaseRecord
 from contactqp.study.rows import READABLE, Row, readable, shortened_text
 from contactqp.study.statistics import Route
 
-# Tables of a page: cells, and by which of its filters a line can be hidden.
-
-# What the filters of a page choose by: of a row, by `meta` of a trace, by the headings of a chart's table.
+# The filters of a page, and the headings of columns in the tables of charts that they apply to.
 FACETS: Mapping[str, tuple[str, ...]] = {
     "method": ("method",),
     "variant": ("answer", "variant"),
     "verdict": ("verdict",),
 }
-# Letters of a message that a table shows; results.csv has all of them.
+# Letters of a message that a table shows; results.csv has the whole message.
 WIDEST_MESSAGE = 160
-# A verdict is told by its word and its sign, not by colour alone.
+# Signs of verdicts, which are not distinguished by colour alone.
 MARKS: Mapping[str, str] = {
     rows.RIGHT: "✓",
     rows.APPROXIMATE: "≈",
@@ -45,7 +43,7 @@ OTHER_MARK = "?"
 
 @dataclass(frozen=True)
 class Line:
-    """Cells, and whether they must catch the eye."""
+    """The cells of a line, and whether they are highlighted."""
 
     cells: tuple[str, ...]
     bad: bool = False
@@ -53,7 +51,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Table:
-    """Headings and lines; `label` is what a screen reader calls it, `facets` by which columns filters choose lines."""
+    """A table of the page; `label` is for screen readers, `facets` are the columns that the filters apply to."""
 
     label: str
     headings: tuple[str, ...]
@@ -62,12 +60,12 @@ class Table:
 
 
 def plain_table(label: str, headings: Iterable[str], lines: Iterable[Sequence[object]]) -> Table:
-    """Lines without facets."""
+    """Return a table that no filter applies to."""
     return Table(label, tuple(headings), tuple(Line(tuple(map(str, line))) for line in lines))
 
 
 def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
-    """The readable columns of a study's rows, without those that are empty throughout."""
+    """Return a table of rows with their readable columns, without those that are empty throughout."""
     cells = [readable(row) for row in chosen]
     cells = [line | _shown_otherwise(row) for row, line in zip(chosen, cells, strict=True)]
     shown = [name for name in READABLE if any(line[name] for line in cells)]
@@ -81,18 +79,18 @@ def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
 
 
 def _shown_otherwise(row: Row) -> dict[str, str]:
-    """Facets as the filters have them, and messages cut."""
-    told = {"verdict": marked(row.verdict), "message": shortened_text(row.message, WIDEST_MESSAGE)}
-    return facets_of(row) | told
+    """Return the cells of filters as these name their values, and a shortened message."""
+    message = shortened_text(row.message, WIDEST_MESSAGE)
+    return facets_of(row) | {"verdict": marked(row.verdict), "message": message}
 
 
 def facets_of(row: Row) -> dict[str, str]:
-    """What the filters choose a row by."""
+    """Return the values of a row by which the filters choose."""
     return {"method": row.method, "variant": variant_name(Route.of(row)), "verdict": row.verdict}
 
 
 def table_of_chart(chart: Chart) -> Table | None:
-    """The numbers of a chart; columns that are named like a facet are what filters go by."""
+    """Return the numbers of a chart as a table; filters apply to the columns that are named like them."""
     if not chart.lines:
         return None
     columns = [(name, heading) for name, headings in FACETS.items() for heading in headings]
@@ -101,7 +99,7 @@ def table_of_chart(chart: Chart) -> Table | None:
 
 
 def marked(verdict: str) -> str:
-    """``"✓ right"``."""
+    """Return a verdict with its sign: ``"✓ right"``."""
     return f"{MARKS.get(verdict, OTHER_MARK)} {verdict}"
 
 
@@ -111,7 +109,7 @@ _PRINTED = ("method", "the source prints", "value", "ours", "unit", "difference"
 
 @dataclass(frozen=True)
 class FootprintView:
-    """What one answer takes in a process of its own, in words and times."""
+    """The footprint of one answer, in words and times."""
 
     outcome: str
     stages: Table | None
@@ -125,7 +123,7 @@ class CaseView:
     anchor: str
     case: CaseRecord
     formulation: Formulation
-    parts: Sequence[tuple[str, str]]  # unknowns, supports, contacts, ties: how many and which
+    parts: Sequence[tuple[str, str]]  # the number and the names of unknowns, supports, contacts and ties
     blocks: Table
     expectations: Table | None
     published: Table | None
@@ -135,7 +133,7 @@ class CaseView:
 
     @property
     def headline(self) -> str:
-        """Whether all that the case expects holds."""
+        """Whether all expectations of the case are met, in words."""
         if self.case.unmet:
             return f"✗ {_counted(len(self.case.unmet), 'expectation')} not met"
         count = sum(len(table.lines) for table in (self.expectations, self.published) if table)
@@ -143,7 +141,7 @@ class CaseView:
 
     @property
     def about(self) -> tuple[str, ...]:
-        """The paragraphs of what the case's file says of it; lines of the file end nowhere on a page."""
+        """The paragraphs of the description in the case's file, each on one line."""
         paragraphs = re.split(r"\n\s*\n", self.case.about.strip())
         return tuple(" ".join(text.split()) for text in paragraphs if text)
 
@@ -154,11 +152,12 @@ class CaseView:
 
     @property
     def history_picture(self) -> str:
+        """The picture of the history as a data URL; empty where there is none."""
         return _url(self.case.history_picture)
 
 
 def case_view(anchor: str, case: CaseRecord, rows: Sequence[Row]) -> CaseView:
-    """All tables and formulas of a case."""
+    """Return all tables and formulas of a case."""
     judged = [trial for trial in case.judgements if "failure" not in trial]
     blocks = case.explanation.blocks
     return CaseView(
@@ -180,11 +179,11 @@ def case_view(anchor: str, case: CaseRecord, rows: Sequence[Row]) -> CaseView:
 
 
 def _parts(case: CaseRecord) -> Iterator[tuple[str, str]]:
-    told = case.explanation
-    for name, items in (("Unknowns", told.unknowns), ("Fixed", told.fixed)):
+    explanation = case.explanation
+    for name, items in (("Unknowns", explanation.unknowns), ("Fixed", explanation.fixed)):
         if items:
             yield f"{name}: {len(items)}", shortened(items)
-    for name, items in (("Contacts", told.contacts), ("Ties", told.ties)):
+    for name, items in (("Contacts", explanation.contacts), ("Ties", explanation.ties)):
         if items:
             more = f"; and {len(items) - MOST_ROWS} more" if len(items) > MOST_ROWS else ""
             yield f"{name}: {len(items)}", "; ".join(items[:MOST_ROWS]) + more
@@ -228,8 +227,8 @@ def _number(value: float | None) -> str:
 def _verdict(line: Mapping[str, Any]) -> str:
     if line["verdict"] is None:
         return "✓ met" if line["ok"] else "✗ NOT MET"
-    said = "✓ right" if line["verdict"] == "right" else "⚠ wrong in the source"
-    return said if line["ok"] else f"✗ NOT {line['verdict']}, as the case states"
+    confirmed = "✓ right" if line["verdict"] == "right" else "⚠ wrong in the source"
+    return confirmed if line["ok"] else f"✗ NOT {line['verdict']}, as the case states"
 
 
 def _counted(count: int, what: str) -> str:

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 from contactqp.study.report_data import CaseRecord
 
-# The equations by which each scheme takes a step in time, as the schemes' own modules state them.
-
 
 @dataclass(frozen=True)
 class StepSymbol:
-    """A symbol of the equations below, which a motion has where it stands in those of its scheme."""
+    """A symbol of the equations of impact schemes."""
 
     latex: str
     meaning: str
@@ -35,8 +33,8 @@ SYMBOLS = (
 )
 
 _FORCES = r"E_N^T \lambda_N"
-# Several equations each, which lead from (u, v) to (u⁺, v⁺) in a step of h; u⁻ is a step earlier. Ties and friction
-# come in as in equilibrium.
+# The equations of each impact scheme, which lead from (u, v) to (u⁺, v⁺) in a step of h; u⁻ is a step earlier. Ties and
+# friction enter as in equilibrium.
 STEPS: Mapping[str, tuple[str, ...]] = {
     "moreau-jean": (
         r"M (v^+ - v) + h K (\theta u^+ + (1 - \theta) u) + E_N^T P_N = h f",
@@ -76,7 +74,7 @@ STEPS: Mapping[str, tuple[str, ...]] = {
 
 
 def symbols_of(scheme: str) -> Iterator[StepSymbol]:
-    """Yield the symbols in the equations of a scheme; letters of words are none."""
+    """Yield the symbols in the equations of a scheme; letters of words are not symbols."""
     equations = re.sub(r"\\text\{[^}]*\}", "", " ".join(STEPS.get(scheme, ())))
     tokens = set(re.findall(r"\\[a-z]+|P_N|[A-Za-z]", equations))
     yield from (symbol for symbol in SYMBOLS if symbol.latex in tokens)
@@ -89,7 +87,7 @@ PATH, TIME, NEWTON, ROTATIONS = "load path", "time stepping", "Newton loop", "ro
 
 @dataclass(frozen=True)
 class Formula:
-    """Equations in LaTeX, one a line, and what they say."""
+    """Equations in LaTeX, one a line, and their meaning in words."""
 
     name: str
     latex: str
@@ -115,7 +113,7 @@ class Formulation:
 
 
 def formulation(case: CaseRecord) -> Formulation:
-    """Read off the sizes and the blocks of a case; nothing is computed."""
+    """Return the formulation of a case from its sizes and blocks; nothing is computed."""
     blocks = {block.name: block.reason for block in case.explanation.blocks if block.included}
     return Formulation(tuple(_symbols(case, blocks)), tuple(_formulas(case, blocks)))
 
@@ -134,8 +132,8 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
     if NEWTON in blocks:
         yield Symbol(r"\mathrm{U}", "elastic energy", "1", f"{case.force}·{case.length}")
         yield Symbol(r"\Delta", "change of u in a step of Newton", f"{n}", f"{case.length}{turning}")
-    on_the_way = "; f(t) are those on the way to them, t counts it" if PATH in blocks or NEWTON in blocks else ""
-    yield Symbol("f", f"loads{on_the_way}", f"{n}", case.force)
+    path = "; f(t) are those on the way to them, t counts it" if PATH in blocks or NEWTON in blocks else ""
+    yield Symbol("f", f"loads{path}", f"{n}", case.force)
     if m:
         approach = "contact rows: how far partners approach for a unit displacement"
         yield Symbol("E_N", approach, rf"{m} \times {n}", "1")
@@ -156,7 +154,7 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
 
 
 def _step_symbols(case: CaseRecord) -> Iterator[Symbol]:
-    """What the equations of the case's scheme have besides."""
+    """Yield the symbols that the equations of the case's impact scheme add."""
     sizes = {"n": case.sizes.unknowns, "m": case.sizes.contacts, "1": 1}
     yield Symbol("v", "velocities", f"{case.sizes.unknowns}", f"{case.length}/s")
     for symbol in symbols_of(case.scheme):
@@ -268,7 +266,7 @@ def _contact_law(case: CaseRecord, gap: str) -> Iterator[Formula]:
 
 
 def _forces(case: CaseRecord) -> str:
-    """What constraints add to the equilibrium."""
+    """Return the forces of the constraints in the equilibrium, in LaTeX."""
     size = case.sizes
     parts = [r"E_N^T \lambda_N"] * (size.contacts > 0) + [r"E_T^T \lambda_T"] * (size.tangential_rows > 0)
     return "".join(f"+ {part} " for part in [*parts, *[r"A^T \nu"] * (size.ties > 0)])

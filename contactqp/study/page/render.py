@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.page.case_view import (
@@ -29,12 +29,10 @@ from contactqp.study.page.case_view import (
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
 
-# Formulas for a page: LaTeX becomes MathML, which browsers set without any library.
-
 
 @lru_cache(maxsize=4096)
 def mathml(latex: str, display: str = "inline") -> str:
-    """``<math>`` of a formula; `display` is "inline" or "block".
+    """Return a formula of LaTeX as MathML, which browsers set without a library; `display` is "inline" or "block".
 
     >>> "<mi>K</mi><mi>u</mi>" in mathml("K u")
     True
@@ -44,36 +42,21 @@ def mathml(latex: str, display: str = "inline") -> str:
     return str(convert(latex, display=display))
 
 
-# What another study hands over to be shown on the page: headings, words, charts, tables.
+class TitledTable(NamedTuple):
+    """A table of a section, with its title."""
+
+    title: str
+    headings: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
 
 
-class TitledTable(Protocol):
-    """A table with its title."""
+class Section(NamedTuple):
+    """A section of the page of a study: each of the words is a paragraph."""
 
-    @property
-    def title(self) -> str: ...
-
-    @property
-    def headings(self) -> tuple[str, ...]: ...
-
-    @property
-    def lines(self) -> tuple[tuple[str, ...], ...]: ...
-
-
-class Section(Protocol):
-    """A part of the page: each of the words is a paragraph."""
-
-    @property
-    def heading(self) -> str: ...
-
-    @property
-    def words(self) -> tuple[str, ...]: ...
-
-    @property
-    def charts(self) -> tuple[Chart, ...]: ...
-
-    @property
-    def tables(self) -> Sequence[TitledTable]: ...
+    heading: str
+    words: tuple[str, ...]
+    charts: tuple[Chart, ...]
+    tables: tuple[TitledTable, ...]
 
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
@@ -92,7 +75,7 @@ class ChartItem:
 
 @dataclass(frozen=True)
 class Facet:
-    """What one group of boxes in the filters chooses: (value, label) of each."""
+    """One group of boxes in the filters of the page: (value, label) of each."""
 
     name: str
     legend: str
@@ -101,7 +84,7 @@ class Facet:
 
 @dataclass(frozen=True)
 class Tile:
-    """One number at a glance."""
+    """One number at the top of the page."""
 
     number: int
     what: str
@@ -110,7 +93,7 @@ class Tile:
 
 
 def missing_packages() -> str:
-    """What is said where the page cannot be made; empty where it can. Nothing is imported to find out."""
+    """Return the message where packages of the page are missing; empty where it can be made. Imports nothing."""
     absent = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if not absent:
         return ""
@@ -124,16 +107,17 @@ def render(
     by_case: Mapping[str, Sequence[Chart]] | None = None,
     notes: Sequence[str] = (),
 ) -> str:
-    """The page.
+    """Return the HTML page of a report.
 
     Parameters
     ----------
     data : ReportData
     overview : sequence of Chart
-        About all cases together.
+        Charts over all cases.
     by_case : mapping of case names to sequences of Chart
+        Charts of each case.
     notes : sequence of str
-        Limitations of this report, besides those of any.
+        Limitations of this report, in addition to those of any report.
 
     Raises
     ------
@@ -160,7 +144,7 @@ def render(
 
 
 def fill_template(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
-    """A template with its values, the style, the script, Plotly and the figures of the charts that are on it."""
+    """Return a template filled with values, style, script, Plotly and the figures of its charts."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
@@ -192,7 +176,7 @@ def _views(
 
 
 def anchors_of(names: Iterable[str]) -> list[str]:
-    """An identifier for each name, all different, that an address can hold."""
+    """Return an identifier for each name, all different, that a URL can hold."""
     found: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name)
@@ -201,28 +185,28 @@ def anchors_of(names: Iterable[str]) -> list[str]:
 
 
 def items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
-    """Charts, each with its place on the page."""
+    """Return the charts with their anchors on the page and their numbers as tables."""
     anchors = anchors_of(f"{anchor}-{chart.name}" for chart in charts)
     return tuple(ChartItem(place, chart, table_of_chart(chart)) for place, chart in zip(anchors, charts, strict=True))
 
 
 def _figures(drawn: Iterable[ChartItem]) -> str:
-    """JSON of all figures by the anchors of their charts."""
+    """Return JSON of all figures by the anchors of their charts."""
     figures = {item.anchor: item.chart.figure for item in drawn if item.chart.figure}
     return json.dumps(figures, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
 
 
 def packed(text: str) -> str:
-    """Gzip in base64, which holds nothing that HTML could take for its own; always the same for the same text."""
+    """Return gzip in base64, which needs no escapes in HTML; always the same for the same text."""
     return base64.b64encode(gzip.compress(text.encode(), compresslevel=9, mtime=0)).decode("ascii")
 
 
 def _tiles(data: ReportData) -> tuple[Tile, ...]:
     found = data.summary
     wrong, unmet = found.wrong_but_passed, len(found.unmet)
-    told = "; ".join(filter(None, ["‼ must be 0", found.doubt]))
+    alarm = "; ".join(filter(None, ["‼ must be 0", found.doubt]))
     return (
-        Tile(wrong, "wrong but passed", told if wrong else "✓ no answer passes that is wrong", wrong > 0),
+        Tile(wrong, "wrong but passed", alarm if wrong else "✓ no answer passes that is wrong", wrong > 0),
         Tile(unmet, "expectations unmet", "✗ see below" if unmet else "✓ all that the cases expect holds", unmet > 0),
         Tile(found.silently_wrong, "silently wrong", "answers that a method by itself calls solved, and are not"),
         Tile(len(data.rows), "rows", f"of {len(data.cases)} cases and {len(found.methods)} methods"),
@@ -242,7 +226,7 @@ def _parts(overview: bool) -> tuple[tuple[str, str], ...]:
 
 
 def _facets(data: ReportData) -> tuple[Facet, ...]:
-    """The values that rows have, in the order in which they come."""
+    """Return the filters with the values of the rows, in the order in which they occur."""
     facets = []
     for name in FACETS:
         values = dict.fromkeys(facets_of(row)[name] for row in data.rows)
@@ -258,7 +242,7 @@ def _label(facet: str, value: str) -> str:
 
 
 def _variant_label(value: str) -> str:
-    """The words of a variant; what is on all unknowns, though fewer would do, says so."""
+    """Return a variant in words, with a note where it works on all unknowns without condensation."""
     variant = value.removesuffix(ALL_UNKNOWNS)
     return _VARIANTS.get(variant, variant) + (ALL_UNKNOWNS if variant != value else "")
 
@@ -269,14 +253,11 @@ def _methods(data: ReportData) -> Table:
 
 
 def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:
-    """One table for each group, and one for what is in none."""
-    alone = {name: value for name, value in facts.items() if not isinstance(value, Mapping)}
+    """Yield one table for each group of facts, and one for facts in no group."""
+    single = {name: value for name, value in facts.items() if not isinstance(value, Mapping)}
     groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}
-    for name, group in ({"report": alone} | groups).items():
+    for name, group in ({"report": single} | groups).items():
         yield plain_table(name, (name, ""), group.items())
-
-
-# The page of a study along axes: its sections with their charts and tables, one HTML file that loads nothing.
 
 
 @dataclass(frozen=True)
@@ -296,24 +277,25 @@ def render_study(
     facts: Mapping[str, Any],
     command: str,
 ) -> str:
-    """The page.
+    """Return the HTML page of a study along axes.
 
     Parameters
     ----------
     sections : sequence of Section
+        The parts of the page.
     tiles : sequence of Tile
-        What it all comes to.
+        The numbers at its top.
     columns : mapping
         Names and meanings of the columns of the data beside the page.
     facts : mapping
         Machine, versions, settings.
     command : str
-        What makes this page again.
+        The command that makes this page again.
 
     Raises
     ------
     ModuleNotFoundError
-        A package is not installed; `contactqp.study.page.render.missing_packages` says so before.
+        One of `NEEDED` is not installed; `missing_packages` says so before.
     """
     views = tuple(_study_views(sections))
     return fill_template(

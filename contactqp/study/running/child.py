@@ -1,8 +1,8 @@
-"""A process for one cell at a time, which may die or hang without harm to others.
+"""Child processes that run one cell at a time and may die or hang without harm to others.
 
-A pool, be it the standard library's or joblib's, gives up all that it has in hand when one of its processes dies,
-cannot stop one that hangs, and cannot be had within a worker of Dask. Here each thread that asks has a process of its
-own, and knows how that one ended.
+A pool of the standard library or of joblib gives up all of its tasks when one of its processes dies, cannot stop one
+that hangs, and cannot run within a worker of Dask. Here each thread has a process of its own and finds out how that
+process ended.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 # How a process died, in words.
-
 SIGNALS: Mapping[str, str] = {
     "SIGSEGV": "died of a segmentation fault",
     "SIGBUS": "died of a bus error",
@@ -35,7 +34,7 @@ ACCESS_VIOLATION = 0xC0000005
 
 
 def died_of(code: int | None) -> str:
-    """The death of a process in words.
+    """Return the death of a process in words.
 
     Parameters
     ----------
@@ -64,14 +63,11 @@ def _name(number: int) -> str:
         return f"signal {number}"
 
 
-# The other end of a `Child`: a process that runs one function after the other as it is told.
-
-
 def serve() -> None:
-    """Run what comes on stdin, and send what it gives to where stdout was; what libraries print goes to stderr.
+    """Run the functions that come on stdin one after the other: the main loop of the process of a `Child`.
 
-    Ctrl-C is for the parent. Where that is gone, be it killed, nothing comes from it any more, and this process leaves
-    in the middle of what it does.
+    Results are sent to the original stdout, and what libraries print goes to stderr. Ctrl-C is left to the parent. When
+    the parent is gone its pipe closes, and this process exits at once.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     replies = os.fdopen(os.dup(1), "wb")
@@ -90,7 +86,7 @@ def _receive(stream: BinaryIO, orders: queue.Queue[bytes]) -> None:
 
 
 def framed(data: bytes) -> bytes:
-    """A message as it is sent: its size first."""
+    """Return a message as it is sent: its size first, in 8 bytes."""
     return len(data).to_bytes(8, "big") + data
 
 
@@ -103,7 +99,7 @@ def _reply(order: bytes) -> bytes:
 
 
 def _portable(error: Exception) -> Any:
-    """An error that arrives: some that carry more than words cannot be made again."""
+    """Return the error if it survives pickling, else a RuntimeError with its message."""
     try:
         return pickle.loads(pickle.dumps(error))
     except Exception:  # noqa: BLE001  whatever it is that does not travel
@@ -123,20 +119,20 @@ class Death:
 
 @dataclass(frozen=True)
 class Late:
-    """No answer came in time, and the process was killed."""
+    """The process did not answer in time and was killed."""
 
     message: str
 
 
 @dataclass(frozen=True)
 class Raised:
-    """What the function raised."""
+    """The exception that the function raised."""
 
     error: BaseException
 
 
 class Children:
-    """A process for each thread that asks."""
+    """Child processes, one for each thread that asks."""
 
     def __init__(self) -> None:
         self._lock, self._closed = threading.Lock(), False
@@ -149,7 +145,7 @@ class Children:
         time_limit: float,
         environment: Mapping[str, str],
     ) -> Any:
-        """What a function returns in the process of this thread, or Raised, Death or Late.
+        """Run a function in the process of this thread; return its result, or Raised, Death or Late.
 
         Parameters
         ----------
@@ -168,7 +164,7 @@ class Children:
         return child.ask(function, arguments, time_limit)
 
     def close(self) -> None:
-        """Kill all of them; from now on there are none."""
+        """Kill all processes; no other is started."""
         with self._lock:
             self._closed = True
         for child in self._of_thread.values():
@@ -176,15 +172,16 @@ class Children:
 
 
 class Child:
-    """A process that is started when it is asked something, and started again when it has died."""
+    """A process that is started when it is first asked, and again when it has died."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self._environment = os.environ | {"PYTHONPATH": os.pathsep.join(_paths())} | dict(environment)
+        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+        self._environment = os.environ | {"PYTHONPATH": paths} | dict(environment)
         self._lock, self._closed = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
 
     def ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Any:
-        """What the function returns there, or Raised, Death or Late."""
+        """Run a function in the process; return its result, or Raised, Death or Late."""
         order = pickle.dumps((function, arguments))
         process = self._started()
         if process is None:
@@ -210,7 +207,7 @@ class Child:
             return self._process
 
     def close(self) -> None:
-        """Kill the process; there will be no other one."""
+        """Kill the process; no other is started."""
         with self._lock:
             self._closed = True
         if self._process is not None:
@@ -228,7 +225,7 @@ class Child:
 
 
 def _exchange(process: subprocess.Popen[bytes], order: bytes) -> Any:
-    """Send an order and receive the answer; EOFError or OSError where nobody is there any more."""
+    """Send an order and return the answer; raises EOFError or OSError where the process has ended."""
     if process.stdin is None or process.stdout is None:
         raise EOFError
     process.stdin.write(framed(order))
@@ -240,14 +237,9 @@ def _exchange(process: subprocess.Popen[bytes], order: bytes) -> Any:
     return pickle.loads(answer)
 
 
-def _paths() -> list[str]:
-    """Return the paths on which this process finds modules."""
-    return [path or os.getcwd() for path in sys.path]
-
-
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Ctrl-C goes to all processes of a terminal; one that starts now never sees it, and need not tell of it."""
+    """Block Ctrl-C, which goes to all processes of a terminal, so that one that starts now never sees it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

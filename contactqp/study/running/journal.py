@@ -1,8 +1,8 @@
 """The journal of a study: cells and their results, streamed to a file of JSON lines that survives its process.
 
-The first line says with what the study runs: where that is another machine, version or setting, nothing that is kept
-is used. Every other line is the result of a cell. A line that is torn, as the process died while it was written, is no
-result. Beside the lines nothing is needed to go on.
+The first line holds the conditions of the study: under another machine, version or setting no kept result is used.
+Every other line is the result of a cell. A line that is incomplete, as the process died while writing it, is ignored.
+Nothing but the lines is needed to go on.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ import scipy.sparse as sp
 from contactqp.errors import SceneError
 from contactqp.model.problem import ContactProblem
 
-# A short text that is another one where a case is another one.
-
-# Bytes: two cases of one report never have the same by chance.
+# Bytes of a digest: two cases of one report never have the same one by chance.
 SIZE = 12
 
 
@@ -63,9 +61,6 @@ def _parts(value: Any) -> list[bytes]:
     return [repr(value).encode()]
 
 
-# What a study consists of: functions with their arguments, and what became of each.
-
-
 @dataclass(frozen=True, eq=False)
 class Cell:
     """One piece of a study that succeeds, fails or crashes by itself.
@@ -73,17 +68,17 @@ class Cell:
     Parameters
     ----------
     key : str
-        What it is, the same in every run and different from all others: "bar_wall/osqp/raw/tolerance=1e-06".
+        Its name, the same in every run and different from all others: "bar_wall/osqp/raw/tolerance=1e-06".
     function : callable
-        Of a module, so that another process finds it by its name.
+        A function of a module, so that another process finds it by its name.
     arguments : tuple
         Its arguments; they are pickled.
     result : type
-        What it returns: a dataclass of plain data, see `contactqp.study.running.journal`.
+        The type that it returns: a dataclass of plain data, see `encode`.
     digest : str
-        Of what the arguments stand for; a result that was kept under another one is not used.
+        Digest of what the arguments stand for; a result that was kept under another one is not used.
     cost : float
-        How long it is expected to take, relative to the others.
+        Its expected time relative to the other cells.
     """
 
     key: str
@@ -96,12 +91,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Crash:
-    """What became of a cell that returned nothing."""
+    """The result of a cell that returned nothing."""
 
     message: str  # died of a segmentation fault (SIGSEGV); stopped after 600 s; raised RuntimeError: ...
 
 
-# Of a cell: what its function returned, or a Crash.
+# The result of a cell: what its function returned, or a Crash.
 Result = Any
 
 
@@ -114,23 +109,21 @@ def refuse_twins(cells: Iterable[Cell]) -> None:
         seen.add(cell.key)
 
 
-# Frozen dataclasses as JSON and back, by the annotations of their fields.
-#
-# Strings, numbers, truth values and None stay what they are; NaN and infinities too, in Python's dialect of JSON.
-# Arrays and bytes become base64, tuples and lists become lists, fractions text. What is annotated as Any must be plain
-# already.
-
 _PLAIN = {str, int, float, bool}
 _BYTES, _ARRAY, _KIND, _SHAPE = "base64", "array", "dtype", "shape"
 
 
 def encode(value: Any) -> Any:
-    """Plain data of a value.
+    """Return a value as plain data for JSON, from which `decode` makes it again.
+
+    Strings, numbers, truth values and None stay what they are; NaN and infinities too, in Python's dialect of JSON.
+    Frozen dataclasses become mappings, arrays and bytes base64, tuples lists, fractions text. Fields annotated as Any
+    must be plain data.
 
     Raises
     ------
     TypeError
-        The value holds something that is no plain data and no dataclass of it.
+        The value holds something else.
     """
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: encode(getattr(value, field.name)) for field in fields(value)}
@@ -154,7 +147,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(data: Any, kind: Any) -> Any:
-    """The value of a type that `encode` made these data of.
+    """Return the value of a type that `encode` made these data of.
 
     Raises
     ------
@@ -169,7 +162,8 @@ def decode(data: Any, kind: Any) -> Any:
     if origin is np.ndarray or kind is np.ndarray:
         return np.frombuffer(_bytes(data[_ARRAY]), dtype=data[_KIND]).reshape(data[_SHAPE]).copy()
     if origin is tuple:
-        return tuple(decode(item, _item(arguments, i)) for i, item in enumerate(data))
+        kinds = [arguments[0]] * len(data) if arguments[-1] is Ellipsis else arguments
+        return tuple(decode(item, kinds[i]) for i, item in enumerate(data))
     if origin is not None and issubclass(origin, Mapping):
         return {key: decode(item, arguments[1]) for key, item in data.items()}
     if origin is list:
@@ -182,18 +176,13 @@ def decode(data: Any, kind: Any) -> Any:
 
 
 def _decode_union(data: Any, kinds: tuple[Any, ...]) -> Any:
-    """A type or None, or one of several types that are what they are in JSON."""
+    """Decode a union of a type and None, or of types that JSON holds as they are."""
     kinds = tuple(kind for kind in kinds if kind is not type(None))
     if data is None or set(kinds) <= _PLAIN:
         return data
     if len(kinds) > 1:
         raise TypeError(f"expected one type or none, got {kinds}")
     return decode(data, kinds[0])
-
-
-def _item(arguments: tuple[Any, ...], i: int) -> Any:
-    """The type of entry i of a tuple."""
-    return arguments[0] if arguments[-1] is Ellipsis else arguments[i]
 
 
 @cache
@@ -209,17 +198,12 @@ def _bytes(text: str) -> bytes:
     return base64.b64decode(text, validate=True)
 
 
-# A lock on a file that ends with the process that holds it, however it ends.
-
-
 def lock(stream: BinaryIO, file: Path) -> bool:
-    """Lock an open file for this process alone; False where another one has it, or has just removed it."""
-    return _locked(stream) and _is(stream, file)
+    """Lock an open file until this process ends, however it ends.
 
-
-def _is(stream: BinaryIO, file: Path) -> bool:
-    """Whether that is still the file of this name."""
-    return file.exists() and os.path.samestat(os.fstat(stream.fileno()), file.stat())
+    False where another process has locked it, or has just removed the file of this name.
+    """
+    return _locked(stream) and file.exists() and os.path.samestat(os.fstat(stream.fileno()), file.stat())
 
 
 if sys.platform == "win32":
@@ -248,25 +232,25 @@ else:
 
 
 SCHEMA, SCHEMA_VERSION = "contactqp-unfinished-study", 1
-# Seconds between calls of fsync: a process that dies loses nothing, a machine that dies no more than these.
+# Seconds between calls of fsync: a process that dies loses no result, a machine that dies those of these seconds.
 SYNC = 2.0
-# How many differences between then and now are named.
+# Differences between conditions that a note names at most.
 MOST = 3
-# Errors that go away where there is room: a full disk, a quota that is spent.
+# Errors of a full disk and of a quota that is used up.
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Journal:
-    """The results of one study in one file, which nobody else writes while this is open.
+    """The results of one study in one file, which no other process writes while this is open.
 
     Parameters
     ----------
     file : path
-        Made if need be; its folder exists.
+        The file, which is made if need be; its folder exists.
     conditions : mapping
-        Under which results are the same: versions, machine, settings.
+        Versions, machine and settings under which results are the same.
     fresh : bool
-        Forget what is in it.
+        Discard the results in it.
 
     Raises
     ------
@@ -293,11 +277,11 @@ class Journal:
 
     @property
     def count(self) -> int:
-        """How many results there are."""
+        """The number of kept results."""
         return len(self._kept)
 
     def find(self, cell: Cell) -> Result | None:
-        """What was kept of a cell; None where nothing was, or only of another state of its case."""
+        """Return the kept result of a cell; None where there is none, or one of another state of its case."""
         kept = self._kept.get(cell.key)
         if kept is None or kept.get("digest") != cell.digest:
             return None
@@ -307,16 +291,16 @@ class Journal:
             return None
 
     def changed(self, cells: Iterable[Cell]) -> Iterator[Cell]:
-        """Yield the cells whose kept result is not theirs any more."""
+        """Yield the cells whose kept result is of another state of their case."""
         return (cell for cell in cells if cell.key in self._kept and self.find(cell) is None)
 
     def write(self, cell: Cell, result: Result) -> Result:
-        """Keep a result, and return it as it will be read: the same whether a study was interrupted or not.
+        """Keep a result, and return it as it would be read, so that interrupted and whole studies agree.
 
         Raises
         ------
         SceneError
-            The disk is full, or fails; what was kept before stays.
+            The disk is full or fails; earlier results are kept.
         """
         line = dict(key=cell.key, digest=cell.digest)
         line |= {"crash": encode(result)} if isinstance(result, Crash) else {"result": encode(result)}
@@ -324,11 +308,11 @@ class Journal:
         return _read(self._kept[cell.key], cell.result)
 
     def close(self) -> None:
-        """Let others write."""
+        """Close the file, which another process may then write."""
         self._stream.close()
 
     def remove(self) -> None:
-        """The study is finished."""
+        """Remove the file: the study is finished."""
         with suppress(PermissionError):  # Windows removes no open file
             self.file.unlink()
         self.close()
@@ -348,7 +332,7 @@ class Journal:
         return dict(json.loads(line))
 
     def _refused(self, error: OSError) -> SceneError:
-        """What is said where a line cannot be written; nothing more is."""
+        """Close the file after a line could not be written, and return the error to raise."""
         with suppress(OSError):  # what is left of the line would be written now, in vain
             self._stream.close()
         kept = f"the {self.count} results found so far are kept in it" if self.count else "nothing was found yet"
@@ -357,7 +341,7 @@ class Journal:
 
 
 def _open(file: Path) -> BinaryIO:
-    """Open for reading and writing, locked."""
+    """Open a file for reading and writing, and lock it."""
     try:
         stream = file.open("a+b")
     except OSError as error:
@@ -369,7 +353,7 @@ def _open(file: Path) -> BinaryIO:
 
 
 def _whole_lines(stream: BinaryIO) -> tuple[list[dict[str, Any]], int]:
-    """The lines that are whole, and where the last of them ends."""
+    """Return the complete lines, and the position at which the last of them ends."""
     stream.seek(0)
     data = stream.read()
     end = data.rfind(b"\n") + 1
@@ -391,7 +375,7 @@ def _read(line: Mapping[str, Any], kind: type) -> Result:
 
 
 def _differences(found: Any, head: Any, where: str = "") -> Iterator[str]:
-    """What of the conditions is not as it was."""
+    """Yield the conditions that differ from those of the kept results."""
     if not (isinstance(found, dict) and isinstance(head, dict)):
         if found != head:
             yield f"{where} {found} instead of {head}"

@@ -1,4 +1,4 @@
-"""Run cells: take from the journal what it has, run the rest, show progress, stop in order."""
+"""Run the cells of a study: take finished ones from the journal, run the others, show progress, stop in order."""
 
 from __future__ import annotations
 
@@ -23,22 +23,20 @@ from contactqp.study.running.workers import Pool, Processes, ThisProcess, Worker
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-# How far a study is, and how much time is left: a bar on a terminal, lines of text elsewhere.
-
-# Seconds between lines where there is no terminal.
+# Seconds between lines of text, which show progress where there is no terminal.
 LINES = 10.0
-# A bar that is drawn more often takes time from what is timed.
+# Redraws of a bar per second; more would disturb timings.
 REDRAWS = 2.0
 
 
-# Shows what is done, how much of it, of how much, and the time left in words.
+# Shows the name of a part, the number of finished cells, the number of all, and the time left in words.
 Display = Callable[[str, int, int, str], None]
 
 
 class Progress:
-    """Watches a study of several parts.
+    """Watches a study of several parts and estimates the time left.
 
-    Time left is what a cell of this part took so far, times the costs of those that are left, and what later parts are
+    It is the time per cost of this part so far, times the cost of its remaining cells, and what later parts are
     expected to take.
     """
 
@@ -52,18 +50,21 @@ class Progress:
         self._what, self._later = what, later
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
+        """Start a part: `found` holds the results of the cells that are finished already."""
         self._total, self._done = len(cells), len(found)
         self._left = sum(cell.cost for cell in cells if cell.key not in found)
         self._spent, self._started = 0.0, time.monotonic()
         self.tick()
 
     def done(self, cell: Cell, _: Result) -> None:
+        """Count a finished cell."""
         self._done += 1
         self._spent += cell.cost
         self._left -= cell.cost
         self.tick()
 
     def tick(self) -> None:
+        """Show the progress."""
         self._display(self._what, self._done, self._total, self._time_left())
 
     def _time_left(self) -> str:
@@ -75,7 +76,7 @@ class Progress:
 
 
 def in_words(seconds: float) -> str:
-    """A time to wait, no more exact than it can be known.
+    """Return a waiting time in words, rounded.
 
     Examples
     --------
@@ -91,11 +92,11 @@ def in_words(seconds: float) -> str:
 
 
 def nothing(*_: object) -> None:
-    """Shows nothing."""
+    """Show nothing."""
 
 
 class Lines:
-    """A line every few seconds, for logs."""
+    """Shows progress as a line of text every few seconds, for logs."""
 
     def __init__(self) -> None:
         self._last = time.monotonic()
@@ -108,7 +109,7 @@ class Lines:
 
 
 class _Drawn:
-    """A bar of rich."""
+    """Shows progress as a bar of rich."""
 
     def __init__(self, bar: Bar) -> None:
         self._bar, self._task = bar, bar.add_task("", left="")
@@ -119,7 +120,7 @@ class _Drawn:
 
 @contextmanager
 def progress(shown: bool) -> Iterator[Progress]:
-    """Progress on stderr, if it is to be shown."""
+    """Yield a Progress that writes to stderr if `shown`."""
     if not shown:
         yield Progress(nothing)
     elif not sys.stderr.isatty():
@@ -137,8 +138,6 @@ def _bar() -> Any:
     columns = (texts[0], BarColumn(), MofNCompleteColumn(), texts[1])
     return Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=REDRAWS)
 
-
-# Ctrl-C and polite kills: a study that is stopped says how far it is and can go on.
 
 # What a shell adds to the number of the signal that ended a program.
 OF_SIGNAL = 128
@@ -165,27 +164,36 @@ def stopped_by_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
+@contextmanager
+def stopped_after(progress: Callable[[], str]) -> Iterator[None]:
+    """Within this, an interruption raises Stopped with the progress and how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise Stopped(f"{progress()}; the same command goes on from there", stop) from None
+
+
 def _stop(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001  the interface of handlers
     raise Stopped(signal.Signals(number).name, number=number)
 
 
 # Seconds after which a cell is stopped: far more than anything in a report takes, and less than anybody waits.
 TIME_LIMIT = 600.0
-# Seconds after which a watcher is told that time goes by.
+# Seconds between two calls of `Watcher.tick`.
 TICK = 0.5
 
 
 class Watcher(Protocol):
-    """Is told how far a study is."""
+    """Follows the progress of a study."""
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result], /) -> None:
-        """These cells are wanted, and of these keys the results were kept."""
+        """These cells are to be run; `found` holds the results that the journal has already."""
 
     def done(self, cell: Cell, result: Result, /) -> None:
-        """One more."""
+        """A cell has been run."""
 
     def tick(self) -> None:
-        """Time goes by."""
+        """Time has passed: called every `TICK` seconds at least."""
 
 
 def run_cells(
@@ -196,41 +204,42 @@ def run_cells(
     watcher: Watcher | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> dict[str, Result]:
-    """The results of all cells by their keys, in the order of the cells.
+    """Run cells and return the results of all by their keys, in the order of the cells.
 
-    A cell whose process dies is run once more, when all others are done, in a process of its own: what died with it by
-    chance, or of a signal that was meant for all, is no crash. A cell that dies again is one, as is one that raises
-    what is no error of contactqp, and one that takes too long.
+    A cell whose process dies is run once more, when all others are done, in a process of its own: the process may have
+    died of another cell, or of a signal that was sent to all. A cell that dies again has crashed, as has one that
+    raises an exception other than an error of contactqp, and one that takes too long.
 
     Parameters
     ----------
     cells : sequence of Cell
-    pool : Crew
-        Who runs them: ``with Processes(2).side_by_side() as pool``, or ``alone()`` for what is timed.
+    pool : Pool
+        The executor: ``with Processes(2).side_by_side() as pool``, or ``alone()`` for timings.
     journal : Journal, optional
-        Where results are kept, each as soon as there is one.
+        Keeps each result as soon as it is there.
     watcher : Watcher, optional
+        Follows the progress.
     time_limit : float
-        Of each cell [s]. What runs in this process cannot be stopped.
+        Limit for each cell [s]; cells that run in this process cannot be stopped.
 
     Raises
     ------
     ContactQPError
-        Of a cell: the case is wrong.
+        A cell raised it: the case is wrong.
     """
     refuse_twins(cells)
     watcher = watcher or Progress(nothing)
     found = {cell.key: result for cell in cells if journal and (result := journal.find(cell)) is not None}
-    left = [cell for cell in cells if cell.key not in found]
+    remaining = [cell for cell in cells if cell.key not in found]
     watcher.begin(cells, found)
-    for cell, result in _Run(pool, watcher, time_limit).results(left):
+    for cell, result in _Run(pool, watcher, time_limit).results(remaining):
         found[cell.key] = journal.write(cell, result) if journal else result
         watcher.done(cell, found[cell.key])
     return {cell.key: found[cell.key] for cell in cells}
 
 
 class _Run:
-    """Cells run by one pool."""
+    """One run of cells by a pool."""
 
     def __init__(self, pool: Pool, watcher: Watcher, limit: float) -> None:
         self._pool, self._watcher, self._limit = pool, watcher, limit
@@ -272,15 +281,13 @@ class _Run:
         return Crash(result.message) if isinstance(result, Late) else result
 
 
-# Where and how a study runs, as a user says it.
-
-# Seconds of a year: no cell takes longer, and every clock counts so far.
+# The largest time limit: the seconds of a year.
 LONGEST = 365 * 24 * 3600.0
 
 
 @dataclass(frozen=True)
 class Running:
-    """How a study runs.
+    """Where and how a study runs.
 
     Parameters
     ----------
@@ -289,7 +296,7 @@ class Running:
     dask : str, optional
         Address of a Dask scheduler, whose workers take the place of processes here.
     fresh : bool
-        Forget what an interrupted study left.
+        Discard the results of an interrupted study.
     time_limit : float
         Seconds after which one cell is stopped.
     shown : bool
@@ -313,7 +320,7 @@ class Running:
 
 @contextmanager
 def workers_of(running: Running) -> Iterator[Workers]:
-    """The workers that a user asks for."""
+    """Yield the workers that `running` asks for."""
     if running.dask is None:
         yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or _cores())
         return

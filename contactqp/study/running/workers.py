@@ -16,25 +16,25 @@ from contactqp.linalg.runtime import renew_in_child
 from contactqp.study.running.child import Children
 from contactqp.study.running.journal import source_digest
 
-# Side by side: more threads than one each only wait for each other.
+# Of processes that run side by side: more than one thread each would only wait for the others.
 ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-# From a function, its arguments and a time limit to what it returns, or Raised, Death or Late.
+# Maps a function, its arguments and a time limit [s] to what the function returns, or to Raised, Death or Late.
 Ask = Callable[[Callable[..., Any], tuple[Any, ...], float], Any]
 
 
 @dataclass(frozen=True)
 class Pool:
-    """An executor, how many cells it runs at a time, and what it runs for each."""
+    """An executor, how many cells it runs at a time, and the function that runs a cell on it."""
 
     executor: Executor
     size: int
     ask: Ask
-    deaths: tuple[type[BaseException], ...] = ()  # errors that say that a worker died, with all it had
+    deaths: tuple[type[BaseException], ...] = ()  # errors that mean that a worker died
 
     def start(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Future[Any]:
-        """A cell begins."""
+        """Submit a cell."""
         return self.executor.submit(self.ask, function, arguments, time_limit)
 
 
@@ -42,27 +42,28 @@ class Workers(Protocol):
     """The workers that a study runs on."""
 
     notes: tuple[str, ...]  # for the user
-    how: str  # cells run, as far as results depend on it
+    how: str  # in words, as far as results depend on it
 
     def side_by_side(self) -> AbstractContextManager[Pool]:
-        """For answers. No process is left at the end, whatever happens."""
+        """Yield the pool for answers; it leaves no process behind."""
 
     def alone(self) -> AbstractContextManager[Pool]:
-        """One cell at a time in one process, for what is timed."""
+        """Yield a pool that runs one cell at a time in one process, for timings."""
 
     def ask(self, function: Callable[[], Any]) -> Any:
-        """What a function says where cells run."""
+        """Return what a function returns where cells run."""
 
 
 class ThisProcess:
-    """One cell after the other, here: a crash is everybody's, and nothing can be stopped."""
+    """Runs one cell after the other in this process, which a crash ends and a time limit does not stop."""
 
     notes: tuple[str, ...] = ()
     how = "in one process"
 
     @contextmanager
     def side_by_side(self) -> Iterator[Pool]:
-        yield Pool(_AtOnce(), 1, _here)
+        """Yield a pool that runs a cell while it is submitted."""
+        yield Pool(_AtOnce(), 1, lambda function, arguments, _: function(*arguments))
 
     alone = side_by_side
 
@@ -70,12 +71,8 @@ class ThisProcess:
         return function()
 
 
-def _here(function: Callable[..., Any], arguments: tuple[Any, ...], _: float) -> Any:
-    return function(*arguments)
-
-
 class _AtOnce(Executor):
-    """Runs what is submitted while it is submitted."""
+    """Runs a function while it is submitted."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -87,7 +84,7 @@ class _AtOnce(Executor):
 
 
 class Processes:
-    """So many processes of this machine side by side, and one for what is timed."""
+    """Runs cells in `jobs` processes of this machine side by side, and in one for timings."""
 
     notes: tuple[str, ...] = ()
     how = "in processes of one thread each"
@@ -97,13 +94,13 @@ class Processes:
 
     @contextmanager
     def side_by_side(self) -> Iterator[Pool]:
-        """With one thread each."""
+        """Yield a pool of processes with one thread each."""
         with _process_pool(self.jobs, ONE_THREAD) as pool:
             yield pool
 
     @contextmanager
     def alone(self) -> Iterator[Pool]:
-        """With as many threads as everybody gets here."""
+        """Yield a pool of one process with the threads that the environment gives it."""
         with _process_pool(1, {}) as pool:
             yield pool
 
@@ -113,7 +110,7 @@ class Processes:
 
 @contextmanager
 def _process_pool(size: int, environment: Mapping[str, str]) -> Iterator[Pool]:
-    """Threads that have a process each."""
+    """Yield a pool of threads that have a process each."""
     executor, children = ThreadPoolExecutor(size), Children()
     try:
         yield Pool(executor, size, partial(children.ask, environment=environment))
@@ -123,18 +120,16 @@ def _process_pool(size: int, environment: Mapping[str, str]) -> Iterator[Pool]:
         executor.shutdown(wait=True)
 
 
-# Slots that are the workers of a Dask cluster which is there already.
-
 INSTALL = "pip install 'contactqp[dask]'"
 # Seconds until a scheduler must have answered.
 PATIENCE = 10.0
-# Of addresses; none stands for tcp.
+# Schemes of addresses; none stands for tcp.
 SCHEMES = ("", "tcp", "tls", "ws", "wss", "ucx")
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """The cluster of the scheduler at an address, until the end of the context.
+    """Connect to the Dask cluster of the scheduler at an address, until the end of the context.
 
     Its workers must have this very version of contactqp, and see the mesh files of the cases under the same names.
 
@@ -152,8 +147,8 @@ def cluster(address: str) -> Iterator[Cluster]:
     try:
         client = client_of(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        told = " ".join(str(error).split())
-        raise InvalidProblem(f"--dask {address}: expected the address of a Dask scheduler, got: {told}") from None
+        reason = " ".join(str(error).split())
+        raise InvalidProblem(f"--dask {address}: expected the address of a Dask scheduler, got: {reason}") from None
     with client:
         threads = dict(client.nthreads())
         if not threads:
@@ -163,7 +158,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 
 
 def _refuse_malformed(address: str) -> None:
-    """What is no address: a client of it would talk of its end on stderr long after it was refused."""
+    """Raise where this is no address: a client of it would print to stderr long after it was refused."""
     scheme, _, place = address.rpartition("://")
     host, _, port = place.rpartition(":")
     if scheme in SCHEMES and host and port.isdecimal():
@@ -172,38 +167,48 @@ def _refuse_malformed(address: str) -> None:
 
 
 def _refuse_others(client: Any, address: str) -> None:
-    """Results of one study come from one state of the code."""
-    mine = source_digest()
-    for worker, theirs in client.run(source_digest, on_error="return").items():
-        if theirs != mine:
-            what = "another one" if isinstance(theirs, str) else f"{type(theirs).__name__}: {theirs}"
+    """Raise where a worker has another state of the code: the results of one study come from one."""
+    here = source_digest()
+    for worker, there in client.run(source_digest, on_error="return").items():
+        if there != here:
+            what = "another one" if isinstance(there, str) else f"{type(there).__name__}: {there}"
             raise InvalidProblem(f"--dask {address}: expected this contactqp on every worker, got on {worker} {what}")
 
 
 def in_child(
     function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float, environment: Mapping[str, str]
 ) -> Any:
-    """What a task does on a worker; see `contactqp.study.running.child.Children.ask`."""
+    """Run a function in a child process of a worker: the task that is submitted to Dask.
+
+    Parameters
+    ----------
+    function : callable
+    arguments : tuple
+    time_limit : float
+        Seconds until the process is killed.
+    environment : mapping
+        Environment variables of the process, where it has to be started.
+    """
     with _LOCK:
         children = _CHILDREN[-1]
     return children.ask(function, arguments, time_limit, environment)
 
 
 def stop_children() -> None:
-    """End all that this worker has started; the next study starts others."""
+    """End all processes that this worker has started; the next study starts others."""
     with _LOCK:
         _CHILDREN.append(Children())
         children = _CHILDREN.pop(0)
     children.close()
 
 
-# Of a worker, one for all of its threads.
+# The processes of a worker, shared by all of its threads.
 _LOCK = threading.Lock()
 _CHILDREN = [Children()]
 
 
 def _renew() -> None:
-    """Start anew in a process that was forked: the processes that its parent has started answer the parent."""
+    """Start without children in a process that was forked: those of its parent answer the parent."""
     global _LOCK
     _LOCK = threading.Lock()
     _CHILDREN[:] = [Children()]
@@ -213,10 +218,10 @@ renew_in_child(_renew)
 
 
 class Cluster:
-    """All threads of a cluster's workers side by side, and one worker for what is timed.
+    """Runs cells on all threads of a cluster's workers side by side, and on one worker for timings.
 
-    Cells run in processes that the workers start, so that no worker dies of them. What others compute on the cluster
-    meanwhile is nothing that a study could know of.
+    Cells run in processes that the workers start, so that no worker dies of them. Timings include what others compute
+    on the cluster meanwhile.
     """
 
     how = "by the workers of a Dask cluster, in processes of one thread each"
@@ -229,13 +234,13 @@ class Cluster:
 
     @contextmanager
     def side_by_side(self) -> Iterator[Pool]:
-        """On any worker."""
+        """Yield a pool of all workers."""
         with self._pool(self._threads, ONE_THREAD) as pool:
             yield pool
 
     @contextmanager
     def alone(self) -> Iterator[Pool]:
-        """On one worker; on any other one should that be lost."""
+        """Yield a pool of one worker, and of any other one should that be lost."""
         with self._pool(1, {}, workers=[self._first], allow_other_workers=True) as pool:
             yield pool
 

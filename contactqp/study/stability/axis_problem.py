@@ -1,4 +1,4 @@
-"""A problem at one value of an axis: its exact truth, how far from it an answer is, and the axis itself."""
+"""Axes of difficulty, and their problems with exact solutions in rational numbers that errors are measured against."""
 
 from __future__ import annotations
 
@@ -18,14 +18,12 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.study.truth import Errors, Truth
 
-# Exact answers of small problems: doubles as they stand, Gauss's elimination in Fractions, every condition checked.
-
 Rows = list[Row]
 
 
 @dataclass(frozen=True)
 class ExactAnswer:
-    """One equilibrium in rational numbers; signs of `ContactProblem`."""
+    """One equilibrium in rational numbers, with the signs of `ContactProblem`."""
 
     displacement: tuple[Fraction, ...]  # (n,)
     normal_force: tuple[Fraction, ...]  # (m,)
@@ -33,20 +31,20 @@ class ExactAnswer:
 
 
 def fractions(values: Any) -> Row:
-    """A vector of doubles as it stands."""
+    """Return a vector of doubles as fractions, exactly."""
     return [Fraction(x) for x in np.asarray(values, dtype=float).ravel().tolist()]
 
 
 def exact_rows(matrix: Any) -> Rows:
-    """A matrix of doubles, dense or sparse, as it stands."""
+    """Return the rows of a matrix of doubles, dense or sparse, as fractions, exactly."""
     dense = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, dtype=float)
     return [fractions(row) for row in dense]
 
 
 def answer_with_closed(problem: ContactProblem, closed: Sequence[int]) -> ExactAnswer:
-    """The answer whose closed contacts are known: K u + E_A'λ_A = f, E_A u = g_A, all other contacts without force.
+    """Solve K u + E_A'λ_A = f, E_A u = g_A for the closed contacts A, all other contacts without force.
 
-    No floating-point solver has a part in it, and what comes out is checked against every condition of the problem.
+    Gaussian elimination in fractions solves it, and the answer is checked against every condition of the problem.
 
     Raises
     ------
@@ -94,20 +92,20 @@ def _residual(problem: ContactProblem, answer: ExactAnswer) -> Row:
     if answer.friction_force:
         rows, forces = [*rows, *exact_rows(problem.tangent)], [*forces, *answer.friction_force]
     pushed = [dot([row[j] for row in rows], forces) for j in range(problem.dimension)]
-    held = [dot(row, list(answer.displacement)) for row in exact_rows(problem.stiffness)]
-    return [k + p - f for k, p, f in zip(held, pushed, fractions(problem.load), strict=True)]
+    elastic = [dot(row, list(answer.displacement)) for row in exact_rows(problem.stiffness)]
+    return [k + p - f for k, p, f in zip(elastic, pushed, fractions(problem.load), strict=True)]
 
 
 def _obeys_coulomb(problem: ContactProblem, answer: ExactAnswer, i: int) -> bool:
-    """|λ_T| <= μ λ_N, and λ_T = μ λ_N sign(s) where the slip s is not zero; in the plane."""
+    """Check |λ_T| <= μ λ_N, and λ_T = μ λ_N sign(s) where the slip s is not zero; in the plane."""
     assert problem.friction is not None
     assert problem.slip_origin is not None
     bound = Fraction(float(problem.friction[i])) * answer.normal_force[i]
-    rubbing = answer.friction_force[i]
+    friction_force = answer.friction_force[i]
     slip = dot(exact_rows(problem.tangent)[i], list(answer.displacement)) - fractions(problem.slip_origin)[i]
     if slip == 0:
-        return abs(rubbing) <= bound
-    return rubbing == (bound if slip > 0 else -bound)
+        return abs(friction_force) <= bound
+    return friction_force == (bound if slip > 0 else -bound)
 
 
 NO_EQUILIBRIUM = Errors(None, None, None, "there is no equilibrium", float("inf"), 0.0)
@@ -117,19 +115,19 @@ NO_EQUILIBRIUM = Errors(None, None, None, "there is no equilibrium", float("inf"
 class SweptTruth(Truth):
     """A truth whose errors are all dimensionless: where the truth is zero, relative to the sizes that meet there.
 
-    Where there are several equilibria an answer is held against the nearest; where there is none, nothing is right.
+    Where there are several equilibria an answer is compared with the nearest; where there is none, no answer is right.
     """
 
     others: tuple[Truth, ...] = ()
     exists: bool = True
-    held: bool = False  # known to be held without its contacts: nobody needs to look for rigid motions
+    supported: bool = False  # known to have no rigid motions without its contacts, which are then not computed
 
     @property
     def _singular(self) -> bool:
-        return not self.held and super()._singular
+        return not self.supported and super()._singular
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
-        """The errors of the answer: of u the worst of the measures that decide, of λ the largest contact's."""
+        """Return the errors of an answer: of u the worst of the deciding measures, of λ that of the largest contact."""
         if not self.exists:
             return NO_EQUILIBRIUM
         found = [self._dimensionless(displacement, normal_force, tie_force)]
@@ -149,7 +147,7 @@ class SweptTruth(Truth):
         return replace(found, displacement=decisive, force=force.judged if force else None)
 
     def _largest(self, change: Vector) -> float:
-        """The largest change of an unknown, against the largest unknown or, where all are zero, the lengths."""
+        """Return the largest change relative to the largest unknown or, where all are zero, to the lengths."""
         scale = float(np.max(abs(self.displacement), initial=0.0)) or self._length()
         largest = float(np.max(abs(change), initial=0.0))
         return largest / scale if scale > 0 else largest
@@ -157,22 +155,22 @@ class SweptTruth(Truth):
 
 @dataclass(frozen=True, eq=False)
 class AxisProblem:
-    """One problem of an axis.
+    """One problem of an axis, with the linear system of its right answer.
 
-    `held` and `pushed` are the rows of the linear system of the right answer: E_N of the closed contacts, E_T of those
-    that stick; and where their forces act, E_N + μ E_T where they slip.
+    `constraint_rows` are E_N of the closed contacts and E_T of those that stick. `force_rows` say where their forces
+    act: they are the same rows, and E_N + μ E_T of contacts that slip.
     """
 
     problem: ContactProblem
     truth: SweptTruth
     exact: tuple[ExactAnswer, ...]  # every equilibrium; empty where it is not kept as fractions, or there is none
     closed: tuple[int, ...]  # contacts of the first equilibrium
-    held: NDArray[np.float64] | None  # (r, n); None where the system is not examined
-    pushed: NDArray[np.float64] | None  # (r, n)
+    constraint_rows: NDArray[np.float64] | None  # (r, n); None where the system is not examined
+    force_rows: NDArray[np.float64] | None  # (r, n)
 
 
 def problem_with_closed(problem: ContactProblem, closed: Sequence[int]) -> AxisProblem:
-    """A frictionless problem whose closed contacts are known: its truth is solved for in rational numbers.
+    """Return a frictionless problem with known closed contacts, whose truth is computed in rational numbers.
 
     Raises
     ------
@@ -185,14 +183,22 @@ def problem_with_closed(problem: ContactProblem, closed: Sequence[int]) -> AxisP
 
 
 def problem_with_answers(
-    problem: ContactProblem, answers: Sequence[ExactAnswer], held: Any, pushed: Any
+    problem: ContactProblem, answers: Sequence[ExactAnswer], constraint_rows: Any, force_rows: Any
 ) -> AxisProblem:
-    """A problem whose equilibria are known in closed form, each checked with no tolerance; without any, none exists.
+    """Return a problem whose equilibria are known in closed form, each of which is checked with no tolerance.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answers : sequence of ExactAnswer
+        All equilibria; empty where none exists.
+    constraint_rows, force_rows : (r, n) arrays
+        The linear system of the first one, see `AxisProblem`.
 
     Raises
     ------
     ArithmeticError
-        One of them is none.
+        One of the answers is no equilibrium.
     """
     for answer in answers:
         refuse_wrong(problem, answer)
@@ -200,13 +206,15 @@ def problem_with_answers(
     if not answers:
         nothing = np.zeros(problem.dimension), np.zeros(problem.contacts)
         truth = SweptTruth(problem, *nothing, None, "there is no equilibrium", exists=False)
-        return AxisProblem(problem, truth, (), closed, held, pushed)
+        return AxisProblem(problem, truth, (), closed, constraint_rows, force_rows)
     first, *others = (truth_of_fractions(problem, answer) for answer in answers)
-    return AxisProblem(problem, replace(first, others=tuple(others)), tuple(answers), closed, held, pushed)
+    return AxisProblem(
+        problem, replace(first, others=tuple(others)), tuple(answers), closed, constraint_rows, force_rows
+    )
 
 
 def truth_of_fractions(problem: ContactProblem, answer: ExactAnswer) -> SweptTruth:
-    """The nearest doubles of an exact answer."""
+    """Return the nearest doubles of an exact answer as the truth."""
     source = "rational numbers, from the problem's doubles as they stand"
     return SweptTruth(
         problem, nearest_doubles(answer.displacement), nearest_doubles(answer.normal_force), np.zeros(0), source
@@ -214,20 +222,18 @@ def truth_of_fractions(problem: ContactProblem, answer: ExactAnswer) -> SweptTru
 
 
 def nearest_doubles(values: Sequence[Fraction]) -> Vector:
-    """The nearest doubles (Python divides integers of any size correctly rounded)."""
+    """Return the nearest doubles (Python rounds the quotient of integers of any size correctly)."""
     return np.array([x.numerator / x.denominator for x in values], dtype=float)
 
 
-# What a certificate that passes says itself of an error: then the error is not a silent one.
-
-# What the nearest doubles of a truth may add to an error that meets its bound exactly.
+# The rounding of the truth to doubles, which may add to an error that equals its bound.
 ROUNDING = 1e-12
 
 
 def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
-    """What the certificate says of an answer that it passes and that is off by more than 1e-6; empty: nothing.
+    """Return the statement by which a passing certificate admits an error above 1e-6; empty where it has none.
 
-    That uniqueness was not examined, or that other answers are not excluded, says nothing of this one.
+    That uniqueness was not examined, or that other answers are not excluded, is no such statement.
     """
     certificate = solution.certificate
     if SEVERAL in certificate.uniqueness:
@@ -235,11 +241,11 @@ def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
     if not truth.exists:
         return ""
     if certificate.force_bound is None:
-        said = [reason for reason in certificate.reasons if reason.startswith("force_bound") and REDUNDANT in reason]
-        said += [finding for finding in certificate.uniqueness if finding == FORCES]
+        statements = [text for text in certificate.reasons if text.startswith("force_bound") and REDUNDANT in text]
+        statements += [finding for finding in certificate.uniqueness if finding == FORCES]
         resultants = replace(truth, unique_forces=False)
         errors = resultants.errors(solution.displacement, solution.normal_force, solution.tie_force)
-        return f"the certificate says: {said[0]}" if said and errors.small else ""
+        return f"the certificate says: {statements[0]}" if statements and errors.small else ""
     off = np.abs(solution.normal_force - truth.normal_force)
     allowed = certificate.force_bound + ROUNDING * np.abs(truth.normal_force)
     together = replace(truth, unique_forces=False).errors(solution.displacement, truth.normal_force, solution.tie_force)
@@ -248,15 +254,13 @@ def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
     return ""
 
 
-# An axis of difficulty: a name, its values, and a function from a value to a problem with its truth.
-
 # Values as near as this to one are named by their distance from it.
 NEXT_TO_ONE = 1e-2
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis.
+    """One axis of difficulty: its values, and a function from a value to a problem with its truth.
 
     `pose` returns the same problem for the same value, always. Values are powers of two where that keeps the data
     doubles.
@@ -276,13 +280,12 @@ class Axis:
     why_largest: str = ""
 
     def label(self, value: float) -> str:
-        """The value in words."""
+        """Return the value in words."""
         if self.labels:
             return self.labels[self.values.index(value)]
-        # Of what lies next to one, the distance is what matters.
         return f"1{value - 1:+.2g}" if 0 < abs(value - 1) < NEXT_TO_ONE else f"{value:.4g}"
 
 
 def powers_of_two(*exponents: int) -> tuple[float, ...]:
-    """2^e for each exponent."""
+    """Return 2^e for each exponent e."""
     return tuple(2.0**e for e in exponents)

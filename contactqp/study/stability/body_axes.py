@@ -14,7 +14,7 @@ Matrix = NDArray[np.float64]
 
 
 def chain(springs: Sequence[float], *, ground: bool = True) -> Matrix:
-    """The stiffness of springs in a row: the first one holds to the ground, or, without ground, joins unknowns 0, 1.
+    """Return the stiffness of springs in a row; the first joins the ground or, without ground, unknowns 0 and 1.
 
     Sums are those of doubles: exact where the springs have few bits.
     """
@@ -32,7 +32,7 @@ def chain(springs: Sequence[float], *, ground: bool = True) -> Matrix:
 
 
 def blocks(*parts: Matrix) -> Matrix:
-    """Bodies that share no unknown."""
+    """Return the block-diagonal stiffness of bodies that share no unknown."""
     sizes = [len(part) for part in parts]
     K, start = np.zeros((sum(sizes), sum(sizes))), 0
     for part, size in zip(parts, sizes, strict=True):
@@ -42,7 +42,7 @@ def blocks(*parts: Matrix) -> Matrix:
 
 
 def rows(n: int, *entries: dict[int, float]) -> Matrix:
-    """One row (n,) for each dictionary of unknowns and coefficients."""
+    """Return one row (n,) for each dictionary of unknowns and coefficients."""
     E = np.zeros((len(entries), n))
     for row, places in zip(E, entries, strict=True):
         for j, value in places.items():
@@ -54,7 +54,7 @@ def rows(n: int, *entries: dict[int, float]) -> Matrix:
 
 
 def pose_gap_ratio(gap: float) -> AxisProblem:
-    """Two chains of unit springs; their ends travel by 1 + g and by 1 and meet with a force of 1/2.
+    """Return two chains of unit springs; their ends travel by 1 + g and by 1 and meet with a force of 1/2.
 
     u = (1/2, 1 + g, 1, 1/2) gives f = (-g, 1 + g, 0, 0). From g = 2^-53 on 1 + g is no double, and the problem is the
     one of the rounded load.
@@ -84,7 +84,7 @@ FIRST_GAP, FIRST_LOAD = 0.25, 4.0
 
 
 def pose_grazing(distance: float) -> AxisProblem:
-    """A chain whose first node is pressed on a stop; its end reaches for a wall with the load P = P_c (1 + δ).
+    """Return a chain whose first node is pressed on a stop; its end reaches for a wall with the load P = P_c (1 + δ).
 
     Springs 5 and 7 from the first node at 1/4 to the wall at 1: P_c = (3/4) / (1/5 + 1/7) = 35/16. The force at the
     wall is P_c δ for δ > 0, and for δ < 0 the gap is -(3/4) δ, both to the rounding of the load.
@@ -121,7 +121,7 @@ TOUCHING = LOAD_RATIO_GAP / 2
 
 
 def pose_load_ratio(load: float) -> AxisProblem:
-    """Two chains of two unit springs, 1/4 apart, one of them pulled onto the other."""
+    """Return two chains of two unit springs, 1/4 apart, one of them pulled onto the other."""
     right = chain([1.0, 1.0])[::-1, ::-1]
     problem = ContactProblem(
         blocks(chain([1.0, 1.0]), right), [0.0, load, 0.0, 0.0], rows(4, {1: 1.0, 2: -1.0}), [LOAD_RATIO_GAP]
@@ -145,7 +145,7 @@ COUNT = 8
 
 
 def pose_mass_ratio(ratio: float) -> AxisProblem:
-    """Seven masses of 1 under one of r fall at a speed of 1 onto a floor that sinks at 1/4: M v + E'p = M v_free.
+    """Return seven masses of 1 under one of r that fall at 1 onto a floor that sinks at 1/4: M v + E'p = M v_free.
 
     All fall at 1/4 afterwards, and the impulse between two of them is 3/4 of the mass above.
     """
@@ -176,10 +176,10 @@ ELEMENTS = 10
 
 
 def pose_mesh_grading(grading: float) -> AxisProblem:
-    """A bar of ten elements, the shortest 1/grading of the longest: springs from 1 to grading, each a power of two.
+    """Return a bar of ten elements, the shortest 1/grading of the longest.
 
-    It is pulled at its middle and at its end, which meets a wall. Neighbouring springs add up to doubles while their
-    ratio is below 2^53.
+    Its springs go from 1 to grading, each a power of two. It is pulled at its middle and at its end, which meets a
+    wall. Neighbouring springs add up to doubles while their ratio is below 2^53.
     """
     exponent = grading.as_integer_ratio()[0].bit_length() - 1
     springs = [2.0 ** round(exponent * i / (ELEMENTS - 1)) for i in range(ELEMENTS)]
@@ -202,9 +202,10 @@ MESH_GRADING = Axis(
 
 
 def pose_singular_stiffness(support: float) -> AxisProblem:
-    """Five nodes, unit springs, a ground spring ε, a wall: u is of size 1 and the wall carries all but ε of the load.
+    """Return five nodes with unit springs, a ground spring ε and a wall.
 
-    From ε = 2^-53 on, 1 + ε is 1: K is singular, the body floats, and the wall holds it.
+    u is of size 1, and the wall carries all but ε of the load. From ε = 2^-53 on, 1 + ε is 1: K is singular, the body
+    floats, and the wall holds it.
     """
     problem = ContactProblem(chain([support, 1.0, 1.0, 1.0, 1.0]), [0.0, 0.0, 1.0, 0.0, 2.0], rows(5, {4: 1.0}), [4.0])
     return problem_with_closed(problem, [0])
@@ -224,7 +225,7 @@ SINGULAR_STIFFNESS = Axis(
 
 
 def pose_stiffness_contrast(contrast: float) -> AxisProblem:
-    """Springs 1, c, 1, c in a row; stops at the far ends of the stiff ones. Forces stay of size 1 whatever c is.
+    """Return springs 1, c, 1, c in a row; stops at the far ends of the stiff ones. Forces stay of size 1 whatever c is.
 
     What a stiff spring carries is c times a difference of displacements of size 1/c: their rounding shows c times.
     The last value is 2^53 - 1: beyond it 1 + c is no double, and K with its rounded entries is no stiffness any more.

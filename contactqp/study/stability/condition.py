@@ -1,4 +1,4 @@
-"""Condition numbers of what methods solve, exactly, and the errors that they predict."""
+"""Condition numbers of the linear systems that methods solve, in rational numbers, and the errors that they predict."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from contactqp.study.stability.axis_problem import AxisProblem, Rows, exact_rows
 PLAIN, SADDLE = "K", "[K Eᵀ; E 0]"
 PENALTY, PERTURBED, AUGMENTED = "K+EᵀβE", "[K Eᵀ; E -1/κ]", "[K+EᵀβE Eᵀ; E 0]"
 DELASSUS, REDUCED = "E K⁻¹ Eᵀ", "TᵀK T, E T = 0"
-# The linear systems that methods solve for the right set of closed contacts, as rational numbers.
-
 _OF_METHOD = {
     "penalty": PENALTY,
     "perturbed-lagrangian": PERTURBED,
@@ -30,7 +28,7 @@ _OF_KIND = {"active set": PLAIN, "complementarity": DELASSUS}
 
 
 def system_of(method: Method, variant: str) -> str:
-    """The matrix that a method factorises; of the quadratic programming backends the one that they regularise."""
+    """Return the name of the matrix that a method factorises; of QP backends the one that they regularise."""
     if variant == "uzawa":
         return PENALTY
     return _OF_METHOD.get(method.name) or _OF_KIND.get(method.kind, SADDLE)
@@ -38,16 +36,16 @@ def system_of(method: Method, variant: str) -> str:
 
 @dataclass(frozen=True)
 class Blocks:
-    """K u + pushed'λ = f, held u = g of the closed contacts; they differ where something slips."""
+    """K u + P'λ = f, C u = g of the closed contacts: P are `force_rows`, C are `constraint_rows`, see `AxisProblem`."""
 
     stiffness: Rows  # (n, n)
-    held: Rows  # (r, n)
-    pushed: Rows  # (r, n)
+    constraint_rows: Rows  # (r, n)
+    force_rows: Rows  # (r, n)
     load: Row  # (n,)
     gap: Row  # (r,)
 
     def matrix(self, name: str, stiffness: Fraction) -> Rows | None:
-        """The matrix of that name, with β or κ where it has one; None where it needs the inverse of a singular K."""
+        """Return the matrix of a name, with β or κ if it has one; None where it needs the inverse of a singular K."""
         if name == PENALTY:
             return self._with_springs(stiffness)
         if name == DELASSUS:
@@ -62,52 +60,53 @@ class Blocks:
     def right_hand_side(self, name: str, stiffness: Fraction) -> Row:
         """Return the right-hand side of the systems in u, or in u and λ."""
         springs = stiffness if name in (PENALTY, AUGMENTED) else ZERO
-        columns = zip(*self.pushed, strict=True) if self.pushed else [()] * len(self.load)
+        columns = zip(*self.force_rows, strict=True) if self.force_rows else [()] * len(self.load)
         load = [f + springs * dot(list(p), self.gap) for f, p in zip(self.load, columns, strict=True)]
         return load if name == PENALTY else [*load, *self.gap]
 
     def _with_springs(self, beta: Fraction) -> Rows:
         K = [list(row) for row in self.stiffness]
-        for p, h in zip(self.pushed, self.held, strict=True):
+        for p, h in zip(self.force_rows, self.constraint_rows, strict=True):
             K = [[x + beta * p[i] * y for x, y in zip(row, h, strict=True)] for i, row in enumerate(K)]
         return K
 
     def _bordered(self, top: Rows, corner: Fraction) -> Rows:
-        r = len(self.held)
-        above = [[*row, *(p[i] for p in self.pushed)] for i, row in enumerate(top)]
-        return above + [[*h, *(corner if i == j else ZERO for j in range(r))] for i, h in enumerate(self.held)]
+        r = len(self.constraint_rows)
+        above = [[*row, *(p[i] for p in self.force_rows)] for i, row in enumerate(top)]
+        return above + [
+            [*h, *(corner if i == j else ZERO for j in range(r))] for i, h in enumerate(self.constraint_rows)
+        ]
 
     def _delassus(self) -> Rows | None:
         inverse = inverse_of(self.stiffness)
         if inverse is None:
             return None
-        return [[dot(h, [dot(row, p) for row in inverse]) for p in self.pushed] for h in self.held]
+        return [[dot(h, [dot(row, p) for row in inverse]) for p in self.force_rows] for h in self.constraint_rows]
 
     def _reduced(self) -> Rows:
         n = len(self.stiffness)
-        found = solutions([[*row, ZERO] for row in self.held], n)
+        found = solutions([[*row, ZERO] for row in self.constraint_rows], n)
         basis = found.free if found is not None else []
         return [[dot(a, [dot(row, b) for row in self.stiffness]) for b in basis] for a in basis]
 
 
-# Half of the spacing of doubles in [1, 2): the largest relative error of one rounding.
+# The largest relative error of one rounding: half the spacing of doubles in [1, 2).
 UNIT_ROUNDOFF = 2.0**-53
-# An inverse in rational numbers takes a second at this size.
+# Largest size of an inverse in rational numbers, which takes a second.
 SMALL = 26
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is known of a method on a problem before it is run; None where it does not apply, or `missing` says why."""
+    """The predicted errors of a method on a problem; None where they do not apply, or where `missing` says why."""
 
     system: str  # the matrix that it factorises
     condition: float | None = None  # κ = ‖A‖₂ ‖A⁻¹‖₂
     # Skeel's: the relative change of the largest force by relative changes of one part in every entry of A and b.
     force_condition: float | None = None
     modelling: float | None = None  # relative error in λ of an approximate method in exact arithmetic, S / (S + β)
-    rounding: float | None = (
-        None  # relative error in λ by rounding: β ulp / λ of the penalty method, else u times Skeel's
-    )
+    # Relative error in λ by rounding: β ulp / λ of the penalty method, else u times Skeel's.
+    rounding: float | None = None
     missing: str = ""
 
     @property
@@ -122,14 +121,24 @@ class Prediction:
 
 
 def predict(posed: AxisProblem, method: Method, variant: str, stiffness: float | None) -> Prediction:
-    """For the right set of closed contacts; `stiffness` is β or κ of a method that has one, and 0 if it is None."""
+    """Return the predicted errors of a method for the right set of closed contacts.
+
+    Parameters
+    ----------
+    posed : AxisProblem
+    method : Method
+    variant : str
+        "uzawa" or empty.
+    stiffness : float or None
+        β or κ of a method that has one [force / length].
+    """
     return _predict(posed, system_of(method, variant), variant == "" and not method.exact, stiffness or 0.0)
 
 
 @lru_cache(maxsize=128)
 def _predict(posed: AxisProblem, system: str, approximate: bool, stiffness: float) -> Prediction:
     size = posed.problem.dimension + len(posed.closed)
-    if posed.held is None or posed.pushed is None or size > SMALL:
+    if posed.constraint_rows is None or posed.force_rows is None or size > SMALL:
         return Prediction(system, missing=f"{size} rows are too many for an inverse in rational numbers")
     blocks, beta = _blocks(posed), Fraction(stiffness)
     matrix = blocks.matrix(system, beta)
@@ -145,20 +154,23 @@ def _predict(posed: AxisProblem, system: str, approximate: bool, stiffness: floa
 
 def _blocks(posed: AxisProblem) -> Blocks:
     problem, u = posed.problem, fractions(posed.truth.displacement)
-    held, pushed = exact_rows(posed.held), exact_rows(posed.pushed)
-    return Blocks(exact_rows(problem.stiffness), held, pushed, fractions(problem.load), [dot(row, u) for row in held])
+    rows, force_rows = exact_rows(posed.constraint_rows), exact_rows(posed.force_rows)
+    gap = [dot(row, u) for row in rows]
+    return Blocks(exact_rows(problem.stiffness), rows, force_rows, fractions(problem.load), gap)
 
 
 def _norm(matrix: Rows) -> float:
-    """The spectral norm; the entries' rounding to doubles changes it by one part in 1e15."""
+    """Return the spectral norm; rounding the entries to doubles changes it by one part in 1e15."""
     largest = max((abs(x) for row in matrix for x in row), default=ZERO)
     scaled = np.array([[float(x / largest) for x in row] for row in matrix]) if largest else np.zeros((1, 1))
     return float(np.linalg.norm(scaled, 2)) * float(largest)
 
 
 def _force_errors(blocks: Blocks, system: str, approximate: bool, beta: Fraction) -> dict[str, Any]:
-    """Skeel's condition number, modelling and rounding; those of the saddle point system for methods that solve it in
-    steps."""
+    """Return Skeel's condition number and the errors of modelling and rounding.
+
+    For methods that solve the saddle point system in steps they are those of that system.
+    """
     exact = _solved(blocks, SADDLE, beta)
     if exact is None or not any(exact.forces):
         return {}
@@ -179,8 +191,8 @@ def _force_errors(blocks: Blocks, system: str, approximate: bool, beta: Fraction
 
 
 def _last_place(blocks: Blocks, u: Row) -> float:
-    """ulp of the largest length that meets at a closed contact."""
-    lengths = [abs(x * y) for row in blocks.held for x, y in zip(row, u, strict=True)]
+    """Return the ulp of the largest length that meets at a closed contact."""
+    lengths = [abs(x * y) for row in blocks.constraint_rows for x, y in zip(row, u, strict=True)]
     return float(np.spacing(float(max([*lengths, *(abs(g) for g in blocks.gap)]))))
 
 
@@ -203,8 +215,9 @@ def _solved(blocks: Blocks, name: str, beta: Fraction) -> _Solved | None:
     n = len(blocks.stiffness)
     if name != PENALTY:
         return _Solved(x[:n], x[n:], changes[n:])
-    forces = [beta * (dot(row, x) - g) for row, g in zip(blocks.held, blocks.gap, strict=True)]
+    forces = [beta * (dot(row, x) - g) for row, g in zip(blocks.constraint_rows, blocks.gap, strict=True)]
     moved = [
-        beta * (dot([abs(a) for a in row], changes) + abs(g)) for row, g in zip(blocks.held, blocks.gap, strict=True)
+        beta * (dot([abs(a) for a in row], changes) + abs(g))
+        for row, g in zip(blocks.constraint_rows, blocks.gap, strict=True)
     ]
     return _Solved(x, forces, moved)

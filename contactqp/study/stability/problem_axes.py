@@ -32,7 +32,7 @@ EXAMINED = 100
 
 
 def pose_contact_count(count: float, *, pressed: int | None) -> AxisProblem:
-    """Strings of five nodes beside each other, each node over the floor; `pressed` of the strings, or all, lie on it.
+    """Return strings of five nodes beside each other over a floor, on which `pressed` of them, or all, lie.
 
     One contact is a single node. λ* and u* are chosen, and f = K u* + E'λ* has few bits.
     """
@@ -53,7 +53,7 @@ def _constructed(K: sp.csr_array, u: np.ndarray, force: np.ndarray, gap: np.ndar
     problem = ContactProblem(K if len(u) > BLOCK else K.toarray(), K @ u + E.T @ force, E, gap)
     closed = np.flatnonzero(force)
     source = "constructed of numbers of few bits: f = K u* + E'λ* is exact"
-    truth = SweptTruth(problem, u, force, np.zeros(0), source, held=True)
+    truth = SweptTruth(problem, u, force, np.zeros(0), source, supported=True)
     rows = E[closed].toarray() if len(u) <= EXAMINED else None
     return AxisProblem(problem, truth, (), tuple(int(i) for i in closed), rows, rows)
 
@@ -85,7 +85,7 @@ CRITICAL = Fraction(1, 2)  # K11 / |K12|
 
 
 def pose_friction(ratio: float) -> AxisProblem:
-    """Klarbring's node, K = [[1, -2], [-2, 5]], on a rough floor, with μ = ratio / 2 and the push P = (μ + 1/2) / 2.
+    """Return Klarbring's node, K = [[1, -2], [-2, 5]], on a rough floor, with μ = ratio / 2, push P = (μ + 1/2) / 2.
 
     Sliding, u_x = (P - μ) / (1 - 2 μ) = 1/4 and λ_N = 1/2 whatever μ is. Beyond the critical 1/2 the node may also
     stick (λ_N = 1, λ_T = P < μ) or be lifted (u_z = 2 P - 1 > 0) under the same load.
@@ -132,7 +132,7 @@ NORMAL, TANGENT = [[3.0, -4.0]], [[4.0, 3.0]]  # along (-3, 4) / 5 and along the
 
 
 def pose_incline(ratio: float) -> AxisProblem:
-    """A rigid block of weight 25 without any spring on an incline of slope 3/4, μ = ratio × 3/4.
+    """Return a rigid block of weight 25 without any spring on an incline of slope 3/4, μ = ratio × 3/4.
 
     It is held by λ_N = 4 and λ_T = -3 (forces of rows of length 5: 20 and 15 N) wherever μ >= 3/4.
     """
@@ -168,14 +168,14 @@ VALUES = tuple(sorted([10.0**k for k in range(25)] + [float(f"1e{k}") * 3.0 for 
 
 
 def truss() -> ContactProblem:
-    """Two bars over a smooth floor (Example 2.10): kN and m."""
+    """Return two bars over a smooth floor (Example 2.10), in kN and m."""
     return ContactProblem(
         stiffness=STIFFNESS, load=LOAD, normal=[[0.0, -1.0]], gap=[GAP], units={"length": "m", "force": "kN"}
     )
 
 
 def closed_form() -> ExactAnswer:
-    """u_x = (f_x + K12 g) / K11, u_z = -g, λ = K12 u_x - K22 g - f_z, of the doubles as they stand."""
+    """Return u_x = (f_x + K12 g) / K11, u_z = -g, λ = K12 u_x - K22 g - f_z from the doubles of the data, exactly."""
     (k11, k12), (_, k22) = ((Fraction(x) for x in row) for row in STIFFNESS)
     g, (fx, fz) = Fraction(GAP), (Fraction(x) for x in LOAD)
     ux = (fx + k12 * g) / k11
@@ -183,7 +183,7 @@ def closed_form() -> ExactAnswer:
 
 
 def pose_penalty_stiffness(_: float) -> AxisProblem:
-    """The same problem for every β."""
+    """Return the truss, which is the same problem for every β."""
     return problem_with_closed(truss(), [0])
 
 
@@ -205,10 +205,10 @@ PENALTY_STIFFNESS = Axis(
 
 
 def pose_redundancy(angle: float) -> AxisProblem:
-    """A node held by springs, pressed into the corner of (0, -1) and (θ, -1): u = (0, -1), λ = (3, 5) while θ > 2^-50.
+    """Return a node on springs that is pressed into the corner of the normals (0, -1) and (θ, -1).
 
-    f = K u + E'λ = (1 + 5 θ, -13): what tells the two forces apart is the angle, 5 θ beside 1. From θ = 2^-51 on it
-    is no double; then, as when the angle is lost, the problem is that of the rounded load.
+    u = (0, -1) and λ = (3, 5) while θ > 2^-50. Only the angle distinguishes the two forces: f = K u + E'λ = (1 + 5 θ,
+    -13), 5 θ beside 1. From θ = 2^-51 on 1 + 5 θ is no double, and the problem is that of the rounded load.
     """
     problem = ContactProblem(
         [[4.0, -1.0], [-1.0, 5.0]], [1.0 + 5.0 * angle, -13.0], [[0.0, -1.0], [angle, -1.0]], [1.0, 1.0]
@@ -255,14 +255,14 @@ GAPS = (2e-3, 6e-3)  # m
 
 
 def in_metres() -> tuple[list[list[float]], tuple[float, ...], tuple[float, ...]]:
-    """K of deflections and slopes (w1, θ1, w2, θ2) of a clamped beam of two elements, loads and gaps, in N and m."""
+    """Return K of deflections and slopes (w1, θ1, w2, θ2) of a clamped beam, loads and gaps, in N and m."""
     a, b, c = 12 * BENDING / LENGTH**3, 6 * BENDING / LENGTH**2, 2 * BENDING / LENGTH
     K = [[2 * a, 0.0, -a, b], [0.0, 4 * c, -b, c], [-a, -b, a, -b], [b, c, -b, 2 * c]]
     return K, LOADS, GAPS
 
 
 def pose_unit_systems(index: float) -> AxisProblem:
-    """The beam on two stops in the units of this place in the list; slopes keep their numbers."""
+    """Return the beam on two stops in the units at this place of `UNITS`; slopes keep their numbers."""
     length, force = list(UNITS.values())[int(index)]
     K, f, g = in_metres()
     size = (1.0, length, 1.0, length)  # of a moment beside a force, and of a deflection's inverse beside a slope

@@ -1,7 +1,4 @@
-"""The table of the axes of stability.
-
-The cells of the study, one method at one value of an axis, and the rows of its table that they become.
-"""
+"""The stability study: its axes, its cells (one method at one value of an axis), and the rows that they become."""
 
 from __future__ import annotations
 
@@ -19,56 +16,39 @@ from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
 from contactqp.study.attempt import DEFAULT_TOLERANCE, Setting, answer, chosen_methods, contact_stiffness
-from contactqp.study.rows import Row, as_dicts, column, columns_of
+from contactqp.study.rows import Row, as_dicts, column, columns_of, finite
 from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
+from contactqp.study.stability import body_axes, problem_axes
 from contactqp.study.stability.axis_problem import Axis, AxisProblem, certificate_statement
-from contactqp.study.stability.body_axes import (
-    GAP_RATIO,
-    GRAZING,
-    LOAD_RATIO,
-    MASS_RATIO,
-    MESH_GRADING,
-    SINGULAR_STIFFNESS,
-    STIFFNESS_CONTRAST,
-)
 from contactqp.study.stability.condition import UNIT_ROUNDOFF, Prediction, predict
-from contactqp.study.stability.problem_axes import (
-    CLOSED_CONTACTS,
-    CONTACTS,
-    FRICTION,
-    INCLINE,
-    PENALTY_STIFFNESS,
-    REDUNDANCY,
-    UNIT_SYSTEMS,
-)
 from contactqp.study.truth import ERROR_TOLERANCE
 
 AXES: tuple[Axis, ...] = (
-    PENALTY_STIFFNESS,
-    STIFFNESS_CONTRAST,
-    SINGULAR_STIFFNESS,
-    MESH_GRADING,
-    GAP_RATIO,
-    LOAD_RATIO,
-    GRAZING,
-    REDUNDANCY,
-    FRICTION,
-    INCLINE,
-    MASS_RATIO,
-    UNIT_SYSTEMS,
-    CONTACTS,
-    CLOSED_CONTACTS,
+    problem_axes.PENALTY_STIFFNESS,
+    body_axes.STIFFNESS_CONTRAST,
+    body_axes.SINGULAR_STIFFNESS,
+    body_axes.MESH_GRADING,
+    body_axes.GAP_RATIO,
+    body_axes.LOAD_RATIO,
+    body_axes.GRAZING,
+    problem_axes.REDUNDANCY,
+    problem_axes.FRICTION,
+    problem_axes.INCLINE,
+    body_axes.MASS_RATIO,
+    problem_axes.UNIT_SYSTEMS,
+    problem_axes.CONTACTS,
+    problem_axes.CLOSED_CONTACTS,
 )
 
 
 def find_axis(name: str) -> Axis:
-    """The axis of that name.
+    """Return the axis of that name.
 
     Raises
     ------
     InvalidProblem
-        There is none; the names are given.
+        There is none; the message lists the names.
     """
     for axis in AXES:
         if axis.name == name:
@@ -90,7 +70,7 @@ ALL_DIGITS = -math.log10(UNIT_ROUNDOFF)
 
 
 def digits_lost(error: float | None) -> float | None:
-    """log₁₀ of the error over 2⁻⁵³, from 0 to 15.95, where none is left; None without an error."""
+    """Return log₁₀ of the error over 2⁻⁵³, from 0 to 15.95, where no digit is right; None without an error."""
     if error is None or math.isnan(error):
         return None
     if error <= UNIT_ROUNDOFF:
@@ -152,17 +132,16 @@ class StabilityRow:
     @property
     def error(self) -> float | None:
         """The larger of the errors in u and in λ."""
-        known = [x for x in (self.error_displacement, self.error_force) if x is not None]
-        return max(known, default=None)
+        return max((x for x in (self.error_displacement, self.error_force) if x is not None), default=None)
 
     @property
     def right(self) -> bool:
-        """Whether it ended as it should."""
+        """Whether the outcome is right."""
         return self.verdict == report_rows.RIGHT
 
     @property
     def wrong(self) -> bool:
-        """Whether the certificate passed what is wrong: must never happen."""
+        """Whether the certificate passed a wrong answer, which must never happen."""
         return self.verdict == report_rows.WRONG
 
 
@@ -170,18 +149,18 @@ COLUMNS: Mapping[str, str] = columns_of(StabilityRow)
 
 
 def is_small(error: float | None) -> bool:
-    """Whether an error is one that a certificate must let pass."""
+    """Return whether a certificate must pass an answer with this error."""
     return error is not None and error <= ERROR_TOLERANCE
 
 
 def short_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
-    """The same without what is empty: `StabilityRow(**row)` gives the row back."""
+    """Return rows as plain data without empty entries: `StabilityRow(**row)` makes the row again."""
     empty = asdict(StabilityRow())
     return [{key: value for key, value in row.items() if value != empty[key]} for row in as_dicts(rows)]
 
 
 def to_csv(rows: Iterable[StabilityRow]) -> str:
-    """Comma-separated values with a header; numbers with all their digits, None as nothing."""
+    """Return comma-separated values with a header; numbers have all their digits, None is empty."""
     return report_rows.to_csv(rows, COLUMNS)
 
 
@@ -193,7 +172,7 @@ PATIENCE = 5.0
 
 @dataclass(frozen=True)
 class Cell:
-    """One row to be made: `stability_row(*arguments)`."""
+    """One row to be computed by `stability_row(*arguments)`."""
 
     axis: str
     value: float
@@ -202,7 +181,7 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """The same in every run."""
+        """The name of the cell, the same in every run."""
         return f"stability/{self.axis}={self.value!r}/{self.method}{'/' if self.variant else ''}{self.variant}"
 
     @property
@@ -212,7 +191,7 @@ class Cell:
 
 
 def cells(axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None) -> Iterator[Cell]:
-    """Every method at every value of every axis, missing ones too; on the axis of a knob the methods that have it."""
+    """Yield every method at every value of every axis, missing methods too; an axis of a knob has its methods only."""
     for axis in axes:
         for value in axis.values:
             for method in chosen_methods(methods):
@@ -224,28 +203,50 @@ def cells(axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None) -> 
 
 
 def runnable(cell: Cell) -> RunningCell:
-    """The cell as what runs cells takes it."""
+    """Return the cell in the form in which `run_cells` takes it."""
     return RunningCell(cell.key, stability_row, cell.arguments, StabilityRow)
 
 
 def row_of(cell: Cell, found: StabilityRow | Crash) -> StabilityRow:
-    """The row of a cell; of one whose process died, what is known of it all the same."""
+    """Return the row of a cell, or of the crash that ended it."""
     if not isinstance(found, Crash):
         return found
-    [chosen] = chosen_methods([cell.method])
-    known: dict[str, Any] = dict(axis=cell.axis, value=cell.value, label=find_axis(cell.axis).label(cell.value))
-    known |= dict(method=chosen.name, kind=chosen.kind, promises_exact=chosen.exact, variant=cell.variant)
-    return StabilityRow(**known, verdict=report_rows.CRASHED, message=found.message)
+    axis, [method] = find_axis(cell.axis), chosen_methods([cell.method])
+    columns = _cell_columns(axis, cell.value, method, cell.variant)
+    return StabilityRow(**columns, verdict=report_rows.CRASHED, message=found.message)
+
+
+def _cell_columns(axis: Axis, value: float, method: Method, variant: str) -> dict[str, Any]:
+    return dict(
+        axis=axis.name,
+        value=value,
+        label=axis.label(value),
+        method=method.name,
+        kind=method.kind,
+        promises_exact=method.exact,
+        variant=variant,
+    )
 
 
 def stability_row(axis: str, value: float, method: str, variant: str = "") -> StabilityRow:
-    """One cell: the problem posed, the method run, its answer held against the truth, the prediction beside it."""
+    """Solve the problem at one value of an axis by one method, and compare the answer with the truth and prediction.
+
+    Parameters
+    ----------
+    axis : str
+        Name of the axis.
+    value : float
+        One of its values.
+    method : str
+        Name of the method.
+    variant : str
+        "uzawa" or empty.
+    """
     swept, [chosen] = find_axis(axis), chosen_methods([method])
-    known: dict[str, Any] = dict(axis=axis, value=value, label=swept.label(value), variant=variant)
-    known |= dict(method=chosen.name, kind=chosen.kind, promises_exact=chosen.exact)
+    columns = _cell_columns(swept, value, chosen, variant)
     if chosen.installed and value > swept.largest:
         message = f"tried up to {swept.largest:.6g} {swept.quantity}: {swept.why_largest}"
-        return StabilityRow(**known, verdict=CUT_OFF, message=message)
+        return StabilityRow(**columns, verdict=CUT_OFF, message=message)
     posed = _axis_problem(axis, value)
     setting = _setting(posed, swept, value, chosen, variant)
     solutions: list[Solution] = []
@@ -255,7 +256,7 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
     stiffness = None if setting.knob == "tolerance" else setting.value
     prediction = predict(posed, chosen, variant, stiffness) if chosen.installed else Prediction("")
     return StabilityRow(
-        **known,
+        **columns,
         **_problem_columns(posed),
         **_attempt_columns(found, posed, solutions),
         **_prediction_columns(prediction),
@@ -283,14 +284,13 @@ def _setting(posed: AxisProblem, axis: Axis, value: float, method: Method, varia
 
 
 def _problem_columns(posed: AxisProblem) -> dict[str, Any]:
-    rubs = posed.problem.frictional
-    count = len(posed.exact) if rubs else None
+    count = len(posed.exact) if posed.problem.frictional else None
     return dict(unknowns=posed.problem.dimension, contacts=posed.problem.contacts, equilibria=count)
 
 
 def _attempt_columns(found: Row, posed: AxisProblem, solutions: Sequence[Solution]) -> dict[str, Any]:
-    verdict, said = _verdict(found, posed, solutions)
-    known: dict[str, Any] = dict(
+    verdict, statement = _verdict(found, posed, solutions)
+    columns: dict[str, Any] = dict(
         knob=found.knob,
         knob_value=found.knob_value,
         verdict=verdict,
@@ -306,39 +306,35 @@ def _attempt_columns(found: Row, posed: AxisProblem, solutions: Sequence[Solutio
         certificate_passed=found.certificate_passed,
         bound_force=found.bound_force,
         seconds=found.seconds,
-        message=said or found.message,
+        message=statement or found.message,
     )
     if solutions:
-        known["largest_force"] = _finite(float(np.max(solutions[0].normal_force, initial=0.0)))
+        columns["largest_force"] = finite(float(np.max(solutions[0].normal_force, initial=0.0)))
     refused = found.verdict in (report_rows.REFUSED, report_rows.NOT_CONVERGED)
     if refused and posed.truth.exists and found.error_displacement is not None:
-        known["refused_right"] = is_small(found.error_displacement) and is_small(found.error_force)
-    return known
+        columns["refused_right"] = is_small(found.error_displacement) and is_small(found.error_force)
+    return columns
 
 
 def _verdict(found: Row, posed: AxisProblem, solutions: Sequence[Solution]) -> tuple[str, str]:
-    """The verdict, and what the certificate states of an error that it lets pass.
+    """Return the verdict, and the statement by which the certificate admits an error that it passes.
 
     Where there is no equilibrium, a refusal is the right answer.
     """
     if found.verdict == report_rows.REFUSED and not posed.truth.exists:
         return report_rows.RIGHT, ""
-    if found.verdict == report_rows.WRONG and (said := certificate_statement(posed.truth, solutions[0])):
-        return STATED, said
+    if found.verdict == report_rows.WRONG and (statement := certificate_statement(posed.truth, solutions[0])):
+        return STATED, statement
     return found.verdict, ""
 
 
 def _prediction_columns(prediction: Prediction) -> dict[str, Any]:
     return dict(
         system=prediction.system,
-        condition=_finite(prediction.condition),
+        condition=finite(prediction.condition),
         condition_missing=prediction.missing,
         predicted_digits_lost=prediction.digits_lost,
-        force_condition=_finite(prediction.force_condition),
+        force_condition=finite(prediction.force_condition),
         predicted_modelling=prediction.modelling,
-        predicted_error_force=_finite(prediction.error),
+        predicted_error_force=finite(prediction.error),
     )
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

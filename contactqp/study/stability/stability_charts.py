@@ -1,7 +1,4 @@
-"""Charts of an axis: curves of digits lost, and heat maps of methods by values.
-
-The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN.
-"""
+"""Charts of the stability study: curves of digits lost, heat maps of methods by values, and the best penalty."""
 
 from __future__ import annotations
 
@@ -21,33 +18,33 @@ from contactqp.study.stability.condition import UNIT_ROUNDOFF
 from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
 from contactqp.study.stability.stability_cells import ALL_DIGITS, CUT_OFF, STATED, StabilityRow, digits_lost
 
-# Pixels between the words at an axis and its title.
+# Pixels between the labels of an axis and its title.
 STANDOFF = 14
 
 
 def rows_drawn(rows: Sequence[StabilityRow]) -> tuple[StabilityRow, ...]:
-    """Rows of methods that are installed."""
+    """Return the rows of methods that are installed."""
     return tuple(row for row in rows if row.verdict != report_rows.MISSING)
 
 
 def methods_of(rows: Sequence[StabilityRow]) -> tuple[str, ...]:
-    """Names with variants, in the order of the rows."""
+    """Return the names of methods with variants, in the order of the rows."""
     return tuple(dict.fromkeys(row.name for row in rows))
 
 
 def is_logarithmic(axis: Axis) -> bool:
-    """Whether the values can be told apart on a logarithmic scale, or are to stand side by side."""
+    """Return whether the values are drawn on a logarithmic scale; else they are categories side by side."""
     near = any(0 < abs(value - 1.0) < NEXT_TO_ONE for value in axis.values)
     return not axis.labels and min(axis.values) > 0 and not near
 
 
 def place(axis: Axis, value: float) -> float | str:
-    """Return what a value is drawn at: itself, or its words."""
+    """Return the place of a value on its axis: itself, or its label."""
     return value if is_logarithmic(axis) else axis.label(value)
 
 
 def horizontal(axis: Axis) -> dict[str, Any]:
-    """The horizontal axis of a curve."""
+    """Return the horizontal axis of a curve."""
     if is_logarithmic(axis):
         return dict(title=dict(text=axis.quantity), type="log", exponentformat="power")
     labels = [axis.label(value) for value in axis.values]
@@ -55,13 +52,13 @@ def horizontal(axis: Axis) -> dict[str, Any]:
 
 
 def sideways(axis: Axis) -> dict[str, Any]:
-    """The horizontal axis of a table of cells: values side by side."""
+    """Return the horizontal axis of a heat map, whose values stand side by side."""
     title = dict(text=axis.quantity, standoff=STANDOFF)
     return dict(title=title, type="category", tickangle=-60, automargin=True)
 
 
 def short(value: float | None) -> str:
-    """A number in a cell or a hint."""
+    """Return a number as the text of a cell or a hint."""
     return "" if value is None else f"{value:.3g}"
 
 
@@ -70,15 +67,13 @@ PREDICTED, DASHES = (
     "#767676",
     ("6px,3px", "2px,2px", "8px,2px,2px,2px", "12px,3px", "2px,6px", "12px,2px,2px,2px", "4px"),
 )
-# Curves of digits lost, with what was predicted beside them.
-
-# Names are long: they stand below, where a narrow screen has room.
+# Names are long, and stand below, where a narrow screen has room.
 LEGEND = dict(orientation="h", yanchor="top", y=-0.2)
 HEIGHT = 560  # pixels
 
 
 def digits_curves(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
-    """Digits lost in λ over the axis, a curve a method, and the predictions of the systems that they solve."""
+    """Return the curves of digits lost in λ over the axis by method, and of the losses predicted for their systems."""
     shown = rows_drawn(rows)
     traces = [_measured(axis, name, shown) for name in methods_of(shown)]
     systems = dict.fromkeys(row.system for row in shown if row.predicted_digits_lost is not None)
@@ -106,7 +101,18 @@ def _measured(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> dict[str, 
 
 
 def curve(axis: Axis, name: str, rows: Sequence[StabilityRow], heights: Sequence[float | None]) -> dict[str, Any]:
-    """One method over the axis, in its own style."""
+    """Return the curve of one method over the axis, in its own style.
+
+    Parameters
+    ----------
+    axis : Axis
+    name : str
+        The method with its variant.
+    rows : sequence of StabilityRow
+        The points of the curve.
+    heights : sequence of float or None
+        The ordinates of the points.
+    """
     method, variant = (rows[0].method, rows[0].variant) if rows else (name, "")
     style = method_style(method)
     return dict(
@@ -125,13 +131,13 @@ def curve(axis: Axis, name: str, rows: Sequence[StabilityRow], heights: Sequence
 
 def _predicted(axis: Axis, system: str, rows: Sequence[StabilityRow], dash: str) -> dict[str, Any]:
     found = {row.value: row.predicted_digits_lost for row in rows if row.system == system}
-    known = [value for value in axis.values if found.get(value) is not None]
+    values = [value for value in axis.values if found.get(value) is not None]
     return dict(
         type="scatter",
         mode="lines",
         name=f"predicted: log₁₀ κ({system})",
-        x=[place(axis, value) for value in known],
-        y=[found[value] for value in known],
+        x=[place(axis, value) for value in values],
+        y=[found[value] for value in values],
         line=dict(color=PREDICTED, dash=dash),
         hovertemplate="%{fullData.name}, %{x}: %{y:.3g}<extra></extra>",
         meta=dict(method=None, variant=None),
@@ -143,10 +149,8 @@ def _line(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> tuple[str, ...
     return (name, *(short(found.get(value)) for value in axis.values))
 
 
-# Two tables of cells for each axis: digits lost, and how it ended; a row a method, a column a value.
-
-# One letter a verdict, so that no colour is needed, and one colour from Okabe's and Ito's palette; half transparent, so
-# that the letters, in the page's own colour, are seen on light and on dark pages.
+# The letter of each verdict, so that no colour is needed, and a colour from Okabe's and Ito's palette, which is half
+# transparent, so that the letters, in the page's own colour, are legible on light and on dark pages.
 LETTERS: Mapping[str, tuple[str, str]] = {
     report_rows.RIGHT: ("R", "rgba(0,158,115,0.45)"),
     report_rows.APPROXIMATE: ("A", "rgba(86,180,233,0.45)"),
@@ -159,13 +163,13 @@ LETTERS: Mapping[str, tuple[str, str]] = {
     CUT_OFF: ("C", "rgba(128,128,128,0.1)"),
     report_rows.WRONG: ("W", "rgba(255,0,0,0.8)"),
 }
-# One hue, from nothing to all: of any colour vision, and of light and dark pages.
+# One hue from transparent to opaque, for any colour vision and for light and dark pages.
 LOST = [[0.0, "rgba(0,114,178,0.0)"], [1.0, "rgba(0,114,178,0.8)"]]
 ROW_HEIGHT, FRAME = 22, 190  # pixels
 
 
 def digits_heat_map(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
-    """Digits lost in u or λ, the worse of them."""
+    """Return the heat map of digits lost in u or λ, whichever has lost more."""
     grid = _Grid(axis, rows)
     trace = grid.trace(_worst_digits) | dict(
         colorscale=LOST,
@@ -192,7 +196,7 @@ def digits_heat_map(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
 
 
 def verdict_heat_map(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
-    """How each cell ended, a letter in each."""
+    """Return the heat map of verdicts, a letter in each cell."""
     grid, names = _Grid(axis, rows), list(LETTERS)
     count = len(names)
     colours = [colour for _, colour in LETTERS.values()]
@@ -213,12 +217,11 @@ def verdict_heat_map(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
 
 
 def _worst_digits(row: StabilityRow) -> float | None:
-    known = [x for x in (row.digits_lost_displacement, row.digits_lost_force) if x is not None]
-    return max(known, default=None)
+    return max((x for x in (row.digits_lost_displacement, row.digits_lost_force) if x is not None), default=None)
 
 
 class _Grid:
-    """The rows of one axis in their places."""
+    """The rows of one axis as a grid of methods by values."""
 
     def __init__(self, axis: Axis, rows: Sequence[StabilityRow]) -> None:
         self._axis, shown = axis, rows_drawn(rows)
@@ -227,7 +230,7 @@ class _Grid:
         self.labels = tuple(axis.label(value) for value in axis.values)
 
     def cells(self, of: Any, missing: Any = "") -> list[list[Any]]:
-        """A line a method, a cell a value; `missing` where nothing was tried."""
+        """Return a line for each method and a cell for each value; `missing` where nothing was tried."""
         found = self._found
         return [
             [of(found[name, value]) if (name, value) in found else missing for value in self._axis.values]
@@ -235,11 +238,11 @@ class _Grid:
         ]
 
     def lines(self, of: Any) -> tuple[tuple[str, ...], ...]:
-        """The same with the methods' names in front, for those who read."""
+        """Return the cells with the methods' names in front, as lines of a table."""
         return tuple((name, *line) for name, line in zip(self._methods, self.cells(of), strict=True))
 
     def trace(self, of: Any) -> dict[str, Any]:
-        """The cells with what they say when one points at them."""
+        """Return the trace of the heat map with the hints of its cells."""
         return dict(
             type="heatmap",
             x=list(self.labels),
@@ -252,7 +255,7 @@ class _Grid:
         )
 
     def figure(self, trace: dict[str, Any]) -> dict[str, Any]:
-        """The trace in a layout whose first method stands above."""
+        """Return the trace in a layout whose first method stands on top."""
         layout = dict(
             xaxis=sideways(self._axis),
             yaxis=dict(
@@ -264,7 +267,7 @@ class _Grid:
 
 
 def _hint(row: StabilityRow) -> str:
-    said = [row.verdict]
+    lines = [row.verdict]
     for name, value in (
         ("error in u", row.error_displacement),
         ("error in λ", row.error_force),
@@ -272,11 +275,11 @@ def _hint(row: StabilityRow) -> str:
         ("digits lost in λ before polish", row.raw_digits_lost_force),
         (f"κ of {row.system}", row.condition),
     ):
-        said += [f"{name} {value:.2g}"] if value is not None else []
-    return "<br>".join(said)
+        lines += [f"{name} {value:.2g}"] if value is not None else []
+    return "<br>".join(lines)
 
 
-# The best penalty β: where what it leaves out and what it loses to rounding are together the least.
+# The best penalty β is where the errors of modelling and rounding have the least sum.
 #
 # In exact arithmetic the force is λ β / (S + β): the relative error S / (S + β), about S / β, falls with β. In doubles
 # λ = β (E u − g), a difference of lengths of the size of the gap: it is a multiple of β ulp(g), so that the relative
@@ -287,28 +290,28 @@ def _hint(row: StabilityRow) -> str:
 
 @dataclass(frozen=True)
 class BestPenalty:
-    """The best penalty of a single contact [force / length]."""
+    """The best penalty of a single contact, and the error of any other."""
 
-    stiffness: float  # S, which the contact feels
-    force: float  # λ
-    last_place: float  # ulp(g), the spacing of doubles at the gap
+    stiffness: float  # S, of the body at the contact [force / length]
+    force: float  # λ [force]
+    last_place: float  # ulp(g), the spacing of doubles at the gap [length]
 
     @property
     def penalty(self) -> float:
-        """√(S λ / ulp(g))."""
+        """The best penalty √(S λ / ulp(g)) [force / length]."""
         return math.sqrt(self.stiffness * self.force / self.last_place)
 
     @property
     def error(self) -> float:
-        """2 √(S ulp(g) / λ)."""
+        """The relative error 2 √(S ulp(g) / λ) of the best penalty."""
         return 2 * math.sqrt(self.stiffness * self.last_place / self.force)
 
     def error_at(self, penalty: float) -> float:
-        """S / (S + β) + β ulp(g) / λ."""
+        """Return the predicted relative error S / (S + β) + β ulp(g) / λ of a penalty β."""
         return self.stiffness / (self.stiffness + penalty) + penalty * self.last_place / self.force
 
     def quantum(self, penalty: float) -> Fraction:
-        """β ulp(g), exactly: the forces that the textbook's λ = β (E u − g) can have are its multiples."""
+        """Return β ulp(g) exactly: forces λ = β (E u − g) in doubles are multiples of it."""
         return Fraction(penalty) * Fraction(self.last_place)
 
 
@@ -327,7 +330,7 @@ TABLE_END = 1e20
 
 
 def penalty_valley(rows: Sequence[StabilityRow]) -> Chart:
-    """The error in λ over β and κ, of the methods that have them."""
+    """Return the chart of the error in λ over β and κ, of the methods that have them."""
     shown, best = rows_drawn(rows), best_penalty_of_truss()
     return Chart(
         name="stability-penalty-valley",
@@ -349,7 +352,7 @@ def _valley_caption(best: BestPenalty) -> str:
 
 
 def _valley_curves(rows: Sequence[StabilityRow]) -> list[dict[str, Any]]:
-    """What is drawn last lies on top: the penalty method itself."""
+    """Return the curves in reverse, so that the penalty method itself, drawn last, lies on top."""
     traces = []
     for name in reversed(methods_of(rows)):
         mine = [row for row in rows if row.name == name and row.error_force is not None]

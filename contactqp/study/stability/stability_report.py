@@ -1,7 +1,4 @@
-"""The study: its axes and rows, what they come to, as JSON and in words.
-
-`contactqp report --stability`: the study run, written to a folder and told on a terminal.
-"""
+"""`contactqp report --stability`: run the stability study, summarise it, and write its page, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -11,18 +8,17 @@ import json
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.attempt import chosen_methods
 from contactqp.study.curves import Chart
 from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
-from contactqp.study.page.render import Tile, missing_packages, render_study
+from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
 from contactqp.study.rows import aligned
 from contactqp.study.running.journal import Journal, source_digest
 from contactqp.study.running.runner import (
@@ -31,6 +27,7 @@ from contactqp.study.running.runner import (
     Stopped,
     progress,
     run_cells,
+    stopped_after,
     stopped_by_signals,
     workers_of,
 )
@@ -60,19 +57,17 @@ from contactqp.study.stability.stability_charts import (
     verdict_heat_map,
 )
 
-# Where each method is right, in words and numbers, computed from the rows of one axis.
-
 # An approximate method is called useful up to this error.
 USEFUL = 1e-3
 
 
 @dataclass(frozen=True)
 class SafeRange:
-    """One method on one axis."""
+    """The values of one axis at which one method is right, in numbers and in words."""
 
     axis: str
     method: str  # with its variant
-    lowest: float | None  # where it is right, the longest run of neighbouring values; None: nowhere
+    lowest: float | None  # of the longest run of neighbouring values at which it is right; None: nowhere
     highest: float | None
     everywhere: bool
     best: float | None  # the smallest error of u and λ together
@@ -82,7 +77,7 @@ class SafeRange:
 
 
 def safe_ranges(axis: Axis, rows: Sequence[StabilityRow]) -> tuple[SafeRange, ...]:
-    """One for each method that was tried on the axis."""
+    """Return the safe range of each method that was tried on the axis."""
     names = dict.fromkeys(row.name for row in rows if row.axis == axis.name and row.verdict != report_rows.MISSING)
     return tuple(_safe_range(axis, name, [r for r in rows if (r.axis, r.name) == (axis.name, name)]) for name in names)
 
@@ -90,10 +85,11 @@ def safe_ranges(axis: Axis, rows: Sequence[StabilityRow]) -> tuple[SafeRange, ..
 def _safe_range(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> SafeRange:
     tried = sorted((row for row in rows if row.verdict != CUT_OFF), key=lambda row: row.value)
     exact = all(row.promises_exact for row in tried)
-    runs = _runs(tried, _is_right if exact else _is_useful)
+    good = (lambda row: row.right) if exact else _is_useful
+    runs = [list(run) for is_good, run in itertools.groupby(tried, good) if is_good]  # of neighbours
     run = max(runs, key=len, default=[])
-    known = [(row.error, row.value) for row in tried if row.error is not None and row.verdict != report_rows.REFUSED]
-    best = min(known, default=(None, None))
+    errors = [(row.error, row.value) for row in tried if row.error is not None and row.verdict != report_rows.REFUSED]
+    best = min(errors, default=(None, None))
     refused = tuple(row.value for row in tried if row.verdict in _GIVEN_UP)
     whole = len(run) == len(tried)
     found = SafeRange(
@@ -111,7 +107,7 @@ def _safe_range(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> SafeRang
 
 
 def grouped(ranges: Sequence[SafeRange]) -> Iterator[str]:
-    """In words, methods that end alike together; those that are right everywhere last."""
+    """Yield the ranges in words, methods of the same words together, those that are right everywhere last."""
     alike: dict[str, list[str]] = {}
     for found in sorted(ranges, key=lambda found: found.everywhere):
         alike.setdefault(found.words, []).append(found.method)
@@ -122,17 +118,8 @@ def grouped(ranges: Sequence[SafeRange]) -> Iterator[str]:
 _GIVEN_UP = (report_rows.REFUSED, report_rows.NOT_CONVERGED, report_rows.BACKEND_FAILED)
 
 
-def _is_right(row: StabilityRow) -> bool:
-    return row.right
-
-
 def _is_useful(row: StabilityRow) -> bool:
     return row.right or (row.error is not None and row.error <= USEFUL and row.verdict == report_rows.APPROXIMATE)
-
-
-def _runs(rows: Sequence[StabilityRow], good: Callable[[StabilityRow], bool]) -> list[list[StabilityRow]]:
-    """Neighbouring rows that are good, together."""
-    return [list(run) for is_good, run in itertools.groupby(rows, good) if is_good]
 
 
 def _parts(
@@ -153,7 +140,7 @@ def _span(axis: Axis, lowest: float, highest: float) -> str:
 
 
 def _others(axis: Axis, rows: Sequence[StabilityRow]) -> Iterator[str]:
-    """Each other ending, with the values at which it was."""
+    """Yield each other ending, with the values at which it occurred."""
     endings = (*_GIVEN_UP, STATED, report_rows.UNSUPPORTED, CUT_OFF, report_rows.WRONG)
     for ending in endings:
         values = sorted(row.value for row in rows if row.verdict == ending)
@@ -168,7 +155,7 @@ SCHEMA, SCHEMA_VERSION = "contactqp-stability", 1
 
 @dataclass(frozen=True)
 class StabilityStudy:
-    """The axes, and every method at each of their values."""
+    """The results of the study: its axes, and every method at each of their values."""
 
     axes: tuple[Axis, ...]
     rows: tuple[StabilityRow, ...]
@@ -184,7 +171,7 @@ class StabilityStudy:
 
     @property
     def wrong(self) -> tuple[StabilityRow, ...]:
-        """What passed and is wrong, and the certificate says nothing: there must be none."""
+        """Wrong answers that passed without a statement of the certificate: there must be none."""
         return tuple(row for row in self.rows if row.wrong)
 
     @property
@@ -203,7 +190,7 @@ class StabilityStudy:
         return 1 if self.wrong else 0
 
     def cells(self) -> list[list[str]]:
-        """A table of the axes: how many rows ended how; headings first."""
+        """Return a table of the axes with the counts of each verdict, headings first."""
         endings = [name for name in VERDICTS if name != report_rows.MISSING]
         table = [["axis", "from", "to", *endings, "right answers refused"]]
         for axis in self.axes:
@@ -224,11 +211,11 @@ class StabilityStudy:
 
 
 def as_json(study: StabilityStudy) -> str:
-    """stability.json."""
-    written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **study.facts)
-    written |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=_summary_data(study))
-    written["axes"] = [_axis_data(study, axis) for axis in study.axes]
-    head = json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False).removesuffix("\n}")
+    """Return the text of stability.json."""
+    contents = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **study.facts)
+    contents |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=_summary_data(study))
+    contents["axes"] = [_axis_data(study, axis) for axis in study.axes]
+    head = json.dumps(contents, indent=1, allow_nan=False, ensure_ascii=False).removesuffix("\n}")
     rows = (json.dumps(row, allow_nan=False, ensure_ascii=False) for row in short_dicts(study.rows))
     return head + ',\n "rows": [\n  ' + ",\n  ".join(rows) + "\n ]\n}\n"
 
@@ -246,13 +233,19 @@ def _summary_data(study: StabilityStudy) -> dict[str, Any]:
 
 
 def _axis_data(study: StabilityStudy, axis: Axis) -> dict[str, Any]:
-    known: dict[str, Any] = dict(name=axis.name, title=axis.title, quantity=axis.quantity, about=axis.about)
-    known |= dict(values=list(axis.values), labels=list(axis.labels))
-    return known | dict(ranges=[asdict(found) for found in study.ranges(axis)])
+    return dict(
+        name=axis.name,
+        title=axis.title,
+        quantity=axis.quantity,
+        about=axis.about,
+        values=list(axis.values),
+        labels=list(axis.labels),
+        ranges=[asdict(found) for found in study.ranges(axis)],
+    )
 
 
 def terminal_lines(study: StabilityStudy) -> Iterator[str]:
-    """What the terminal gets to see."""
+    """Yield what is printed on the terminal."""
     yield aligned(study.cells())
     for axis in study.axes:
         yield f"\n{axis.title} ({axis.quantity})"
@@ -262,40 +255,20 @@ def terminal_lines(study: StabilityStudy) -> Iterator[str]:
     yield str(study)
 
 
-# The study as sections of a page: headings, words, charts, tables.
-
-
-class Table(NamedTuple):
-    """A table of a page."""
-
-    title: str
-    headings: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
-
-
-class Section(NamedTuple):
-    """A section of a page."""
-
-    heading: str
-    words: tuple[str, ...]
-    charts: tuple[Chart, ...]
-    tables: tuple[Table, ...]
-
-
 def stability_charts(study: StabilityStudy) -> tuple[Chart, ...]:
     """Return the charts of all sections."""
     return tuple(chart for section in stability_sections(study) for chart in section.charts)
 
 
 def stability_sections(study: StabilityStudy) -> tuple[Section, ...]:
-    """One section of what it all comes to, one for each axis, one of what was refused needlessly."""
+    """Return a section of the summary, one for each axis, and one of right answers that were refused."""
     return (_summary_section(study), *(_axis_section(study, axis) for axis in study.axes), *_needless_section(study))
 
 
 def _summary_section(study: StabilityStudy) -> Section:
     headings, *lines = study.cells()
-    table = Table("By axis", tuple(headings), tuple(tuple(line) for line in lines))
-    verdicts = Table("Verdicts", ("verdict", "meaning"), tuple(VERDICTS.items()))
+    table = TitledTable("By axis", tuple(headings), tuple(tuple(line) for line in lines))
+    verdicts = TitledTable("Verdicts", ("verdict", "meaning"), tuple(VERDICTS.items()))
     return Section("How it ended", (str(study),), (), (table, verdicts))
 
 
@@ -311,7 +284,7 @@ def _axis_section(study: StabilityStudy, axis: Axis) -> Section:
 
 
 def _best_penalty_words(study: StabilityStudy) -> Iterator[str]:
-    """The best β of the penalty method, measured and predicted."""
+    """Yield the best β of the penalty method, measured and predicted."""
     best = best_penalty_of_truss()
     found = {chosen.method: chosen for chosen in study.ranges(problem_axes.PENALTY_STIFFNESS)}.get("penalty")
     if found is not None and found.best is not None and found.best_value is not None:
@@ -322,18 +295,18 @@ def _best_penalty_words(study: StabilityStudy) -> Iterator[str]:
 
 
 def _needless_section(study: StabilityStudy) -> Sequence[Section]:
-    """Right answers that were refused, by reason."""
+    """Return the section of right answers that were refused, by reason; none where there are none."""
     if not study.refused_right:
         return ()
     reasons = Counter((row.axis, reason_of(row.message)) for row in study.refused_right)
     lines = tuple((axis, reason, str(count)) for (axis, reason), count in reasons.most_common())
-    table = Table("Right answers that were refused", ("axis", "reason", "rows"), lines)
+    table = TitledTable("Right answers that were refused", ("axis", "reason", "rows"), lines)
     words = f"{len(study.refused_right)} answers were right to 1e-6 and were refused all the same."
     return (Section("Refused, and right", (words,), (), (table,)),)
 
 
 def reason_of(message: str) -> str:
-    """What a refusal names first: a figure of the certificate, or the method's own words."""
+    """Return what a refusal names first: a figure of the certificate, or the method's own words."""
     words = message.removeprefix("expected otherwise: ").split(": ")
     if "the certificate refuses the answer" in words:
         return words[words.index("the certificate refuses the answer") + 1]
@@ -341,12 +314,12 @@ def reason_of(message: str) -> str:
 
 
 JOURNAL = "unfinished_stability.jsonl"
-# In this process, whose methods are those of its registry.
+# By default the study runs in this process, which has the methods that its user registered.
 HERE = Running(jobs=0)
 
 
 def report_stability(output: str, running: Running = HERE) -> int:
-    """The study of the command line: runs, writes, says what it found, and returns the exit code."""
+    """Run and write the study of the command line, print what it found, and return the exit code."""
     try:
         study, files, notes = write_stability(output, running=running)
     except Stopped as stop:
@@ -366,9 +339,20 @@ def write_stability(
     *,
     running: Running = HERE,
 ) -> tuple[StabilityStudy, tuple[Path, ...], tuple[str, ...]]:
-    """Every method at every value of every axis: stability.html, stability.csv and stability.json in a folder.
+    """Run every method at every value of every axis, and write stability.html, .csv and .json to a folder.
 
     What is found streams to ``unfinished_stability.jsonl`` there; after an interruption the same call goes on.
+
+    Parameters
+    ----------
+    output : path
+        The folder, made if need be.
+    axes : sequence of Axis
+        All by default.
+    methods : sequence of names, optional
+        All by default.
+    running : Running
+        Processes, time limit and display of progress.
 
     Returns
     -------
@@ -380,7 +364,7 @@ def write_stability(
     SceneError
         The folder cannot be written.
     Stopped
-        By Ctrl-C or SIGTERM; it says how far it was.
+        The study was interrupted by Ctrl-C or SIGTERM; the message says how far it was.
     """
     folder = report_folder(output)
     with stopped_by_signals(), workers_of(running) as workers:
@@ -389,7 +373,7 @@ def write_stability(
         with (
             unfinished(folder, conditions, running.fresh, JOURNAL) as journal,
             progress(running.shown) as bar,
-            _told_how_far(journal),
+            stopped_after(lambda: f"interrupted: {journal.count} rows found"),
         ):
             rows = run_study(axes, methods, workers, journal, bar, running.time_limit)
             created = dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
@@ -412,21 +396,24 @@ def run_study(
     bar: Progress,
     time_limit: float,
 ) -> tuple[StabilityRow, ...]:
-    """All cells, side by side: their times are no part of what is studied."""
+    """Run all cells side by side, since their times are not studied, and return their rows.
+
+    Parameters
+    ----------
+    axes : sequence of Axis
+    methods : sequence of names or None
+        None for all.
+    workers : Workers
+    journal : Journal
+    bar : Progress
+    time_limit : float
+        Limit for each cell [s].
+    """
     todo = list(cells(axes, methods))
     bar.part("stability", later=lambda: 0.0)
     with workers.side_by_side() as pool:
         found = run_cells([runnable(cell) for cell in todo], pool, journal, watcher=bar, time_limit=time_limit)
     return tuple(row_of(cell, found[cell.key]) for cell in todo)
-
-
-@contextmanager
-def _told_how_far(journal: Journal) -> Iterator[None]:
-    """An interruption says what is done."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        raise Stopped(f"interrupted: {journal.count} rows found; the same command goes on from there", stop) from None
 
 
 def _facts(workers: Workers, methods: Sequence[str] | None) -> dict[str, Any]:
@@ -439,7 +426,7 @@ def _facts(workers: Workers, methods: Sequence[str] | None) -> dict[str, Any]:
 
 
 def page_of(study: StabilityStudy) -> str:
-    """stability.html."""
+    """Return the text of stability.html."""
     command = shlex.join(["contactqp", "report", "--stability"])
     return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command)
 
