@@ -1,17 +1,13 @@
-"""Settings of methods that a study tries, and one attempt: solve with a setting, time it, compare it with the truth."""
+"""One attempt of a study: solve by a method with a setting, time it, and compare the answer with the truth."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -20,210 +16,13 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
-from contactqp.linalg.condensation import condense
-from contactqp.linalg.iteration import iterated
 from contactqp.model.problem import CARRIED, MEASURED, ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
-from contactqp.solving.methods import Method, find, methods
 from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row, finite
+from contactqp.study.settings import Setting, condensable
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
-
-# Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
-# lose a digit of the gap to rounding for each digit of accuracy.
-STIFFENINGS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
-TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
-# The tolerance that `solve` asks for by default.
-DEFAULT_TOLERANCE = 1e-9
-UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
-# What is tried on all unknowns where the contact unknowns alone would do: every setting, where condensation takes away
-# so many unknowns of at most so many; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
-WORTH_A_LADDER, WHOLE_LADDER, WHOLE_DEFAULT = 10, 1_000, 10_000
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One method with one value of its knob."""
-
-    method: Method
-    variant: str = ""  # "raw", "polished", "uzawa"
-    knob: str = ""
-    value: float | None = None  # None: the method's own default
-    options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of solve
-
-    @property
-    def whole(self) -> bool:
-        """Whether the method is to work on all unknowns, without condensation."""
-        return self.options.get("condense") is False
-
-    @property
-    def tolerance(self) -> float:
-        """The relative tolerance that is asked of the method."""
-        return float(self.options.get("tolerance", DEFAULT_TOLERANCE))
-
-    @property
-    def stands_for_exactness(self) -> bool:
-        """Whether the answer must be exact to the last digits, whatever the knob."""
-        return self.method.exact and (self.variant == "polished" or (self.variant == "" and self.value is None))
-
-
-def contact_stiffness(problem: ContactProblem) -> float:
-    """Return the largest 1 / Σ_j (E_ij² / K_jj) over the contacts [force / length].
-
-    An upper estimate of the stiffness that a contact feels, (E K⁻¹ Eᵀ)⁻¹, which also exists for bodies that float. An
-    unknown without stiffness of its own counts with the largest stiffness of the problem; without contacts, that is
-    the answer, and 1 if nothing has any stiffness.
-    """
-    diagonal = problem.diagonal
-    stiffest = float(diagonal.max()) or 1.0
-    compliance = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
-    return float(np.max(1.0 / compliance)) if problem.contacts else stiffest
-
-
-def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
-    """Return the methods of these names, all by default, installed or not.
-
-    Raises
-    ------
-    Unsupported
-        There is no method of that name; the nearest names are given.
-    """
-    by_name = {method.name: method for method in methods()}
-    return tuple(by_name.values()) if names is None else tuple(by_name.get(name) or find(name) for name in names)
-
-
-def single_settings(
-    problem: ContactProblem, method: Method, values: Sequence[float] | None = None
-) -> Iterator[Setting]:
-    """Yield the method as `solve` runs it, over the values of its knob if it has no default or if values are given."""
-    if not method.installed:
-        yield Setting(method)
-    elif values is not None:
-        yield from ladder(method, method.knob or "", values)
-    elif method.required:
-        yield from ladder(method, method.required[0], stiffness_ladder(problem))
-    elif method.knob == "tolerance":
-        yield from ladder(method, "tolerance", [DEFAULT_TOLERANCE])
-    else:
-        yield Setting(method, knob=method.knob or "")
-
-
-def all_settings(
-    problem: ContactProblem,
-    method: Method,
-    tolerances: Sequence[float] = TOLERANCES,
-    stated: Sequence[tuple[str, str, Sequence[float]]] = (),
-) -> Iterator[Setting]:
-    """Yield every variant of a method over the values of its knob.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-        The problem whose contact stiffness scales penalties and perturbations.
-    method : Method
-        The method; one that is not installed yields a single setting.
-    tolerances : sequence of float
-        Values for the methods whose knob is the tolerance; each is run raw and polished.
-    stated : sequence of (variant, knob, values)
-        Values that the case states for this method; they take the place of the default ones.
-    """
-    if not method.installed:
-        yield Setting(method)
-        return
-    for variant, knob, values in stated:
-        yield from ladder(method, knob, values, variant)
-    if method.required:
-        yield from () if stated else ladder(method, method.required[0], stiffness_ladder(problem))
-        return
-    if method.knob == "tolerance":
-        own = [values for _, knob, values in stated if knob == "tolerance"]
-        yield from () if own else ladder(method, "tolerance", tolerances, "polished")
-        yield from ladder(method, "tolerance", own[0] if own else tolerances, "raw")
-        return
-    yield Setting(method, knob=method.knob or "")
-    if method.polish and method.kind != "active set":
-        yield Setting(method, "raw", options={"polish": False})
-    if "update" in method.options:
-        yield from ladder(method, "iterations", UZAWA_ITERATIONS, "uzawa")
-
-
-def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Setting]:
-    """Yield one setting for each value of a knob.
-
-    Parameters
-    ----------
-    method : Method
-        The method that is set.
-    knob : str
-        "tolerance", "penalty", "perturbation" or "iterations".
-    values : sequence of float
-        Values of the knob, in the order of the settings.
-    variant : str
-        "raw", "polished" or "uzawa"; by default "polished" where the method polishes its answer.
-    """
-    variant = variant or ("polished" if method.polish else "")
-    for value in values:
-        option = {"max_iter": int(value)} if knob == "iterations" else {knob: float(value)}
-        yield Setting(method, variant, knob, float(value), option | _OF_VARIANTS.get(variant, {}))
-
-
-_OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa": {"update": "uzawa"}}
-
-
-def on_all_unknowns(problem: ContactProblem, settings: Iterable[Setting]) -> Iterator[Setting]:
-    """Yield the settings that are tried on the whole problem too, with ``condense=False``.
-
-    All of them are where condensation eliminates ten unknowns or more of at most 1000. Where it eliminates fewer both
-    problems are much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes
-    minutes: up to 10 000 the default of methods that keep matrices sparse is tried. Where nothing is condensed no
-    setting is.
-    """
-    n = problem.dimension
-    ladder_pays = n <= WHOLE_LADDER and n - len(_touched(problem)) >= WORTH_A_LADDER
-    for setting in settings:
-        usual = setting.value in (None, DEFAULT_TOLERANCE) and (n <= WHOLE_LADDER or setting.method.sparse)
-        if (ladder_pays or (usual and n <= WHOLE_DEFAULT)) and condensable(problem, setting.method):
-            yield replace(setting, options={**setting.options, "condense": False})
-
-
-def note_on_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
-    """Return in words which settings `on_all_unknowns` does not try on a problem; empty where it tries all."""
-    n, inside = problem.dimension, problem.dimension - len(_touched(problem))
-    if not any(condensable(problem, method) for method in methods):
-        return ""
-    if n > WHOLE_DEFAULT:
-        return f"{n} unknowns: no method is tried on all of them, only on those of contact"
-    if n > WHOLE_LADDER:
-        return f"{n} unknowns: on all of them only methods that keep matrices sparse are tried, at their default"
-    if inside >= WORTH_A_LADDER:
-        return ""
-    return f"condensation takes away {inside} of {n} unknowns: on all of them methods are tried at their default only"
-
-
-def condensable(problem: ContactProblem, method: Method) -> bool:
-    """Return whether the option `condense` of solve makes a difference to an installed method.
-
-    It makes none to the active set, whose every step is one on the contact unknowns, and none with friction.
-    """
-    bare = not problem.contacts and not problem.ties
-    if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
-        return False
-    if len(_touched(problem)) < problem.dimension or first_candidates(problem) is not None:
-        return True
-    return condense(problem).rigid.count > 0
-
-
-def _touched(problem: ContactProblem) -> NDArray[np.intp]:
-    """Return the unknowns that contacts and ties touch."""
-    return np.union1d(problem.normal.indices, problem.tie.indices)
-
-
-def stiffness_ladder(problem: ContactProblem) -> tuple[float, ...]:
-    """Return `STIFFENINGS` times the contact stiffness, rounded to two digits [force / length]."""
-    stiffness = contact_stiffness(problem)
-    return tuple(float(f"{factor * stiffness:.1e}") for factor in STIFFENINGS)
-
 
 # A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
 GENEROSITY = 100.0

@@ -20,19 +20,10 @@ from contactqp.scene.judging import answer_of, compare_expectation
 from contactqp.scene.scene import Scene, follow, load_scene
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
-from contactqp.study.attempt import (
-    TOLERANCES,
-    FollowHistory,
-    Setting,
-    Timing,
-    all_settings,
-    answer,
-    note_on_all_unknowns,
-    on_all_unknowns,
-    timing,
-)
+from contactqp.study.attempt import FollowHistory, Timing, answer, timing
 from contactqp.study.rows import Row
 from contactqp.study.running.journal import digest
+from contactqp.study.settings import TOLERANCES, Setting, all_settings, note_on_all_unknowns, on_all_unknowns
 from contactqp.study.truth import Truth, proven_solution, truth_of_solution
 
 # Expected values with a larger relative tolerance than this are no truth that errors are measured against.

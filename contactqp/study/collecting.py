@@ -21,7 +21,7 @@ from contactqp.linalg.schur import LastBlock
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
-from contactqp.study.attempt import ENOUGH, LONG, Setting, Timing, crashed, timed
+from contactqp.study.attempt import ENOUGH, LONG, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.footprint import Footprint, measure
 from contactqp.study.report_data import CaseRecord, record, unjudged
@@ -29,6 +29,7 @@ from contactqp.study.rows import CRASHED, Row
 from contactqp.study.running.journal import Cell, Crash, Journal, Result
 from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Pool, Workers
+from contactqp.study.settings import Setting
 from contactqp.study.truth import Truth
 
 # Timed linear solves at most, and the seconds after which their median is good enough.

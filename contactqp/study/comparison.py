@@ -10,8 +10,9 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.study.attempt import attempt, chosen_methods, single_settings
+from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
+from contactqp.study.settings import chosen_methods, single_settings
 from contactqp.study.truth import Reference, truth_of, truth_of_reference
 
 
@@ -59,7 +60,7 @@ def compare(
         The truth. By default the active-set solution, if its certificate proves it; without a truth, errors are None.
     knobs : mapping of method names to values, optional
         Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
-        the contact stiffness (`contactqp.study.attempt.contact_stiffness`); the others are run as `solve` runs them.
+        the contact stiffness (`contactqp.study.settings.contact_stiffness`); the others are run as `solve` runs them.
 
     Returns
     -------

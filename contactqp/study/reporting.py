@@ -12,7 +12,7 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
-from contactqp.study.attempt import ENOUGH, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
+from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.collecting import Collector
 from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
@@ -23,6 +23,7 @@ from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
+from contactqp.study.settings import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 
 REPEATS = 3
 HERE = Running()

@@ -14,7 +14,7 @@ from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows, truth
-from contactqp.study.attempt import STIFFENINGS, contact_stiffness
+from contactqp.study.settings import STIFFENINGS, contact_stiffness
 from tests.examples import body_on_spring_in_mid_air, two_bars
 
 OURS = ["active-set", "lagrange-multiplier", "augmented-lagrangian", "penalty"]

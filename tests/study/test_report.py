@@ -20,10 +20,10 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import reporting as report
 from contactqp.study import rows
-from contactqp.study.attempt import Setting, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.rows import Row
 from contactqp.study.running.runner import Running
+from contactqp.study.settings import Setting, chosen_methods
 from contactqp.study.truth import Truth
 
 HERE = Running(jobs=0)

@@ -10,14 +10,15 @@ import pytest
 import contactqp as cq
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import find
-from contactqp.study import attempt
+from contactqp.study import settings
+from contactqp.study.attempt import attempt
 from contactqp.study.case_study import CaseStudy, load_studies
 
 CASES = Path(__file__).parents[2] / "cases"
 
 
 def _study(name: str, *methods: str) -> CaseStudy:
-    (study,) = load_studies([CASES / f"{name}.toml"], attempt.chosen_methods(methods), (1e-3, 1e-9))
+    (study,) = load_studies([CASES / f"{name}.toml"], settings.chosen_methods(methods), (1e-3, 1e-9))
     return study
 
 
@@ -59,10 +60,10 @@ def test_rows_say_on_which_unknowns() -> None:
         study.settings[1],
         next(setting for setting in study.settings if setting.whole),
     )
-    row = attempt.attempt(study.problem, whole, truth)
+    row = attempt(study.problem, whole, truth)
     assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
-    assert attempt.attempt(study.problem, osqp, truth).condensed == "yes"
-    assert attempt.attempt(study.problem, active, truth).condensed == ""  # the active set works on contacts by itself
+    assert attempt(study.problem, osqp, truth).condensed == "yes"
+    assert attempt(study.problem, active, truth).condensed == ""  # the active set works on contacts by itself
 
 
 @pytest.mark.parametrize("name", ["two_bars", "klarbring_slides_back", "bar_impact"])
@@ -79,9 +80,9 @@ def test_large_problems_are_left_out_in_the_open() -> None:
     values = {}
     for size in (3, 30, 1100, 10100):
         problem = _chain(size)
-        tried = [setting for method in methods for setting in attempt.all_settings(problem, method)]
-        values[size] = [(r.method.name, r.value) for r in attempt.on_all_unknowns(problem, tried)]
-        assert bool(attempt.note_on_all_unknowns(problem, methods)) == (size != 30)
+        tried = [setting for method in methods for setting in settings.all_settings(problem, method)]
+        values[size] = [(r.method.name, r.value) for r in settings.on_all_unknowns(problem, tried)]
+        assert bool(settings.note_on_all_unknowns(problem, methods)) == (size != 30)
     assert values[3] == [("clarabel", 1e-9), ("clarabel", 1e-9), ("daqp", 1e-9), ("daqp", 1e-9)]
     assert len(values[30]) == 16
     assert values[1100] == [("clarabel", 1e-9), ("clarabel", 1e-9)]

@@ -10,9 +10,9 @@ import pytest
 
 from contactqp.study import reporting as report
 from contactqp.study import rows
-from contactqp.study.attempt import chosen_methods
 from contactqp.study.case_study import load_studies
 from contactqp.study.running.runner import Running
+from contactqp.study.settings import chosen_methods
 from contactqp.study.truth import Truth
 
 HERE = Running(jobs=0)

@@ -15,10 +15,11 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import DEFAULT_TOLERANCE, Setting, answer, chosen_methods, contact_stiffness
+from contactqp.study.attempt import answer
 from contactqp.study.rows import Row, as_dicts, column, columns_of, finite
 from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
+from contactqp.study.settings import DEFAULT_TOLERANCE, Setting, chosen_methods, contact_stiffness
 from contactqp.study.stability import body_axes, problem_axes
 from contactqp.study.stability.axis_problem import Axis, AxisProblem, certificate_statement
 from contactqp.study.stability.condition import UNIT_ROUNDOFF, Prediction, predict

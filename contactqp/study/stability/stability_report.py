@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import chosen_methods
 from contactqp.study.curves import Chart
 from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
@@ -32,6 +31,7 @@ from contactqp.study.running.runner import (
     workers_of,
 )
 from contactqp.study.running.workers import Workers
+from contactqp.study.settings import chosen_methods
 from contactqp.study.stability import problem_axes
 from contactqp.study.stability.axis_problem import Axis
 from contactqp.study.stability.stability_cells import (

@@ -7,12 +7,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from contactqp.study.attempt import chosen_methods
 from contactqp.study.case_study import load_studies
 from contactqp.study.curves import Chart
 from contactqp.study.page.case_view import facets_of
 from contactqp.study.report_data import CaseRecord, ReportData, record, summarise, unjudged
 from contactqp.study.rows import Row
+from contactqp.study.settings import chosen_methods
 
 CASES = Path(__file__).parents[3] / "cases"
 EVIL = """<script>alert(1)</script></script><img src=x onerror=alert(2)> "quoted" 'single' & {{ 7 * 7 }} λ→∞"""

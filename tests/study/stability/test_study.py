@@ -21,9 +21,9 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import condensable
 from contactqp.study.running.journal import Crash
 from contactqp.study.running.runner import Stopped
+from contactqp.study.settings import condensable
 from contactqp.study.stability import stability_cells as cells_module
 from contactqp.study.stability import stability_report as report_module
 from contactqp.study.stability.stability_cells import (
@@ -92,7 +92,7 @@ def test_very_many_contacts_are_not_condensed_onto_to_write_a_row(monkeypatch: p
         raise AssertionError("all contacts were condensed onto")
 
     problem = find_axis("contacts").pose(1e4).problem
-    monkeypatch.setattr("contactqp.study.attempt.condense", refuse)
+    monkeypatch.setattr("contactqp.study.settings.condense", refuse)
     assert condensable(problem, find("penalty"))
     monkeypatch.setattr("contactqp.study.truth.condense", refuse)
     assert find_axis("contacts").pose(1e4).truth.errors(np.zeros(10_000), np.zeros(10_000), np.zeros(0)).judged > 0.1
