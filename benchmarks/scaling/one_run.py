@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scaling.case import block
-from contactqp.distributed.environment import held_in_rows, petsc
+from contactqp.distributed.environment import aij_copy, petsc
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import chosen_solver
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
@@ -80,7 +80,7 @@ def linear(problem: DistributedProblem, solver: str) -> dict[str, Any]:
     load: what the contact problem is solved to.
     """
     PETSc, ranks = petsc(), problem.ranks
-    stiffness = held_in_rows(problem.stiffness)
+    stiffness = aij_copy(problem.stiffness)
     stiffness.setNearNullSpace(_near_null_space(problem, stiffness))
     ksp = PETSc.KSP().create(stiffness.comm)
     ksp.setOptionsPrefix("linear_")
@@ -155,7 +155,7 @@ def without_contact(problem: DistributedProblem, way: DistributedIteration) -> i
 
 def contact(problem: DistributedProblem, solver: str) -> tuple[dict[str, Any], DistributedSolution]:
     """The contact problem from the first preconditioner to the certificate."""
-    problem.shared.clear()
+    problem.computed.clear()
     ranks: Any = problem.ranks
     started = time.process_time()
     set_up, way = timed(ranks, lambda: iteration_of(problem, chosen_solver(solver, problem.dimension)))
@@ -212,7 +212,7 @@ def measure(across: int, solver: str, repeats: int, answer: Path | None) -> dict
                 np.savez(answer, **whole)
             answer = None
         del solution
-        problem.shared.clear()
+        problem.computed.clear()
         found["contact"].append(figures)
         found["linear"].append(linear(problem, solver))
     return found

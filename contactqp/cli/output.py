@@ -114,11 +114,11 @@ class Speakers:
 
     def together(self) -> AbstractContextManager[None]:
         """Return a context in which an error of one rank is raised on all."""
-        return nullcontext() if self._ranks is None else self._ranks.together()
+        return nullcontext() if self._ranks is None else self._ranks.raising_together()
 
     def by_first(self, action: Callable[[], T]) -> T:
         """Return the result of an action of the first rank on all ranks; its errors are raised on all."""
-        return action() if self._ranks is None else cast(T, self._ranks.told(self._ranks.by_first(action)))
+        return action() if self._ranks is None else cast(T, self._ranks.broadcast(self._ranks.on_first_rank(action)))
 
     def settle(self, ending: Ending) -> int:
         """Print the messages once and return the exit code of all ranks, or end the ranks that do not come."""

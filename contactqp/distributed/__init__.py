@@ -1,6 +1,6 @@
-"""One contact problem over the processes (ranks) of MPI: PETSc holds K and knows its inverse, the rest is here.
+"""One contact problem over the processes (ranks) of MPI, with matrices and preconditioners of PETSc.
 
-Every rank holds the rows of K of the nodes that are its own, the contacts of these nodes, and nothing whole. What a
-function here takes and returns is the part of its rank, unless it says otherwise; functions that have to be called by
-all ranks together are called collective.
+Every rank has the rows of K of its own nodes and the contacts of these nodes; none has the whole problem. Functions
+take and return the part of their rank, unless they say otherwise; those that all ranks must call together are called
+collective. Shapes with the index "here" (n_here, m_here, k_here) count unknowns, contacts and ties of one rank.
 """

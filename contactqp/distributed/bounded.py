@@ -1,9 +1,18 @@
 """PETSc's own solvers of problems with bounds, for comparison: Newton's methods of SNES for variational inequalities
 (Benson and Munson 2006) and TAO's trust-region method.
 
-They see the problem without units, K_jj = 1 and |f| = 1: what SNES calls zero (``-snes_vi_zero_tolerance``, 1e-8) is an
-absolute length, in which a contact counts as closed that is not. Their options of PETSc's have the prefix
-``contactqp_bounds_`` and come after ours.
+Contacts and ties become bounds on single unknowns by a change of unknowns u = T w. A row E_i that has an unknown p of
+its own, one that no other row touches, limits w_p = E_i u / E_ip alone:
+
+    u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
+
+so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, which are equal for a
+tie. Rows along one direction share their unknown. The residual r = f - K u is the force of
+the rows: (T'r)_p = r_p = E_ip l_i.
+
+The solvers see the problem without units, K_jj = 1 and |f| = 1: what SNES calls zero (``-snes_vi_zero_tolerance``,
+1e-8) is an absolute length, with which a contact would count as closed that is not. PETSc's options for them have the
+prefix ``contactqp_bounds_`` and override ours.
 
 The reduced-space and the trust-region method solve on the unknowns that are not at a bound, whose number changes from
 step to step. PETSc 3.18's GAMG fails there ("Cannot change local size of Amat after use"). MUMPS, BoomerAMG and
@@ -18,38 +27,29 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.distributed.environment import given, held_in_rows, petsc
-from contactqp.distributed.iteration import stacked
-from contactqp.distributed.preconditioner import AUTO, FACTORISED, MUMPS
-from contactqp.distributed.problem import DistributedProblem, said_of_first
+from contactqp.distributed.environment import Product, aij_copy, petsc, temporary_options
+from contactqp.distributed.iteration import stacked_rows
+from contactqp.distributed.preconditioner import AUTO, FACTORISED, MUMPS, failing_as_backend, refuse_failed_factors
+from contactqp.distributed.problem import DistributedProblem, message_of_first
 from contactqp.distributed.rows import Rows
-from contactqp.errors import BackendFailed, NoEquilibrium, Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.errors import NoEquilibrium, Unsupported
+from contactqp.model.arrays import Indices, Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods import Settings
 
-# Contacts and ties as bounds on single unknowns, by a change of unknowns u = T w.
-#
-# A row E_i that has an unknown p of its own, one that no other row touches, limits w_p = E_i u / E_ip alone:
-#
-#     u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
-#
-# so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, those of a tie
-# equal. Rows along one direction share their unknown. What is left of r = f - K u is the rows' force: (T'r)_p = r_p =
-# E_ip l_i.
-
-Places = NDArray[np.intp]
+# The place of no unknown, and of no row.
 NONE = -1
 
 
 @dataclass(frozen=True, eq=False)
 class BoundUnknowns:
-    """The unknowns w of one problem. Everything is collective.
+    """The unknowns w of one problem. All methods and properties are collective.
 
     Attributes
     ----------
+    problem : DistributedProblem
+        The problem in u.
     rows : Rows
         Contacts, then ties.
     pivot : (a,) array of int
@@ -58,63 +58,62 @@ class BoundUnknowns:
 
     problem: DistributedProblem
     rows: Rows
-    pivot: Places
+    pivot: Indices
 
     @cached_property
-    def _acting(self) -> Places:
-        return np.flatnonzero(self.pivot != NONE)
+    def limit(self) -> Vector:
+        """The bound (a,) that each row sets on its unknown w_p [length]."""
+        return np.concatenate([self.problem.gap, self.problem.tie_value]) / self.coefficient
 
     @cached_property
-    def _entry(self) -> Vector:
-        """(a,) E_ip; 1 of rows that touch nothing."""
-        found, rows = np.ones(len(self.pivot)), self._acting
+    def coefficient(self) -> Vector:
+        """E_ip (a,); 1 of rows that touch nothing."""
+        found, rows = np.ones(len(self.pivot)), np.flatnonzero(self.pivot != NONE)
         found[rows] = np.asarray(self.rows.entries[rows, self.pivot[rows]]).ravel()
         return found
 
     @cached_property
-    def _tightest(self) -> tuple[Places, Places]:
-        """The row that limits each column from above, and the one that does from below; NONE where none does."""
-        limit = np.concatenate([self.problem.gap, self.problem.tie_value]) / self._entry
-        tie = np.arange(len(limit)) >= self.problem.contacts
+    def tightest(self) -> tuple[Indices, Indices]:
+        """The rows (t,) that limit each column from above and from below; NONE where none does."""
+        acting, tie = self.pivot != NONE, np.arange(len(self.limit)) >= self.problem.contacts
         sides = []
         for sign in (1.0, -1.0):
-            rows = self._acting[(tie | (sign * self._entry > 0))[self._acting]]
-            last = np.lexsort((tie[rows], -sign * limit[rows]))  # of rows that write to one column the last one stays
+            rows = np.flatnonzero(acting & (tie | (sign * self.coefficient > 0)))
+            last = np.lexsort((tie[rows], -sign * self.limit[rows]))  # the last of rows at one column is written last
             found = np.full(len(self.rows.touched), NONE)
             found[self.pivot[rows][last]] = rows[last]
             sides.append(found)
         return sides[0], sides[1]
 
     @cached_property
-    def limits(self) -> tuple[Vector, Vector]:
-        """Lower and upper bounds (n_here,) [length], infinite where nothing limits.
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Lower and upper bounds (n_here,) on w [length], infinite where there is none.
 
         Raises
         ------
         NoEquilibrium
             A lower bound is above its upper one.
         """
-        limit = np.concatenate([self.problem.gap, self.problem.tie_value]) / self._entry
-        upper, lower = (self._everywhere(row, limit[row]) for row in self._tightest)
+        upper, lower = (self._everywhere(row, self.limit[row]) for row in self.tightest)
         upper, lower = np.where(np.isnan(upper), np.inf, upper), np.where(np.isnan(lower), -np.inf, lower)
-        with self.problem.ranks.together():
+        with self.problem.ranks.raising_together():
             if np.any(lower > upper):
                 name = self.problem.dof_name(int(np.argmax(lower > upper)))
                 raise NoEquilibrium(f"the constraints conflict at {name}")
         return lower, upper
 
-    def _everywhere(self, row: Places, values: Vector) -> Vector:
-        """Values (t,) of the columns that have a row, as a vector of all unknowns; NaN elsewhere."""
+    def _everywhere(self, row: Indices, values: Vector) -> Vector:
+        """Return values (t,) of the columns that have a row as a distributed vector; NaN elsewhere."""
         there = row != NONE
-        found = self.rows.spread(np.where(there, values, 0.0))
-        return np.where(self.rows.spread(there.astype(float)) > 0, found, np.nan)
+        found = self.rows.assembled(np.where(there, values, 0.0))
+        return np.where(self.rows.assembled(there.astype(float)) > 0, found, np.nan)
 
     @cached_property
     def change(self) -> Any:
         """T (n, n) as a PETSc.Mat; None where every row touches one unknown."""
         entries, ranks = self.rows.entries, self.problem.ranks
         length = np.diff(entries.indptr)
-        first = [row for side in self._tightest for row in side[side != NONE] if length[row] > 1]
+        first = [row for side in self.tightest for row in side[side != NONE] if length[row] > 1]
         if not ranks.any(len(first) > 0):
             return None
         PETSc, K = petsc(), self.problem.stiffness
@@ -127,73 +126,66 @@ class BoundUnknowns:
         T.assemble()
         for row in first:
             part = slice(entries.indptr[row], entries.indptr[row + 1])
-            column, value = entries.indices[part], -entries.data[part] / self._entry[row]
+            column, value = entries.indices[part], -entries.data[part] / self.coefficient[row]
             other = column != self.pivot[row]
             T.setValues(self.rows.touched[self.pivot[row]], self.rows.touched[column[other]], value[other])
         T.assemble()
         return T
 
     def stiffness(self) -> Any:
-        """T'KT, a PETSc.Mat of its own."""
-        K = held_in_rows(self.problem.stiffness)
+        """Return T'KT as a new PETSc.Mat."""
+        K = aij_copy(self.problem.stiffness)
         return K if self.change is None else K.PtAP(self.change)
 
     def force(self, force: Vector) -> Vector:
-        """T'f."""
-        return force if self.change is None else self._product(self.change.multTranspose, force)
+        """Return T'f."""
+        return force if self.change is None else Product(self.change, transposed=True)(force)
 
     def displacement(self, w: Vector) -> Vector:
-        """u = T w."""
-        return w if self.change is None else self._product(self.change.mult, w)
-
-    def _product(self, product: Any, values: Vector) -> Vector:
-        at, into = self.problem.stiffness.createVecs()
-        at.array[:] = values
-        product(at, into)
-        return np.array(into.array)
+        """Return u = T w."""
+        return w if self.change is None else Product(self.change)(w)
 
     def unknowns(self, displacement: Vector) -> Vector:
-        """w = T^-1 u: at each p the length of its row, over E_ip."""
-        length = self.rows.lengths(displacement) / self._entry
-        above, below = self._tightest
+        """Return w = T^-1 u, which at each p is the length of its row over E_ip."""
+        length = self.rows.lengths(displacement) / self.coefficient
+        above, below = self.tightest
         row = np.where(above != NONE, above, below)
         found = self._everywhere(row, length[row])
         return np.where(np.isnan(found), displacement, found)
 
     def forces(self, w: Vector, residual: Vector, diagonal: Vector) -> tuple[Vector, Vector]:
-        """l (m_here,) and nu (k_here,) from T'(f - K u), with the diagonal of T'KT.
+        """Return l (m_here,) and nu (k_here,) from T'(f - K u), with the diagonal of T'KT.
 
-        A row presses where its force and its gap say so together, r + K_pp (w - bound) > 0 from above; of rows that
+        A row carries a force where force and gap say so together, r + K_pp (w - bound) > 0 from above; of rows that
         share an unknown the tightest does.
         """
-        force, at = np.zeros(len(self.pivot)), self.rows.near(residual)
-        stretch = self.rows.near(diagonal) * self.rows.near(w)
-        stiffness, limit = self.rows.near(diagonal), np.concatenate([self.problem.gap, self.problem.tie_value])
-        for sign, row in zip((1.0, -1.0), self._tightest, strict=True):
+        force, r = np.zeros(len(self.pivot)), self.rows.at_touched(residual)
+        stiffness, at = self.rows.at_touched(diagonal), self.rows.at_touched(w)
+        for sign, row in zip((1.0, -1.0), self.tightest, strict=True):
             there = np.flatnonzero(row != NONE)
-            rows, r = row[there], at[there]
-            excess = r + stretch[there] - stiffness[there] * limit[rows] / self._entry[rows]
-            presses = (sign * r > 0) & (sign * excess > 0)
-            force[rows[presses]] = r[presses] / self._entry[rows[presses]]
+            rows = row[there]
+            excess = r[there] + stiffness[there] * at[there] - stiffness[there] * self.limit[rows]
+            presses = (sign * r[there] > 0) & (sign * excess > 0)
+            force[rows[presses]] = r[there][presses] / self.coefficient[rows[presses]]
         return force[: self.problem.contacts], force[self.problem.contacts :]
 
 
 def bound_unknowns(problem: DistributedProblem, method: str) -> BoundUnknowns:
-    """The unknowns that every contact and tie is a bound on. Collective.
+    """Return unknowns that every contact and tie is a bound on. Collective.
 
     Raises
     ------
     Unsupported
         A contact or tie has no unknown of its own; the first one is named.
     """
-    rows = stacked([problem.normal, problem.tie], problem.stiffness)
+    rows = stacked_rows([problem.normal, problem.tie], problem.stiffness)
     rows.entries.eliminate_zeros()
     entries, ranks = rows.entries, problem.ranks
-    leader = _leaders(entries)
+    leader = _first_along_direction(entries)
     leads = leader == np.arange(len(leader))
     row = np.repeat(np.arange(len(leader)), np.diff(entries.indptr))
-    often = np.bincount(entries.indices[leads[row]], minlength=len(rows.touched)).astype(float)
-    private = (rows.near(rows.spread(often)) == 1)[entries.indices]
+    times = np.bincount(entries.indices[leads[row]], minlength=len(rows.touched)).astype(float)
+    private = (rows.at_touched(rows.assembled(times)) == 1)[entries.indices]
     size = np.where(private, abs(entries.data), 0.0)
     last = np.lexsort((-entries.indices, size))  # the largest, and of equals the first, is written last
     pivot = np.full(len(leader), NONE)
@@ -201,18 +193,18 @@ def bound_unknowns(problem: DistributedProblem, method: str) -> BoundUnknowns:
     lost = (pivot == NONE) & (np.diff(entries.indptr) > 0)
     pivot = pivot[leader]
     m = problem.contacts
-    named = said_of_first(ranks, lost[:m], problem.contact_number, problem.contact_name) or said_of_first(
+    name = message_of_first(ranks, lost[:m], problem.contact_number, problem.contact_name) or message_of_first(
         ranks, lost[m:], problem.tie_number, problem.tie_name
     )
-    if named is not None:
+    if name is not None:
         raise Unsupported(
-            f"{method} takes bounds on single unknowns; {named} limits several, and others limit each of them"
+            f"{method} takes bounds on single unknowns; {name} limits several, and others limit each of them"
         )
     return BoundUnknowns(problem, rows, pivot)
 
 
-def _leaders(entries: sp.csr_matrix) -> Places:
-    """The first row along the direction of each row."""
+def _first_along_direction(entries: sp.csr_matrix) -> Indices:
+    """Return for each row the first row along the same direction."""
     first: dict[bytes, int] = {}
     leader = np.arange(entries.shape[0])
     for i in leader:
@@ -225,14 +217,14 @@ def _leaders(entries: sp.csr_matrix) -> Places:
     return leader
 
 
-# Names of methods, and PETSc's of their types.
+# Names of methods, and PETSc's names of their types.
 NEWTON = {"vinewtonrsls": "vinewtonrsls", "vinewtonssls": "vinewtonssls"}
 PREFIX = "contactqp_bounds_"
 TRUST_REGION = {"tao-bntr": "bntr"}
 METHODS = (*NEWTON, *TRUST_REGION)
-# It writes D_a + D_b B, which is not symmetric, over the matrix that it is given, in each step.
+# This method writes D_a + D_b B, which is not symmetric, over the matrix that it is given, in each step.
 CHANGES_MATRIX = ("vinewtonssls",)
-# What solves their linear systems, for symmetric ones; UNSYMMETRIC has what the semismooth method's need.
+# Options of the solvers of symmetric linear systems; UNSYMMETRIC has what they need otherwise.
 SOLVERS: dict[str, dict[str, Any]] = {
     "mumps": {"ksp_type": "preonly", **MUMPS},
     "hypre": {"ksp_type": "cg", "pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
@@ -243,16 +235,27 @@ UNSYMMETRIC: dict[str, dict[str, Any]] = {
     "hypre": {"ksp_type": "gmres"},
     "asm": {"ksp_type": "gmres", "pc_type": "asm", "sub_pc_type": "ilu"},
 }
-# Linear systems are solved to this part of the tolerance, and the problem to that: equilibrium is judged at each
-# unknown, theirs is a norm over all.
+# Linear systems are solved to INNER times the tolerance, and the problem to OUTER times: equilibrium is judged at each
+# unknown, their residual is a norm over all.
 INNER, OUTER = 1e-2, 1e-3
-# SNES and TAO both end with this where the residual of a right answer is all rounding.
+# SNES and TAO both end with this reason where the residual of a right answer is all rounding.
 NO_DECREASE = -6
 STEPS, INNER_STEPS = 200, 10_000
 
 
 def solve_bounded(problem: DistributedProblem, method: str, solver: str, settings: Settings) -> Candidate:
-    """The answer of one of METHODS. Collective.
+    """Solve a problem by one of METHODS and return its candidate. Collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        A problem without friction.
+    method : str
+        One of METHODS.
+    solver : str
+        One of SOLVERS, or "auto".
+    settings : Settings
+        The tolerance, the most steps and a warm start.
 
     Raises
     ------
@@ -261,34 +264,32 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
     NoEquilibrium
         Bounds conflict.
     BackendFailed
-        PETSc gave up.
+        PETSc or MUMPS gave up.
     """
     if problem.frictional:
         raise Unsupported(f"{method}: friction is no bound on unknowns; active-set takes it")
     inner = inner_solver(method, solver, problem.dimension)
     scaled = _Scaled(bound_unknowns(problem, method), settings.warm_start)
     run = _newton if method in NEWTON else _trust_region
-    options = _options(method, inner, settings)
-    try:
-        with given(PREFIX, options):
-            y, steps, reason = run(scaled, method, settings)
-    except petsc().Error as error:
-        raise BackendFailed(f"PETSc's {method} failed: {str(error).splitlines()[-1]}") from error
+    with failing_as_backend(method), temporary_options(PREFIX, _options(method, inner, settings)):
+        y, steps, reason, ksp = run(scaled, method, settings)
+    if ksp.getConvergedReason() == petsc().KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
+        refuse_failed_factors(ksp.getPC())
     return scaled.candidate(y, steps, reason)
 
 
 def inner_solver(method: str, solver: str, dimension: int) -> str:
-    """What solves the linear systems, "auto" resolved.
+    """Return the name of the solver of linear systems, where "auto" is resolved by the number of unknowns.
 
     Raises
     ------
     Unsupported
-        It cannot, or this PETSc has it not.
+        There is no such solver, or this PETSc was built without it.
     """
     has = petsc().Sys.hasExternalPackage
     if solver == AUTO:
-        few = "mumps" if dimension <= FACTORISED and has("mumps") else "hypre"
-        return few if has(few) else "asm"
+        preferred = "mumps" if dimension <= FACTORISED and has("mumps") else "hypre"
+        return preferred if has(preferred) else "asm"
     if solver not in SOLVERS:
         raise Unsupported(f"{method}: solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
     if solver != "asm" and not has(solver):
@@ -297,9 +298,9 @@ def inner_solver(method: str, solver: str, dimension: int) -> str:
 
 
 class _Scaled:
-    """min 1/2 y'By - b'y over lower <= y <= upper, with w = length D^-1/2 y and D the diagonal of T'KT.
+    """The problem min 1/2 y'By - b'y over lower <= y <= upper, with w = length D^-1/2 y and D the diagonal of T'KT.
 
-    The length makes b and the bounds 1 at most. Making it is collective, and so is `candidate`.
+    The length makes b and the bounds 1 at most. Making this is collective, and so are its methods.
     """
 
     def __init__(self, bounds: BoundUnknowns, warm_start: Candidate | None) -> None:
@@ -312,16 +313,16 @@ class _Scaled:
         stretch = np.sqrt(self._diagonal)
         scale = self._vector(1 / stretch)
         self.B.diagonalScale(scale, scale)
-        push = bounds.force(problem.load) / stretch
-        lower, upper = (stretch * limit for limit in bounds.limits)
+        load = bounds.force(problem.load) / stretch
+        lower, upper = (stretch * limit for limit in bounds.bounds)
         finite = max(np.max(abs(limit[np.isfinite(limit)]), initial=0.0) for limit in (lower, upper))
-        length = max(np.sqrt(ranks.dot(push, push)), ranks.max(float(finite))) or 1.0
+        length = max(np.sqrt(ranks.dot(load, load)), ranks.max(float(finite))) or 1.0
         self._unit = length / stretch
         far = petsc().INFINITY
         self.lower = self._vector(np.maximum(lower / length, -far))
         self.upper = self._vector(np.minimum(upper / length, far))
-        self.push = self._vector(push / length)
-        start = np.zeros(len(push))
+        self.load = self._vector(load / length)
+        start = np.zeros(len(load))
         if warm_start is not None:
             start = bounds.unknowns(warm_start.displacement) / self._unit
         self.start = self._vector(np.clip(start, self.lower.array, self.upper.array))
@@ -331,13 +332,11 @@ class _Scaled:
         v.array[:] = values
         return v
 
-    def gradient(self, y: Any, out: Any) -> None:
-        """B y - b."""
-        self.B.mult(y, out)
-        out.axpy(-1.0, self.push)
-
     def candidate(self, y: Any, steps: int, reason: int) -> Candidate:
-        """What was found, in the problem's unknowns; the certificate tells where PETSc ended at rounding."""
+        """Return PETSc's answer in the problem's unknowns.
+
+        Where PETSc ended at rounding it is claimed too; the certificate judges it.
+        """
         claimed = reason > 0 or reason == NO_DECREASE
         bounds, w = self._bounds, self._unit * y.array
         displacement = bounds.displacement(w)
@@ -346,11 +345,16 @@ class _Scaled:
         return Candidate(displacement, *forces, iterations=steps, claimed=claimed, status=f"PETSc's reason {reason}")
 
 
-def _newton(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int]:
+def _newton(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int, Any]:
     snes, y = petsc().SNES().create(problem.B.comm), problem.start
+
+    def gradient(_: Any, at: Any, out: Any) -> None:
+        problem.B.mult(at, out)
+        out.axpy(-1.0, problem.load)
+
     snes.setOptionsPrefix(PREFIX)
     snes.setType(NEWTON[method])
-    snes.setFunction(lambda _, at, out: problem.gradient(at, out), y.duplicate())
+    snes.setFunction(gradient, y.duplicate())
     if method in CHANGES_MATRIX:
         snes.setJacobian(lambda _snes, _at, J, _P: problem.B.copy(J), problem.B.duplicate(copy=True))
     else:
@@ -359,16 +363,16 @@ def _newton(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int
     snes.setTolerances(rtol=0.0, atol=OUTER * settings.tolerance, stol=0.0, max_it=settings.max_iter or STEPS)
     snes.setFromOptions()
     snes.solve(None, y)
-    return y, int(snes.getIterationNumber()), int(snes.getConvergedReason())
+    return y, int(snes.getIterationNumber()), int(snes.getConvergedReason()), snes.getKSP()
 
 
-def _trust_region(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int]:
+def _trust_region(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int, Any]:
     tao, y = petsc().TAO().create(problem.B.comm), problem.start
 
     def objective(_: Any, at: Any, gradient: Any) -> float:
         problem.B.mult(at, gradient)
-        energy = 0.5 * at.dot(gradient) - problem.push.dot(at)
-        gradient.axpy(-1.0, problem.push)
+        energy = 0.5 * at.dot(gradient) - problem.load.dot(at)
+        gradient.axpy(-1.0, problem.load)
         return float(energy)
 
     tao.setOptionsPrefix(PREFIX)
@@ -380,11 +384,13 @@ def _trust_region(problem: _Scaled, method: str, settings: Settings) -> tuple[An
     tao.setMaximumIterations(settings.max_iter or STEPS)
     tao.setFromOptions()
     tao.solve(y)
-    return y, int(tao.getIterationNumber()), int(tao.getConvergedReason())
+    return y, int(tao.getIterationNumber()), int(tao.getConvergedReason()), tao.getKSP()
 
 
 def _options(method: str, solver: str, settings: Settings) -> dict[str, Any]:
-    """Ours, of the inner solver and of what SNES calls zero: bounds are met exactly, so nothing else is."""
+    """Return our options of the method and of its linear solver; the tolerance of bounds is none, as they are met
+    exactly.
+    """
     inner = {"ksp_rtol": INNER * settings.tolerance, "ksp_max_it": INNER_STEPS, **SOLVERS[solver]}
     if method in CHANGES_MATRIX:
         inner |= UNSYMMETRIC[solver]

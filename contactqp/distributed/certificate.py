@@ -1,4 +1,4 @@
-"""The certificate of an answer that no rank has whole: `contactqp.certify` by reductions."""
+"""Certify a distributed answer: `contactqp.certify` by reductions over the ranks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
@@ -29,47 +28,45 @@ from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.floating import floating_bodies
 from contactqp.distributed.problem import (
     Bodies,
-    DistributedAnswer,
     DistributedProblem,
-    said_of_first,
-    said_of_worst,
-    worst,
+    largest_over_ranks,
+    message_of_first,
+    message_of_largest,
 )
 from contactqp.distributed.violations import coulomb_residual, outer_forces, outer_resultant, row_sizes, violations
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.model.solution import FIGURES, Certificate, Violations
+from contactqp.model.solution import FIGURES, Answer, Certificate, Violations
 
-# The least of a sum of sizes, h(a) = sum_j |b_j'a| over a with w'a = 1, from few sums: Kelley's cutting planes (1960).
-#
-# The sums s = sum_j sign(b_j'a) b_j for some a tell that h(a) = s'a, and h(c) >= |s'c| for every other c. The least t
-# with t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound, and its c is asked next. With
-# six unknowns and a hundred thousand summands a hundred questions bring the bounds together.
-
-# How near to each other the bounds end: figures are read with a few digits.
+# How near to each other the bounds of a minimum come: figures are read with a few digits.
 NEAR = 1e-9
-MOST_QUESTIONS = 1000
-# The linear program's own, beneath NEAR.
+MOST_QUERIES = 1000
+# The linear program's own tolerance, below NEAR.
 LP_TOLERANCE = 1e-10
 
 
 class CuttingPlanes:
-    """The search for one minimum.
+    """Minimise the sum of sizes h(a) = sum_j |b_j'a| over w'a = 1 by Kelley's cutting planes (1960), from few sums.
+
+    The sums s = sum_j sign(b_j'a) b_j for some a give h(a) = s'a, and h(c) >= |s'c| for every other c. The least t with
+    t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound of the minimum, and the sums at
+    its c are wanted next. With six unknowns and a hundred thousand summands about a hundred such queries bring the
+    bounds together.
 
     Parameters
     ----------
     weight : (p,) array
-        w, not zero. h is the norm of some basis, its parts h(e_i) of about one size.
+        w, not zero. h is the norm of some basis whose parts h(e_i) are of about one size.
 
     Attributes
     ----------
-    question : (p,) array
+    query : (p,) array
         The a whose sums are wanted next.
     best : (p,) array
         The a with the least h(a) / |w'a| so far.
     done : bool
-        Whether that is the least.
+        Whether `best` is the minimum, to NEAR.
     """
 
     def __init__(self, weight: Vector) -> None:
@@ -77,67 +74,62 @@ class CuttingPlanes:
         self._least = np.inf
         self._cuts: list[Vector] = []
         self.best, self.done = self._weight, False
-        self._questions = [self._weight, *np.eye(len(weight))]  # these bound the program
+        self._queries = [self._weight, *np.eye(len(weight))]  # these bound the program
 
     @property
-    def question(self) -> Vector:
-        return np.asarray(self._questions[0])
+    def query(self) -> Vector:
+        return np.asarray(self._queries[0])
 
-    def tell(self, sums: Vector) -> None:
-        """Take the sums of the question, and ask the next.
+    def add_cut(self, sums: Vector) -> None:
+        """Take the sums (p,) at the query, and find the next query.
 
         Raises
         ------
         NotConverged
             The bounds did not come together.
         """
-        asked = self._questions.pop(0)
-        along = abs(float(self._weight @ asked))
-        value = float(sums @ asked) / along if along > 0 else np.inf
+        query = self._queries.pop(0)
+        along = abs(float(self._weight @ query))
+        value = float(sums @ query) / along if along > 0 else np.inf
         if value < self._least:
-            self._least, self.best = value, asked
+            self._least, self.best = value, query
         self._cuts.append(sums)
-        if self._questions:
+        if self._queries:
             return
-        following, lower = _program(np.array(self._cuts), self._weight)
-        self._questions = [following]
+        following, lower = self._program()
+        self._queries = [following]
         self.done = self._least - lower <= NEAR * self._least
-        if not self.done and len(self._cuts) >= MOST_QUESTIONS:
-            raise NotConverged(f"the balance of forces could not be judged: {MOST_QUESTIONS} motions were too few")
+        if not self.done and len(self._cuts) >= MOST_QUERIES:
+            raise NotConverged(f"the balance of forces could not be judged: {MOST_QUERIES} motions were too few")
+
+    def _program(self) -> tuple[Vector, float]:
+        """Return the minimiser c and the minimum of t >= |s'c| over w'c = 1."""
+        from scipy.optimize import linprog
+
+        cuts = np.array(self._cuts)
+        count, width = cuts.shape
+        one = np.ones((count, 1))
+        found = linprog(
+            np.append(np.zeros(width), 1.0),
+            A_ub=np.block([[cuts, -one], [-cuts, -one]]),
+            b_ub=np.zeros(2 * count),
+            A_eq=np.append(self._weight, 0.0)[None],
+            b_eq=[1.0],
+            bounds=[(None, None)] * width + [(0, None)],
+            method="highs",
+            options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+        )
+        if found.x is None:
+            raise NotConverged(f"the balance of forces could not be judged: {found.message}")
+        return np.asarray(found.x[:width]), float(found.x[width])
 
 
-def _program(cuts: Vector, weight: Vector) -> tuple[Vector, float]:
-    """argmin and least t >= |s'c| over c with w'c = 1."""
-    from scipy.optimize import linprog
+def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies) -> float:
+    """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
-    count, width = cuts.shape
-    one = np.ones((count, 1))
-    found = linprog(
-        np.append(np.zeros(width), 1.0),
-        A_ub=np.block([[cuts, -one], [-cuts, -one]]),
-        b_ub=np.zeros(2 * count),
-        A_eq=np.append(weight, 0.0)[None],
-        b_eq=[1.0],
-        bounds=[(None, None)] * width + [(0, None)],
-        method="highs",
-        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
-    )
-    if found.x is None:
-        raise NotConverged(f"the balance of forces could not be judged: {found.message}")
-    return np.asarray(found.x[:width]), float(found.x[width])
-
-
-# Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.figures` by reductions.
-#
-# A body's motions, at most six, are judged at its home (`contactqp.distributed.problem`): it is sent the triangular
-# factors R of w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that
-# the search for the worst motion asks for.
-
-
-def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:
-    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
-
-    Bodies float as far as `soft_motions` tell; one that floats in another way is taken for held.
+    The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of
+    w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that the search
+    for the worst motion asks for. A body that floats in a way that no known motion describes is taken for supported.
 
     Raises
     ------
@@ -151,89 +143,89 @@ def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodi
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
-    parts = _Parts(bodies, floating.floats, Z * size[:, None])
-    spectra, work, stray = parts.singular(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
+    columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
+    spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
     at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0]  # no force acts on the others
-    searches = {i: _Search(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
-    parts.mix({i: search.found.weight for i, search in searches.items()})
-    forces, hidden = bodies.totals(abs(parts.basis)), 1.0 if problem.frictional else 0.0
+    searches = {i: _WorstMotion(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
+    columns.set_basis({i: search.resultants.weight for i, search in searches.items()})
+    forces, hidden = bodies.totals(abs(columns.basis)), 1.0 if problem.frictional else 0.0
     for i, search in searches.items():
         search.begin(forces[i], hidden)
     while problem.ranks.any([search.planes is not None for search in searches.values()]):
-        sums = parts.asked({i: search.direction() for i, search in searches.items()})
-        with problem.ranks.together():
+        sums = columns.sums_along({i: search.direction() for i, search in searches.items()})
+        with problem.ranks.raising_together():
             for i, search in searches.items():
-                search.tell(sums[i])
-    return float(problem.ranks.max(max((search.worst for search in searches.values()), default=0.0)))
+                search.add_cut(sums[i])
+    return float(problem.ranks.max(max((search.figure for search in searches.values()), default=0.0)))
 
 
-class _Parts:
-    """What this rank has of the columns w (n_here, r) of bodies; all methods are collective."""
+class _BodyColumns:
+    """The rows on this rank of columns w (n_here, r) of each body; all methods are collective."""
 
-    def __init__(self, bodies: Bodies, floats: NDArray[np.bool_], columns: Array) -> None:
+    def __init__(self, bodies: Bodies, floats: Mask, columns: Array) -> None:
         self._bodies, self._floats, self._columns = bodies, floats, columns
         self.basis = np.zeros_like(columns)
 
-    def singular(self) -> list[tuple[Vector, Array]]:
-        """The singular values and right vectors of w of each body at home here."""
+    def singular_values(self) -> list[tuple[Vector, Array]]:
+        """Return the singular values and right singular vectors of w of each body that has its home here."""
         width = self._columns.shape[1]
         factors = np.zeros((len(self._floats), width, width))
         for place in np.flatnonzero(self._floats):
             factor = np.linalg.qr(self._columns[self._bodies.members(int(place))])[1]
             factors[place, : len(factor)] = factor
-        came, body = self._bodies.parts(factors)
-        stacked = (came[body == i].reshape(-1, width) for i in range(self._bodies.count))
+        received, body = self._bodies.at_homes(factors)
+        stacked = (received[body == i].reshape(-1, width) for i in range(self._bodies.count))
         return [np.linalg.svd(rows, full_matrices=False)[1:] for rows in stacked]
 
-    def mix(self, weights: dict[int, Array]) -> None:
-        """Make the basis w weight' of the bodies at home here with weights (p, r), p <= r."""
+    def set_basis(self, weights: dict[int, Array]) -> None:
+        """Set the basis w weight' of the bodies that have their home here; weights are (p, r), p <= r."""
         width = self._columns.shape[1]
-        told = np.zeros((self._bodies.count, width, width))
+        transposed = np.zeros((self._bodies.count, width, width))
         for i, weight in weights.items():
-            told[i, :, : len(weight)] = weight.T
-        self.basis = self._bodies.combined(self._columns, self._bodies.told(told))
+            transposed[i, :, : len(weight)] = weight.T
+        self.basis = self._bodies.combined(self._columns, self._bodies.from_homes(transposed))
 
-    def asked(self, directions: dict[int, Vector]) -> Array:
-        """The sums (count, r) of sign(basis a) basis for a direction (p,) of each body at home here."""
-        told = np.zeros((self._bodies.count, self.basis.shape[1]))
+    def sums_along(self, directions: dict[int, Vector]) -> Array:
+        """Return the sums (count, r) of sign(basis a) basis, for a direction a (p,) of each body at its home."""
+        padded = np.zeros((self._bodies.count, self.basis.shape[1]))
         for i, direction in directions.items():
-            told[i, : len(direction)] = direction
-        along = self._bodies.combined(self.basis, self._bodies.told(told)[:, :, None])
+            padded[i, : len(direction)] = direction
+        along = self._bodies.combined(self.basis, self._bodies.from_homes(padded)[:, :, None])
         return self._bodies.totals(np.sign(along) * self.basis)
 
 
-class _Search:
-    """The worst motion of one body, at its home; `planes` while it is not found."""
+class _WorstMotion:
+    """The search for the motion of one body on which forces balance worst, at its home; `planes` while it goes on."""
 
     def __init__(self, found: Resultants) -> None:
-        self.found, self.worst = found, 0.0
+        self.resultants, self.figure = found, 0.0
         self.planes: CuttingPlanes | None = None
         self._seen = np.zeros(0, dtype=np.intp)
 
     def begin(self, forces: Vector, hidden: float) -> None:
-        """`forces` (r,) are the sums of the sizes of the coordinates."""
-        forces = forces[: len(self.found.work)]
-        if self.found.unseen(forces, hidden):
-            self.worst = hidden
+        """Start the search, given the sums (r,) of the sizes of the coordinates."""
+        forces = forces[: len(self.resultants.work)]
+        if self.resultants.unseen(forces, hidden):
+            self.figure = hidden
             return
-        self.worst, self._seen = self.found.worst(forces), np.flatnonzero(self.found.seen(forces))
-        if len(self._seen) > 1 and self.worst > NO_RESULTANT:
-            self.planes = CuttingPlanes(self.found.work[self._seen])
+        self.figure, self._seen = self.resultants.worst(forces), np.flatnonzero(self.resultants.seen(forces))
+        if len(self._seen) > 1 and self.figure > NO_RESULTANT:
+            self.planes = CuttingPlanes(self.resultants.work[self._seen])
 
     def direction(self) -> Vector:
-        """(p,) the coordinates of the motion that is asked about; zero where nothing is."""
-        asked = np.zeros(len(self.found.work))
+        """Return the coordinates (p,) of the motion whose sums are wanted; zero where none are."""
+        direction = np.zeros(len(self.resultants.work))
         if self.planes is not None:
-            asked[self._seen] = self.planes.question
-        return asked
+            direction[self._seen] = self.planes.query
+        return direction
 
-    def tell(self, sums: Vector) -> None:
-        """Take the answer (r,)."""
+    def add_cut(self, sums: Vector) -> None:
+        """Take the sums (r,) along `direction`."""
         if self.planes is None:
             return
-        asked = self.direction()
-        self.worst = max(self.worst, self.found.net(asked) / float(sums[: len(asked)] @ asked))
-        self.planes.tell(sums[self._seen])
+        direction = self.direction()
+        self.figure = max(self.figure, self.resultants.net(direction) / float(sums[: len(direction)] @ direction))
+        self.planes.add_cut(sums[self._seen])
         self.planes = None if self.planes.done else self.planes
 
 
@@ -244,94 +236,94 @@ NOT_FACTORISED = "uniqueness was not examined: bodies that are dealt out to rank
 
 def certify_distributed(
     problem: DistributedProblem,
-    answer: DistributedAnswer,
+    answer: Answer,
     tolerance: float = 1e-9,
     error_tolerance: float = 1e-6,
     bounds: Callable[[], Bounds] | None = None,
 ) -> Certificate:
     """Judge anyone's answer, of which each rank has its part, as `contactqp.certify` judges it. Collective.
 
-    The certificate is the same on all ranks, but for `violations` and `force_bound`, which are those of the rank's own
+    The certificate is the same on all ranks, except that `violations` and `force_bound` are those of the rank's own
     unknowns, contacts and ties; `grazing` are numbers of contacts as one process would have them.
 
     Parameters
     ----------
     problem : DistributedProblem
-    answer : DistributedAnswer
+        The problem.
+    answer : Answer
+        The part of this rank.
     tolerance : float
         Largest figure that passes.
     error_tolerance : float
         Largest bound on the relative error that passes.
     bounds : function, optional
-        Called by all ranks where the answer is finite and nothing rubs: how far the answer is from the truth.
+        Returns the bounds of the error; all ranks call it where the answer is finite and there is no friction.
 
     Raises
     ------
     InvalidProblem
-        Wrong shapes on any rank, or no positive tolerance. NaN is no error here: it fails.
+        Wrong shapes on any rank, or a tolerance that is not positive. NaN is no error here: it fails.
     """
     refuse_not_positive("tolerance", tolerance)
     refuse_not_positive("error_tolerance", error_tolerance)
     ranks = problem.ranks
-    with ranks.together():
+    with ranks.raising_together():
         _refuse_shapes(problem, answer)
     frictional = problem.frictional
     if failures := _not_finite(problem, answer):
         return not_finite(frictional, failures, tolerance, error_tolerance)
-    known = _known(frictional, bounds)
+    error_bounds = _error_bounds(frictional, bounds)
     bodies = Bodies(ranks, problem.body)
     found = violations(problem, answer, bodies, ROUNDING_OF_ANSWERS * tolerance)
-    named = [name for name in FIGURES if name != "balance"]
-    figures = dict(zip(named, worst(ranks, *(getattr(found, name) for name in named)), strict=True))
+    names = [name for name in FIGURES if name != "balance"]
+    figures = dict(zip(names, largest_over_ranks(ranks, *(getattr(found, name) for name in names)), strict=True))
     figures["balance"] = balance(problem, answer, bodies)
     law = coulomb_residual(problem, answer, found)
-    natural_map = None if law is None else worst(ranks, law)[0]
+    natural_map = None if law is None else largest_over_ranks(ranks, law)[0]
     failures = [
         *_failed_figures(problem, answer, found, figures, tolerance),
         *_failed_law(problem, law, natural_map, IMPLIED * tolerance),
-        *failed_errors(known, error_tolerance, ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size),
-        *_failed_force_bound(problem, answer, known, error_tolerance),
+        *failed_errors(error_bounds, error_tolerance, ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size),
+        *_failed_force_bound(problem, answer, error_bounds, error_tolerance),
     ]
-    grazing, names = _grazing(problem, answer, found, known, tolerance)
-    examined = ((UNKNOWN,), (NOT_FACTORISED, NOT_COMPARED)) if frictional else ((), ())
+    grazing, names = _grazing(problem, answer, found, error_bounds, tolerance)
+    not_examined = (NOT_FACTORISED, NOT_COMPARED) if frictional else ()
     return Certificate(
         **figures,
         natural_map=natural_map,
-        energy_error=known.energy_error,
-        force_error=known.force_error,
-        force_bound=known.force_bound,
-        reasons=known.reasons,
+        energy_error=error_bounds.energy_error,
+        force_error=error_bounds.force_error,
+        force_bound=error_bounds.force_bound,
+        reasons=error_bounds.reasons,
         grazing=grazing,
         failures=tuple(failures),
-        notes=(*said_of_grazing(names), *said_of_estimates(known), *examined[1]),
-        uniqueness=examined[0],
+        notes=(*said_of_grazing(names), *said_of_estimates(error_bounds), *not_examined),
+        uniqueness=(UNKNOWN,) if frictional else (),
         contraction=None,
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
-        proven=known.proven,
-        basis=known.basis,
+        proven=error_bounds.proven,
+        basis=error_bounds.basis,
         violations=found,
     )
 
 
 def contact_status(problem: DistributedProblem, certificate: Certificate) -> Any:
-    """(m_here,) of open, closed, grazing and, with friction, stick, slip, as `contactqp.certificate.certificate`
-    measures them.
-    """
+    """Return the status (m_here,) of this rank's contacts: open, closed, grazing and, with friction, stick or slip."""
     return status_words(certificate, problem.friction, np.isin(problem.contact_number, certificate.grazing))
 
 
-def _known(frictional: bool, bounds: Callable[[], Bounds] | None) -> Bounds:
+def _error_bounds(frictional: bool, bounds: Callable[[], Bounds] | None) -> Bounds:
     if frictional:
         return no_bounds(FRICTION_HAS_NONE)
     return no_bounds(NOT_ASKED) if bounds is None else bounds()
 
 
-def _refuse_shapes(problem: DistributedProblem, answer: DistributedAnswer) -> None:
-    rubbed = None if problem.slip_origin is None else problem.slip_origin.shape
-    expected = dict(zip(PARTS, (problem.load.shape, problem.gap.shape, rubbed, problem.tie_value.shape), strict=True))
-    for name, shape in expected.items():
+def _refuse_shapes(problem: DistributedProblem, answer: Answer) -> None:
+    tangential = None if problem.slip_origin is None else problem.slip_origin.shape
+    shapes = (problem.load.shape, problem.gap.shape, tangential, problem.tie_value.shape)
+    for name, shape in zip(PARTS, shapes, strict=True):
         values = getattr(answer, name)
         if values is None and name == "friction_force":
             if problem.friction is not None and np.any(problem.friction > 0):
@@ -340,65 +332,61 @@ def _refuse_shapes(problem: DistributedProblem, answer: DistributedAnswer) -> No
             raise InvalidProblem(f"{name}: expected shape {shape} on this rank, got {np.shape(values)}")
 
 
-def _not_finite(problem: DistributedProblem, answer: DistributedAnswer) -> list[str]:
-    """What is not finite, in words, the first unknown, contact or tie of each part of the answer."""
+def _not_finite(problem: DistributedProblem, answer: Answer) -> list[str]:
+    """Return a message for each part of the answer that is not finite, of its first such unknown, contact or tie."""
     numbers = problem.dof_number, problem.contact_number, problem.contact_number, problem.tie_number
-    said = []
+    messages = []
     for name, number in zip(PARTS, numbers, strict=True):
         values = getattr(answer, name)
         values = np.zeros(len(number)) if values is None else values
         flags = ~np.all(np.isfinite(values), axis=tuple(range(1, values.ndim)))
-        say = partial(said_of_part, problem, name, values)
-        said.append(said_of_first(problem.ranks, flags, number, say))
-    return [text for text in said if text is not None]
+        message = partial(said_of_part, problem, name, values)
+        messages.append(message_of_first(problem.ranks, flags, number, message))
+    return [text for text in messages if text is not None]
 
 
 def _failed_figures(
-    problem: DistributedProblem,
-    answer: DistributedAnswer,
-    found: Violations,
-    figures: dict[str, float],
-    tolerance: float,
+    problem: DistributedProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
 ) -> list[str]:
     numbers = {"equilibrium": problem.dof_number, "tie": problem.tie_number}
-    said = []
+    messages = []
     for name in FIGURES:
         if figures[name] <= tolerance:
             continue
         if name == "balance":
-            said.append(said_of_balance(figures[name], tolerance))
+            messages.append(said_of_balance(figures[name], tolerance))
             continue
         number = numbers.get(name, problem.contact_number)
-        say = partial(said_of_figure, problem, answer, found, name, tolerance=tolerance)
-        said.append(said_of_worst(problem.ranks, getattr(found, name), number, say))
-    return said
+        message = partial(said_of_figure, problem, answer, found, name, tolerance=tolerance)
+        messages.append(message_of_largest(problem.ranks, getattr(found, name), number, message))
+    return messages
 
 
 def _failed_law(problem: DistributedProblem, law: Vector | None, largest: float | None, limit: float) -> list[str]:
     if law is None or largest is None or largest <= limit:
         return []
-    say = partial(said_of_law, problem, law, limit=limit)
-    return [said_of_worst(problem.ranks, law, problem.contact_number, say)]
+    message = partial(said_of_law, problem, law, limit=limit)
+    return [message_of_largest(problem.ranks, law, problem.contact_number, message)]
 
 
 def _failed_force_bound(
-    problem: DistributedProblem, answer: DistributedAnswer, known: Bounds, tolerance: float
+    problem: DistributedProblem, answer: Answer, bounds: Bounds, error_tolerance: float
 ) -> list[str]:
-    relative = known.relative_force_bound
-    if not problem.ranks.any(fails_force_bound(known, tolerance)) or relative is None:
+    relative = bounds.relative_force_bound
+    if not problem.ranks.any(fails_force_bound(bounds, error_tolerance)) or relative is None:
         return []
-    say = partial(said_of_force_bound, problem, answer, known, tolerance=tolerance)
-    return [said_of_worst(problem.ranks, relative, problem.contact_number, say)]
+    message = partial(said_of_force_bound, problem, answer, bounds, tolerance=error_tolerance)
+    return [message_of_largest(problem.ranks, relative, problem.contact_number, message)]
 
 
 def _grazing(
-    problem: DistributedProblem, answer: DistributedAnswer, found: Violations, known: Bounds, tolerance: float
+    problem: DistributedProblem, answer: Answer, found: Violations, bounds: Bounds, tolerance: float
 ) -> tuple[tuple[int, ...], list[str]]:
-    """The numbers of the contacts of all ranks that graze, and the names of the first of them."""
+    """Return the numbers of the contacts of all ranks that graze, and the names of the first of them."""
     compliance = row_sizes(problem, problem.normal).compliance
-    here = np.flatnonzero(grazes(answer, found, compliance, known, tolerance))
-    here = here[np.argsort(problem.contact_number[here])]
-    numbers = np.sort(problem.ranks.gathered(problem.contact_number[here]))
-    names = [(int(problem.contact_number[i]), problem.contact_name(int(i))) for i in here[:MOST_NAMED]]
-    every = sorted(name for part in problem.ranks.comm.allgather(names) for name in part)
-    return tuple(int(number) for number in numbers), [name for _, name in every[:MOST_NAMED]]
+    here = np.flatnonzero(grazes(answer, found, compliance, bounds, tolerance))
+    numbers: Index = problem.contact_number[here]
+    here = here[np.argsort(numbers)]
+    first = [(int(problem.contact_number[i]), problem.contact_name(int(i))) for i in here[:MOST_NAMED]]
+    every = sorted(name for part in problem.ranks.comm.allgather(first) for name in part)
+    return tuple(np.sort(problem.ranks.gathered(numbers)).tolist()), [name for _, name in every[:MOST_NAMED]]

@@ -1,4 +1,4 @@
-"""The steps of a load path on disk, so that a run that was ended goes on, on as many ranks as it is given then.
+"""Keep the steps of a load path on disk, so that an interrupted run can continue, on any number of ranks.
 
 A step is a folder with a file of each rank: the numbers that its unknowns, contacts and ties have in one process, and
 their values. It counts once the step's own file stands beside the folder; that is written last, when all ranks have
@@ -17,26 +17,34 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.problem import DistributedAnswer, DistributedProblem, Numbers
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.whole_file import write_whole
+from contactqp.model.arrays import Index
+from contactqp.model.solution import Answer
 
-# Of the files: another one cannot be read by this code.
+# The format of the files; this code reads no other.
 FORMAT = 1
 CASE = "case.json"
 
 
 class Checkpoint:
-    """A folder with the steps of one case that are solved. Everything is collective.
+    """A folder with the solved steps of one case. All methods are collective.
 
     Parameters
     ----------
     folder : str or Path
-        All ranks see the same one; it is made if it is not there.
+        The same folder for all ranks; it is made if it does not exist.
     digest : str
-        Another one for another case.
+        A text that differs from case to case.
     ranks : Ranks
+        The processes.
+
+    Attributes
+    ----------
+    steps : int
+        The number of steps that are solved, the start included.
 
     Raises
     ------
@@ -46,18 +54,18 @@ class Checkpoint:
 
     def __init__(self, folder: str | Path, digest: str, ranks: Ranks) -> None:
         self.folder, self._digest, self._ranks = Path(folder), digest, ranks
-        with ranks.together(), _naming(self.folder):
+        with ranks.raising_together(), _naming(self.folder):
             if ranks.rank == 0:
                 self._claim()
-        with ranks.together(), _naming(self.folder):
-            known = 0
-            while self._commit(known).is_file():
-                known += 1
+        with ranks.raising_together(), _naming(self.folder):
+            steps = 0
+            while self._commit(steps).is_file():
+                steps += 1
         # A file system of several machines may show a new file to one of them later.
-        self.steps = -int(ranks.max(-known))  # that are solved, the start included
+        self.steps = -int(ranks.max(-steps))
 
-    def write(self, step: int, problem: DistributedProblem, answer: DistributedAnswer) -> None:
-        """Keep an answer: after this it is on the disk, of all ranks.
+    def write(self, step: int, problem: DistributedProblem, answer: Answer) -> None:
+        """Write an answer; on return the files of all ranks are on the disk.
 
         Raises
         ------
@@ -65,40 +73,41 @@ class Checkpoint:
             The file system of some rank refuses; the step does not count.
         """
         ranks, here = self._ranks, self._part(step, self._ranks.rank, self._ranks.size)
-        with ranks.together(), _naming(here):
+        with ranks.raising_together(), _naming(here):
             here.parent.mkdir(exist_ok=True)
             parts: dict[str, Any] = _parts(problem, answer)
             write_whole(here, lambda beside: np.savez(beside, **parts), durable=True)
-        with ranks.together():
+        with ranks.raising_together():
             if ranks.rank == 0:
                 _write_json(self._commit(step), {"format": FORMAT, "case": self._digest, "parts": ranks.size})
 
-    def read(self, step: int, problem: DistributedProblem) -> DistributedAnswer:
-        """The part of this rank of an answer that any number of ranks has written.
+    def read(self, step: int, problem: DistributedProblem) -> Answer:
+        """Return this rank's part of an answer that any number of ranks has written.
 
         Raises
         ------
         InvalidProblem
-            A file is missing or no good.
+            A file is missing or cannot be read.
         """
-        with self._ranks.together(), _naming(self._commit(step)):
+        with self._ranks.raising_together(), _naming(self._commit(step)):
             count = int(self._checked(self._commit(step))["parts"])
-        read: list[Any] = []
-        with self._ranks.together():
+        files: list[Any] = []
+        with self._ranks.raising_together():
             for rank in range(self._ranks.rank, count, self._ranks.size):
                 with _naming(self._part(step, rank, count)), np.load(self._part(step, rank, count)) as stored:
-                    read.append({name: stored[name] for name in stored.files})
-        values: dict[str, Any] = {"friction_force": None}
-        for name, numbers in _NUMBERED.items():
-            parts = [(part[numbers], part[name]) for part in read if name in part]
-            with self._ranks.together(), _naming(self.folder):
-                found, known = _joined(parts)
-            wide = int(self._ranks.max(known.shape[1] if known.ndim == 2 else -1))
-            if name == "friction_force" and wide < 0:
-                continue  # of a step that nothing rubs in
-            known = known.reshape(len(found), wide) if wide >= 0 else known
-            values[name] = self._fetched(step, getattr(problem, numbers), found, known)
-        return DistributedAnswer(**values)
+                    files.append({name: stored[name] for name in stored.files})
+        fields: dict[str, Any] = {"friction_force": None}
+        for name, numbered in _NUMBERS.items():
+            parts = [part for part in files if name in part]
+            with self._ranks.raising_together(), _naming(self.folder):
+                numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(part[numbered] for part in parts)])
+                values: Any = np.concatenate([part[name] for part in parts]) if parts else np.zeros(0)
+            width = int(self._ranks.max(values.shape[1] if values.ndim == 2 else -1))
+            if name == "friction_force" and width < 0:
+                continue  # the step has no friction
+            values = values.reshape(len(numbers), width) if width >= 0 else values
+            fields[name] = self._fetched(step, getattr(problem, numbered), numbers, values)
+        return Answer(**fields)
 
     def _claim(self) -> None:
         """Make the folder this case's, unless it is another's."""
@@ -111,34 +120,35 @@ class Checkpoint:
         _write_json(self.folder / CASE, {"format": FORMAT, "case": self._digest})
 
     def _checked(self, file: Path) -> Any:
-        """What a file of ours says, if it is of this case."""
-        said = json.loads(file.read_text())
-        if not isinstance(said, dict) or said.get("format") != FORMAT:
+        """Return the data of a JSON file of this case."""
+        data = json.loads(file.read_text())
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise InvalidProblem(f"{file}: expected format {FORMAT} of the steps of a run")
-        if said.get("case") != self._digest:
+        if data.get("case") != self._digest:
             raise InvalidProblem(f"{self.folder}: these are steps of another case, or this one was changed since")
-        return said
+        return data
 
-    def _fetched(self, step: int, wanted: Numbers, numbers: Numbers, values: NDArray[Any]) -> NDArray[Any]:
-        """The values of the wanted numbers, zero where negative; nobody holds the whole.
+    def _fetched(self, step: int, wanted: Index, numbers: Index, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the values of the wanted numbers, zero where negative; no rank holds all values.
 
-        Each number has a rank that knows of it, number mod size: those who have read values bring them there, those
-        who want them ask there.
+        The value of each number goes to rank number mod size, and is asked for there.
         """
         ranks = self._ranks
         numbers, values = ranks.exchanged(numbers % ranks.size, numbers, values)
         order = np.argsort(numbers)
         numbers, values = numbers[order], values[order]
-        asked = wanted[wanted >= 0]
-        came, asker = ranks.exchanged(asked % ranks.size, asked, np.full(len(asked), ranks.rank))
-        place = np.minimum(np.searchsorted(numbers, came), max(len(numbers) - 1, 0))
-        with ranks.together():
-            if len(came) and (not len(numbers) or np.any(numbers[place] != came)):
-                raise InvalidProblem(f"{self._commit(step)}: values are missing in the files of this step")
-        answered, answers = ranks.exchanged(asker, came, values[place])
-        back = np.zeros((len(wanted), *values.shape[1:]))
-        back[wanted >= 0] = answers[np.argsort(answered)][np.argsort(np.argsort(asked))]
-        return back
+
+        def found(asked: Index, _: Index) -> tuple[NDArray[Any]]:
+            place = np.minimum(np.searchsorted(numbers, asked), max(len(numbers) - 1, 0))
+            with ranks.raising_together():
+                if len(asked) and (not len(numbers) or np.any(numbers[place] != asked)):
+                    raise InvalidProblem(f"{self._commit(step)}: values are missing in the files of this step")
+            return (values[place],)
+
+        free = wanted >= 0
+        fetched = np.zeros((len(wanted), *values.shape[1:]))
+        fetched[free] = ask_ranks(ranks, wanted[free] % ranks.size, wanted[free], found)[0]
+        return fetched
 
     def _commit(self, step: int) -> Path:
         return self.folder / f"step-{step:06d}.json"
@@ -147,8 +157,8 @@ class Checkpoint:
         return self.folder / f"step-{step:06d}" / f"{rank}-of-{size}.npz"
 
 
-# Each field of an answer, and the numbers of its rows.
-_NUMBERED = {
+# Each field of an answer, and the field of the problem that numbers its rows.
+_NUMBERS = {
     "displacement": "dof_number",
     "normal_force": "contact_number",
     "tie_force": "tie_number",
@@ -156,20 +166,13 @@ _NUMBERED = {
 }
 
 
-def _parts(problem: DistributedProblem, answer: DistributedAnswer) -> dict[str, NDArray[Any]]:
-    """What is stored of one rank; unknowns that supports hold are left out."""
+def _parts(problem: DistributedProblem, answer: Answer) -> dict[str, NDArray[Any]]:
+    """Return the arrays that one rank stores, without constrained unknowns."""
     free = problem.dof_number >= 0
     stored = {name: getattr(problem, name) for name in ("contact_number", "tie_number")}
     stored |= {"dof_number": problem.dof_number[free], "displacement": answer.displacement[free]}
     stored |= {"normal_force": answer.normal_force, "tie_force": answer.tie_force}
     return stored if answer.friction_force is None else {**stored, "friction_force": answer.friction_force}
-
-
-def _joined(parts: list[tuple[Numbers, NDArray[Any]]]) -> tuple[Numbers, NDArray[Any]]:
-    """Numbers and values of all parts, one after the other."""
-    if not parts:
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
-    return np.concatenate([numbers for numbers, _ in parts]), np.concatenate([values for _, values in parts])
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
@@ -181,7 +184,7 @@ def _write_json(file: Path, data: dict[str, Any]) -> None:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """What the file system or the reader of a file says is an error of contactqp with the file's name."""
+    """Raise errors of the file system and of unreadable files as InvalidProblem with the file's name."""
     try:
         yield
     except InvalidProblem:

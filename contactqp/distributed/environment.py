@@ -1,4 +1,4 @@
-"""PETSc and MPI as this package uses them: the optional imports, options, matrix formats and the memory they keep."""
+"""Load PETSc and MPI, which are optional, set PETSc's options, make its matrices, and free the memory that it keeps."""
 
 from __future__ import annotations
 
@@ -13,35 +13,37 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
+import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing
+from contactqp.model.arrays import Vector
 
 RECIPE = (
     "apt-get install python3-petsc4py python3-mpi4py python3-venv && /usr/bin/python3 -m venv --system-site-packages "
     "petsc && petsc/bin/pip install 'numpy<2' 'contactqp[solids]'"
 )
-# Debian builds petsc4py for the Python of this prefix, and keeps it beside PETSc, on no path of that Python's.
+# Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, on no path of that Python.
 _PREFIX = "/usr"
 _DEBIAN = "/usr/lib/petscdir/petsc*/*-real/lib/python3/dist-packages"
 
 
 def available() -> bool:
-    """Whether petsc4py and mpi4py can be had; nothing is loaded to find out."""
+    """Return whether petsc4py and mpi4py are installed; neither is loaded for that."""
     return not _missing()
 
 
 @cache
 def petsc() -> Any:
-    """The module petsc4py.PETSc, with MPI started.
+    """Start MPI and return the module petsc4py.PETSc.
 
-    PETSc takes options from the variable PETSC_OPTIONS and none from the command line, which is the program's own; what
-    it finds wrong is raised as PETSc.Error.
+    PETSc takes options from the variable PETSC_OPTIONS and none from the command line, which belongs to the program.
+    Its errors are raised as PETSc.Error.
 
     Raises
     ------
     BackendMissing
-        petsc4py or mpi4py is not installed, does not fit this NumPy, or has complex numbers.
+        petsc4py or mpi4py is not installed, does not fit this NumPy, or was built for complex numbers.
     """
     if missing := _missing():
         raise BackendMissing(f"{' and '.join(missing)} not installed: {RECIPE}")
@@ -59,23 +61,24 @@ def petsc() -> Any:
 
 
 def _missing() -> list[str]:
-    _find()
+    # Debian's petsc4py is put on the path of the Python that it was built for, unless PETSC_DIR names another PETSc.
+    if importlib.util.find_spec("petsc4py") is None and sys.base_prefix == _PREFIX and "PETSC_DIR" not in os.environ:
+        sys.path += sorted(glob.glob(_DEBIAN))[-1:]
     return [name for name in ("petsc4py", "mpi4py") if importlib.util.find_spec(name) is None]
 
 
-def _find() -> None:
-    """Put Debian's petsc4py on the path of the Python that it was built for, unless PETSC_DIR names another PETSc."""
-    if importlib.util.find_spec("petsc4py") is None and sys.base_prefix == _PREFIX and "PETSC_DIR" not in os.environ:
-        sys.path += sorted(glob.glob(_DEBIAN))[-1:]
+# Matrices: a product in blocks of three reads one column number for nine values and takes about half of the time, but
+# PETSc's multigrids and factorisations take single rows alone.
 
 
-# How PETSc holds K: in the blocks of its nodes, for products, or row by row, for what takes nothing else.
-#
-# A product in blocks of three reads one number of a column for nine values and takes some half of the time.
+def block_matrix(comm: Any, rows: sp.bsr_matrix) -> Any:
+    """Make a PETSc.Mat of the rows of each rank over the unknowns of all ranks. Collective.
 
-
-def held_in_blocks(comm: Any, rows: sp.bsr_matrix) -> Any:
-    """Rows of this rank over the unknowns of all ranks, as PETSc.Mat: BAIJ, of single unknowns AIJ. Collective."""
+    Returns
+    -------
+    PETSc.Mat
+        BAIJ with the blocks of `rows`, or AIJ where these are single unknowns.
+    """
     PETSc = petsc()
     size = rows.blocksize[0]
     matrix = PETSc.Mat().create(comm)
@@ -87,8 +90,8 @@ def held_in_blocks(comm: Any, rows: sp.bsr_matrix) -> Any:
     return matrix
 
 
-def held_in_rows(matrix: Any) -> Any:
-    """A copy of a symmetric matrix as AIJ, which PETSc's multigrids and factorisations take. Collective."""
+def aij_copy(matrix: Any) -> Any:
+    """Copy a symmetric PETSc.Mat to the format AIJ of single rows. Collective."""
     PETSc = petsc()
     copy = matrix.convert(PETSc.Mat.Type.AIJ, PETSc.Mat())
     copy.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -96,22 +99,33 @@ def held_in_rows(matrix: Any) -> Any:
 
 
 def block_type(size: int) -> str:
-    """PETSc's name of the type that holds blocks of so many unknowns."""
+    """Return PETSc's name of the matrix type that holds blocks of `size` unknowns."""
     Type = petsc().Mat.Type
     return str(Type.BAIJ if size > 1 else Type.AIJ)
 
 
-# Options of PETSc's, which users set with a prefix of ours.
+class Product:
+    """The product x -> A x with a square PETSc.Mat, or x -> A'x; calling it is collective."""
 
-# Of the preconditioners, as in PETSC_OPTIONS="-contactqp_pc_gamg_threshold 0.02".
+    def __init__(self, matrix: Any, *, transposed: bool = False) -> None:
+        self._multiply = matrix.multTranspose if transposed else matrix.mult
+        self._input, self._output = matrix.createVecs()
+
+    def __call__(self, x: Vector) -> Vector:
+        self._input.array[:] = x
+        self._multiply(self._input, self._output)
+        return np.array(self._output.array)
+
+
+# The prefix of PETSc's options of preconditioners, as in PETSC_OPTIONS="-contactqp_pc_gamg_threshold 0.02".
 PREFIX = "contactqp_"
 
 
 @contextmanager
-def given(prefix: str, ours: dict[str, Any]) -> Iterator[None]:
-    """Options that the user has not set, for the while."""
+def temporary_options(prefix: str, defaults: dict[str, Any]) -> Iterator[None]:
+    """Set PETSc's options of this prefix while the context lasts, except those that the user has set."""
     options = petsc().Options(prefix)
-    added = {name: value for name, value in ours.items() if not options.hasName(name)}
+    added = {name: value for name, value in defaults.items() if not options.hasName(name)}
     for name, value in added.items():
         options[name] = value
     try:
@@ -121,30 +135,27 @@ def given(prefix: str, ours: dict[str, Any]) -> Iterator[None]:
             options.delValue(name)
 
 
-# Memory that is free and that the C library, or PETSc, keeps for itself.
+def release_free_memory() -> None:
+    """Return free memory between blocks in use to the system, which glibc itself does at the end of its heap alone.
 
-
-def give_back() -> None:
-    """Return to the system what is free between what is in use: glibc does so at the end of its heap alone.
-
-    What lasts, a stiffness, is made after what does not, a mesh, and would come on top of it. Nothing happens where the
-    C library is another.
+    A stiffness lasts and is made after a mesh, which does not, so that it would add to the mesh's memory. With another
+    C library nothing happens.
     """
     trim = _malloc_trim()
     if trim is not None:
         trim(0)
 
 
-def destroy_dropped(comm: Any) -> None:
-    """Destroy what of PETSc's Python has dropped on all ranks: PETSc waits to be told. Collective.
+@cache
+def _malloc_trim() -> Any:
+    return getattr(ctypes.CDLL(None), "malloc_trim", None)  # CDLL(None) searches what this process has loaded
 
-    Until then it keeps every vector and scatter that was made for a while: some of them in each solution.
+
+def collect_garbage(comm: Any) -> None:
+    """Destroy the PETSc objects that Python has dropped on all ranks. Collective.
+
+    PETSc itself would keep every dropped vector and scatter, and each solution makes some.
     """
     cleanup = getattr(petsc(), "garbage_cleanup", None)  # PETSc before 3.18 destroys at once
     if cleanup is not None:
         cleanup(comm)
-
-
-@cache
-def _malloc_trim() -> Any:
-    return getattr(ctypes.CDLL(None), "malloc_trim", None)  # of what this process has loaded: nothing is searched for

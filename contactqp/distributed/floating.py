@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.distributed.problem import Bodies, DistributedProblem
 from contactqp.distributed.rows import Rows
@@ -25,46 +24,33 @@ from contactqp.linalg.condensation import UNRESISTED
 from contactqp.linalg.iteration import FLOATING, ConstrainedRows
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
 from contactqp.linalg.refinement import shift_within_gaps
-from contactqp.model.arrays import Array, Vector
-
-# The motions that nothing resists, body by body, out of the soft motions that a problem brings.
+from contactqp.model.arrays import Array, Mask, Vector
 
 
 @dataclass(frozen=True, eq=False)
 class FloatingBodies:
-    """Motions z with K z = 0 to rounding, those of all bodies side by side."""
+    """The motions z of all bodies with K z = 0 to rounding, side by side."""
 
-    motions: NDArray[np.float64]  # (n_here, r) zero where a body has fewer, or is held
-    floats: NDArray[np.bool_]  # (q,) of the bodies on this rank
+    motions: Array  # (n_here, r) zero where a body has fewer than r, or is supported
+    floats: Mask  # (q,) whether each body on this rank floats
 
 
 def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    """Combinations of the soft motions whose energy is FLOATING of their diagonal's at most. Collective.
+    """Return the combinations of known motions whose energy is at most FLOATING times that of their diagonal.
 
-    They are found once for a stiffness.
+    They are computed once for a stiffness. Collective.
     """
-    if "floating bodies" not in problem.shared:
-        problem.shared["floating bodies"] = _found(problem, bodies)
-    found: FloatingBodies = problem.shared["floating bodies"]
+    found: FloatingBodies | None = problem.computed.floating_bodies
+    if found is None:
+        problem.computed.floating_bodies = found = _find_floating(problem, bodies)
     return found
 
 
-def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
-    """`contactqp.linalg.measures.without_rigid_part` of this rank's unknowns. Collective."""
-    floating = floating_bodies(problem, bodies)
-    if not problem.ranks.any(floating.floats):
-        return displacement
-    Z, K = floating.motions, problem.diagonal
-    width = Z.shape[1]
-    products = [bodies.totals((K * Z[:, i])[:, None] * np.column_stack([Z, displacement])) for i in range(width)]
-    gram = np.stack(products, axis=1)  # (count, r, r + 1)
-    coordinates = np.array([np.linalg.lstsq(g[:, :width], g[:, width:], rcond=None)[0] for g in gram])
-    moved = bodies.combined(Z, bodies.told(coordinates.reshape(-1, width, 1)))
-    return np.asarray(displacement - moved[:, 0])
-
-
-def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    B = of_size_one(problem.soft_motions, problem.ranks.max)
+def _find_floating(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
+    known = problem.near_null_space
+    if problem.rigid_motions is not None:
+        known = np.hstack([known, problem.rigid_motions])
+    B = of_size_one(known, problem.ranks.max)
     width = B.shape[1]
     # What has no stiffness at all floats by itself, and any metric will do.
     metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
@@ -79,27 +65,43 @@ def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
         ratios, vectors = energy_ratios(energy[place], size[place])
         free = ratios <= FLOATING
         mixed[place, :, : np.count_nonzero(free)] = vectors[:, free]
-    combined = bodies.told(mixed)
+    combined = bodies.from_homes(mixed)
     most = int(problem.ranks.max(int(np.sum(np.any(combined, axis=(0, 1))))))
     return FloatingBodies(bodies.combined(B, combined[:, :, :most]), np.any(combined, axis=(1, 2)))
 
 
-# A load that does this part of its work on a motion does none: it is rounding.
+def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
+    """Return the displacement (n_here,) less its rigid part, as `contactqp.linalg.measures` does. Collective."""
+    floating = floating_bodies(problem, bodies)
+    if not problem.ranks.any(floating.floats):
+        return displacement
+    Z, K = floating.motions, problem.diagonal
+    width = Z.shape[1]
+    products = [bodies.totals((K * Z[:, i])[:, None] * np.column_stack([Z, displacement])) for i in range(width)]
+    gram = np.stack(products, axis=1)  # (count, r, r + 1)
+    coordinates = np.array([np.linalg.lstsq(g[:, :width], g[:, width:], rcond=None)[0] for g in gram])
+    moved = bodies.combined(Z, bodies.from_homes(coordinates.reshape(-1, width, 1)))
+    return np.asarray(displacement - moved[:, 0])
+
+
+# A load that does at most this part of its work on a motion does none: it is rounding.
 BALANCED = 1e-10
 # A multiplier of the linear program below this part of the largest is none.
 IDLE = 1e-9
-# SciPy's words for the end of a linear program.
+# SciPy's numbers for the end of a linear program.
 _INFEASIBLE, _UNBOUNDED = 2, 3
 _DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
 
 
-class Floating:
-    """The rigid motions of the bodies of a problem. Everything is collective.
+class FloatingMotions:
+    """The rigid motions of the bodies of a problem and its rows, contacts first.
+
+    All methods are collective but `with_rows`.
 
     Attributes
     ----------
     motions : (n_here, r) array
-        Z, orthonormal in the metric of D; no columns where all bodies are held.
+        Z, orthonormal in the metric of D; no columns where all bodies are supported.
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
@@ -107,27 +109,27 @@ class Floating:
         self._contacts = problem.contacts
         self._diagonal = problem.metric
         self.motions = _motions(problem)
-        self._stand_on(rows, compliance)
+        self._set_rows(rows, compliance)
 
-    def standing(self, rows: Rows, compliance: Vector) -> Floating:
-        """The same motions with other rows, the contacts first; not collective."""
+    def with_rows(self, rows: Rows, compliance: Vector) -> FloatingMotions:
+        """Return the same motions with other rows, the same contacts first, and their E_i D^-1 E_i'."""
         other = copy(self)
         other.__dict__.pop("moved", None)
-        other._stand_on(rows, compliance)
+        other._set_rows(rows, compliance)
         return other
 
-    def _stand_on(self, rows: Rows, compliance: Vector) -> None:
+    def _set_rows(self, rows: Rows, compliance: Vector) -> None:
         self._rows = rows
         self._stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
 
     @property
     def count(self) -> int:
-        """r."""
+        """The number r of motions."""
         return int(self.motions.shape[1])
 
     @cached_property
     def moved(self) -> Array:
-        """E Z (a, r), zero where it is rounding: what of a motion a row would feel by that alone does not resist it."""
+        """E Z (a, r), zero where it is rounding: a row that a motion moves by rounding alone does not resist it."""
         own = np.sqrt(np.divide(1.0, self._stiffness, out=np.zeros_like(self._stiffness), where=self._stiffness > 0))
         columns = [np.zeros((self._rows.count, 0))]
         for z in self.motions.T:
@@ -136,8 +138,8 @@ class Floating:
             columns.append(np.where(abs(lengths) > UNRESISTED * own * size, lengths, 0.0)[:, None])
         return np.hstack(columns)
 
-    def resting(self, load: Vector, limit: Vector) -> tuple[Vector, NDArray[np.bool_]]:
-        """A rigid displacement (n_here,) where the load presses the bodies, and the contacts that hold them there.
+    def resting(self, load: Vector, limit: Vector) -> tuple[Vector, Mask]:
+        """Return a rigid displacement (n_here,) where the load presses the bodies, and the contacts that stop them.
 
         Raises
         ------
@@ -149,45 +151,42 @@ class Floating:
         work = self._work(load)
         every = self._ranks.gathered(self.moved), self._ranks.gathered(limit)
         contact = self._ranks.gathered(np.arange(len(limit)) < self._contacts)
-        a, force = self._ranks.comm.bcast(resting_place(work, *every, contact) if self._ranks.rank == 0 else None)
+        a, force = self._ranks.broadcast(resting_place(work, *every, contact) if self._ranks.rank == 0 else None)
         if isinstance(a, str):
             raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
-        first = self._ranks.first(len(limit))
+        first = self._ranks.offset(len(limit))
         push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
         pressed = push[first : first + self._contacts] > IDLE * np.max(abs(push), initial=0.0)
         return self.motions @ a, pressed
 
-    def loose(self, closed: NDArray[np.bool_]) -> Array:
-        """(r, q): the motions, as orthonormal combinations of Z, that no closed contact and no tie holds."""
+    def loose(self, closed: Mask) -> Array:
+        """Return orthonormal coefficients (r, q) of the motions that no closed contact and no tie holds."""
         holding = np.append(closed, np.ones(self._rows.count - self._contacts, dtype=bool))
-        values, turned = self._singular(np.where(holding, self._stiffness, 0.0))
+        values, turned = self._singular_values(np.where(holding, self._stiffness, 0.0))
         return turned[:, values <= UNRESISTED * np.max(values, initial=0.0)]
 
-    def _singular(self, weight: Vector) -> tuple[Vector, Array]:
-        """The singular values (r,) of sqrt(weight) E Z, and the motions that they belong to as columns."""
+    def _singular_values(self, weight: Vector) -> tuple[Vector, Array]:
+        """Return the singular values (r,) of sqrt(weight) E Z, and its right singular vectors as columns."""
         here = np.linalg.qr(np.sqrt(weight)[:, None] * self.moved, mode="r")
         every = self._ranks.gathered(np.vstack([here, np.zeros((1, self.count))]))
         _, values, turned = np.linalg.svd(every)
         return np.append(values, np.zeros(self.count - len(values))), turned.T
 
-    def holds(self, closed: NDArray[np.bool_], load: Vector) -> bool:
-        """Whether closed contacts and ties hold every motion that the load drives."""
+    def holds(self, closed: Mask, load: Vector) -> bool:
+        """Return whether closed contacts and ties hold every motion that the load drives."""
         loose, work = self.loose(closed), self._work(load)
         return not np.any(abs(loose.T @ work) > BALANCED * (abs(loose).T @ abs(work)))
 
-    def kept_from(self, held: ConstrainedRows, closed: NDArray[np.bool_]) -> ConstrainedRows:
-        """The projections of held rows that also leave the motions alone which no closed contact and no tie holds.
+    def projections(self, rows: ConstrainedRows, closed: Mask) -> ConstrainedRows:
+        """Return the projections of constrained rows that also remove motions which no closed contact or tie holds.
 
-        They would take an iterate anywhere, and other contacts with them.
+        These motions would take an iterate anywhere, and other contacts with them.
         """
         loose = self.loose(closed) if self.count else np.zeros((0, 0))
-        return _Kept(self, held, self.motions @ loose) if loose.shape[1] else held
+        return _ProjectionsWithMotions(self, rows, self.motions @ loose) if loose.shape[1] else rows
 
     def at_rest(self, problem: DistributedProblem, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
-        """The displacement of least norm within the gaps, and the motions (n_here, q) that nothing resists.
-
-        They are orthonormal.
-        """
+        """Return the displacement of least norm within the gaps, and orthonormal motions (n_here, q) that are free."""
         free = self.motions @ self.loose(normal_force > 0)
         gram = self._ranks.sum(free.T @ free)
         values, vectors = np.linalg.eigh(gram)
@@ -198,64 +197,64 @@ class Floating:
         gap = problem.gap - problem.normal.lengths(displacement)
         size = self._ranks.max(float(np.max(np.sqrt(self._diagonal)[:, None] * abs(free), initial=0.0)))
         own = 1 / np.sqrt(self._stiffness[: self._contacts])
-        stays = np.linalg.norm(rows, axis=1) > UNRESISTED * own * size
+        moved = np.linalg.norm(rows, axis=1) > UNRESISTED * own * size
         shift = -self._ranks.sum(free.T @ displacement)
-        every, room = self._ranks.gathered(rows[stays]), self._ranks.gathered(gap[stays])
+        every, room = self._ranks.gathered(rows[moved]), self._ranks.gathered(gap[moved])
         if len(room):
             shift = shift_within_gaps(every, room, shift)
         return displacement + free @ shift, free
 
     def _work(self, load: Vector) -> Vector:
-        """Z'f (r,); zero where it is rounding."""
+        """Return Z'f (r,), zero where it is rounding."""
         work, size = self._ranks.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
         return np.where(abs(work) > BALANCED * size, work, 0.0)
 
     def admit(self, z: Vector) -> None:
-        """Take the rigid motions out of a displacement, in the metric of D, in place."""
-        self.take_out(self.motions, z)
+        """Remove the rigid motions from a displacement, in the metric of D, in place."""
+        self.remove_motions(self.motions, z)
 
     def balanced(self, r: Vector) -> Vector:
-        """What a force does on deformations: Z'r taken off it."""
+        """Return a force that does the same work on deformations and none on the rigid motions."""
         return self.without_work(self.motions, r)
 
-    def take_out(self, motions: Array, z: Vector) -> None:
-        """Take some D-orthonormal motions out of a displacement, in place."""
+    def remove_motions(self, motions: Array, z: Vector) -> None:
+        """Remove some D-orthonormal motions from a displacement, in place."""
         if motions.shape[1]:
             z -= motions @ self._ranks.sum(motions.T @ (self._diagonal * z))
 
     def without_work(self, motions: Array, r: Vector) -> Vector:
-        """A force that does nothing on some D-orthonormal motions."""
+        """Return a force changed so that it does no work on some D-orthonormal motions."""
         if not motions.shape[1]:
             return r.copy()
         return np.asarray(r - self._diagonal * (motions @ self._ranks.sum(motions.T @ r)))
 
     def balance(self, residual: Vector, weight: Vector) -> Vector:
-        """(a,) the least forces l, in the metric of 1/weight, that take Z'r off a residual: Z'(r - E'l) = 0."""
+        """Return the forces l (a,), least in the metric of 1/weight, with Z'(r - E'l) = 0 for a residual r."""
         if not self.count:
             return np.zeros(self._rows.count)
-        values, turned = self._singular(weight)
-        kept = values > UNRESISTED * np.max(values)
-        work = turned[:, kept].T @ self._ranks.sum(self.motions.T @ residual)
-        return np.asarray(weight * (self.moved @ (turned[:, kept] @ (work / values[kept] ** 2))))
+        values, turned = self._singular_values(weight)
+        resisted = values > UNRESISTED * np.max(values)
+        work = turned[:, resisted].T @ self._ranks.sum(self.motions.T @ residual)
+        return np.asarray(weight * (self.moved @ (turned[:, resisted] @ (work / values[resisted] ** 2))))
 
 
-class _Kept:
-    """Projections of held rows, and of D-orthonormal motions that the rows do not see."""
+class _ProjectionsWithMotions:
+    """Projections of constrained rows, and of D-orthonormal motions that do not move these rows."""
 
-    def __init__(self, floating: Floating, held: ConstrainedRows, motions: Array) -> None:
-        self._floating, self._held, self._motions = floating, held, motions
-        self.close, self.forces = held.close, held.forces
+    def __init__(self, floating: FloatingMotions, rows: ConstrainedRows, motions: Array) -> None:
+        self._floating, self._rows, self._motions = floating, rows, motions
+        self.close, self.forces = rows.close, rows.forces
 
     def admit(self, z: Vector) -> None:
-        self._held.admit(z)
-        self._floating.take_out(self._motions, z)
+        self._rows.admit(z)
+        self._floating.remove_motions(self._motions, z)
 
     def balanced(self, r: Vector) -> Vector:
-        return self._floating.without_work(self._motions, self._held.balanced(r))
+        return self._floating.without_work(self._motions, self._rows.balanced(r))
 
 
 def _motions(problem: DistributedProblem) -> Array:
-    """(n_here, r): those of all bodies, D-orthonormal, body by body. Collective."""
+    """Return the rigid motions (n_here, r) of all bodies, D-orthonormal, body by body. Collective."""
     ranks, bodies = problem.ranks, Bodies(problem.ranks, problem.body)
     found = floating_bodies(problem, bodies)
     columns = [
@@ -267,10 +266,28 @@ def _motions(problem: DistributedProblem) -> Array:
     return np.column_stack(acting) if acting else np.zeros((len(problem.load), 0))
 
 
-def resting_place(work: Vector, moved: Array, limit: Vector, contact: NDArray[np.bool_]) -> tuple[Vector | str, Vector]:
-    """The linear program, solved: coefficients (r,) and multipliers, or why there is none.
+def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> tuple[Vector | str, Vector]:
+    """Solve the linear program of rigid motions under a load.
 
     Where bodies overlap so that no rigid motion parts them, what overlaps counts as touching.
+
+    Parameters
+    ----------
+    work : (r,) array
+        The work Z'f of the load on each motion.
+    moved : (a, r) array
+        E Z of contacts and ties.
+    limit : (a,) array
+        g and b [length].
+    contact : (a,) array of bool
+        Which rows are contacts; the others are ties.
+
+    Returns
+    -------
+    coefficients : (r,) array or str
+        The resting place, or why there is none.
+    force : (a,) array
+        The contact forces that balance the load there; 0 on ties.
     """
     size = np.max(abs(moved), axis=1, initial=0.0)
     acting = size > 0
@@ -287,7 +304,7 @@ def resting_place(work: Vector, moved: Array, limit: Vector, contact: NDArray[np
     return np.asarray(found.x), force
 
 
-def _program(work: Vector, rows: Array, limit: Vector, contact: NDArray[np.bool_]) -> Any:
+def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
     from scipy.optimize import linprog
 
     length = np.max(abs(limit), initial=0.0) or 1.0

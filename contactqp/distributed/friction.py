@@ -1,11 +1,10 @@
 """Coulomb friction over the ranks: Tresca's fixed point with the distributed solve inside.
 
-A step knows which contacts stick, and how large and along what the others rub: friction that is known is a load,
-tangents that stick are ties, and what is left is a contact problem without friction
+A step of the fixed point prescribes which contacts stick, and the friction of the others: prescribed friction is a
+load, tangents that stick are ties, and what remains is a contact problem without friction
 (`contactqp.solving.methods.inexact_active_set`). Its forces give the next bounds mu l_N, relaxed by Aitken's factor,
-and the next states. Before the first step and after each, Newton's method on the combination of states, whose systems
-have Coulomb's law in them (`contactqp.distributed.friction`), tries to end it: bounds need not settle to the
-last digit.
+and the next states. Bounds need not settle to the last digit: before the first step and after each, Newton's method on
+the combination of states, whose systems contain Coulomb's law, tries to end the iteration.
 """
 
 from __future__ import annotations
@@ -20,37 +19,46 @@ import scipy.sparse as sp
 
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.friction_rows import FrictionRows, Iterate, States, states
+from contactqp.distributed.friction_rows import Combination, FrictionalAnswer, FrictionRows, combination_of
 from contactqp.distributed.iteration import DistributedIteration
-from contactqp.distributed.problem import Bodies, DistributedAnswer, DistributedProblem, worst
-from contactqp.distributed.rows import Rows
-from contactqp.distributed.violations import violations
+from contactqp.distributed.problem import Bodies, DistributedProblem, largest_over_ranks
+from contactqp.distributed.violations import outer_resultant, violations
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.solution import FIGURES
+from contactqp.model.solution import FIGURES, Answer, Candidate
 from contactqp.solving.friction.iterate import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
-# PETSc's GMRES on an operator that is a function.
-
-# Vectors kept until GMRES starts anew.
+# Vectors that GMRES keeps until it starts anew.
 RESTART = 60
 
 
 def gmres(
     operator: Callable[[Vector], Vector], right: Vector, like: Any, reduction: float, most: int
 ) -> tuple[Vector, int]:
-    """x with |right - A x| <= reduction |right|, or what `most` steps come to, and the steps taken. Collective.
+    """Solve A x = right by PETSc's GMRES, with A a function. Collective.
 
     Parameters
     ----------
     operator : function
-        A x of the part of a vector that this rank has. Collective.
+        Returns A x of this rank's part x of a vector. Collective.
     right : (n_here,) array
+        The right-hand side.
     like : PETSc.Mat
-        K: it says which rank has which unknowns.
+        A matrix whose unknowns are distributed as those of A: K.
+    reduction : float
+        It ends where |right - A x| <= reduction |right|.
+    most : int
+        It ends after this many steps.
+
+    Returns
+    -------
+    x : (n_here,) array
+        The last iterate.
+    steps : int
+        The steps taken.
     """
     PETSc = petsc()
     matrix = PETSc.Mat().createPython(like.getSizes(), _Operator(operator), comm=like.comm)
@@ -71,220 +79,205 @@ def gmres(
 
 
 class _Operator:
-    """A matrix as PETSc asks it."""
+    """A function as the context of a matrix of PETSc's type "python"."""
 
     def __init__(self, operator: Callable[[Vector], Vector]) -> None:
         self._operator = operator
 
     def mult(self, matrix: Any, x: Any, y: Any) -> None:
-        """y = A x."""
+        """Write A x to y."""
         del matrix
         y.array[:] = self._operator(np.array(x.array_r))
 
-
-# One combination of open, stick and slip over the ranks: a linear system, unsymmetric where something slides.
-#
-# With H the rows that are held (closed contacts, ties, tangents that stick), G = H + mu t'E_T at the normals of
-# contacts that slide, and the turning of slip directions in space as a stiffness C of the tangents,
-#
-#     (K + E_T'C E_T) u + G'l = f + E_T'C o,    H u = h.
-#
-# GMRES goes along displacements M r that H admits and looks at what the forces on G leave of residuals,
-#
-#     P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
-#
-# P_H and P_G the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system itself:
-# nothing has to be iterated on but the combination, and in space the directions.
 
 # Steps of GMRES on one combination.
 STEPS = 600
 
 
 class CombinationSystem:
-    """The system of one combination. Everything is collective."""
+    """The linear system of one combination of open, stick and slip, unsymmetric where something slides.
 
-    def __init__(self, rows: FrictionRows, chosen: States) -> None:
-        way = rows.way
-        self._rows, self._way, self._chosen = rows, way, chosen
-        self._active = rows.held(chosen)
-        held, limit = way.rows.entries[self._active], rows.limit[self._active]
-        floating = way.floating
+    With H the constrained rows (closed contacts, ties, tangents that stick), G = H + mu t'E_T at the normals of
+    contacts that slide, and the turning of slip directions in space as a stiffness C of the tangents,
+
+        (K + E_T'C E_T) u + G'l = f + E_T'C o,    H u = h.
+
+    GMRES goes along displacements M r that H admits and looks at what the forces on G leave of residuals,
+
+        P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
+
+    where P_H and P_G are the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system
+    itself: nothing is iterated on but the combination, and in space the directions. Everything is collective.
+    """
+
+    def __init__(self, rows: FrictionRows, states: Combination) -> None:
+        iteration = rows.iteration
+        self._rows, self._iteration, self._states = rows, iteration, states
+        self._active = rows.constrained(states)
+        H, limit = iteration.rows.entries[self._active], rows.limit[self._active]
+        sliding = rows.sliding(states)[states.closed]
+        G = H + sp.vstack([sliding, sp.csr_matrix((H.shape[0] - sliding.shape[0], H.shape[1]))])
+        floating = iteration.floating
         if floating.count:
-            floating = rows.sticking(chosen.stick)[0].floating
-        self._held, self._pushed = (
-            floating.kept_from(way.holding(entries, limit), chosen.closed)
-            for entries in (held, _below(held, rows.pushing(chosen)[chosen.closed]))
+            floating = rows.sticking(states.stick)[0].floating
+        self._on_h, self._on_g = (
+            floating.projections(iteration.constrained(sp.csr_matrix(entries), limit), states.closed)
+            for entries in (H, G)
         )
-        self._turning: Rows | None = None
-        if way.any(chosen.turning > 0):
-            turned, self._origin = rows.turning(chosen)
-            self._turning = way.rows.standing(turned)
-        self._scale = np.sqrt(way.diagonal)
+        self._turning: Any = None
+        if iteration.any(states.turning > 0):
+            turned, self._origin = rows.turning(states)
+            self._turning = iteration.rows.with_entries(turned)
+        self._scale = np.sqrt(iteration.diagonal)
 
     def closed(self, u: Vector) -> Vector:
-        """A displacement moved onto the limits of the held rows."""
+        """Return a displacement moved onto the limits of the constrained rows."""
         x = u.copy()
-        self._held.close(x)
+        self._on_h.close(x)
         return x
 
-    def residual(self, x: Vector) -> Vector:
-        """f + E_T'C o - (K + E_T'C E_T) x."""
-        left = self._rows.problem.load - self._way.product(x)
-        if self._turning is not None:
-            left -= self._turning.forces(self._turning.lengths(x) - self._origin)
-        return np.asarray(left)
+    def unbalanced(self, x: Vector) -> Vector:
+        """Return what the forces on G leave of the residual at a displacement."""
+        return self._on_g.balanced(self._residual(x))
 
-    def unbalanced(self, residual: Vector) -> Vector:
-        """What the forces on the rows leave of a residual."""
-        return self._pushed.balanced(residual)
+    def _residual(self, x: Vector) -> Vector:
+        """Return f + E_T'C o - (K + E_T'C E_T) x."""
+        residual = self._rows.problem.load - self._iteration.product(x)
+        if self._turning is not None:
+            residual -= self._turning.forces(self._turning.lengths(x) - self._origin)
+        return np.asarray(residual)
 
     def error(self, unbalanced: Vector) -> float:
-        """|r'P_H M r|, about the square of the error in energy."""
-        return abs(self._way.dot(unbalanced, self._along(unbalanced)))
+        """Return |r'P_H M r|, about the square of the error in energy."""
+        return abs(self._iteration.dot(unbalanced, self._along(unbalanced)))
 
     def improved(self, x: Vector, unbalanced: Vector, reduction: float) -> Vector:
-        """x with what is unbalanced at it reduced by this factor, as far as GMRES comes."""
+        """Return x after GMRES has reduced what is unbalanced at it by this factor, or as far as it comes."""
         scale = self._scale
 
         def operator(y: Vector) -> Vector:
-            return np.asarray(self._pushed.balanced(self._stiffness(self._along(scale * y))) / scale)
+            return np.asarray(self._on_g.balanced(self._stiffness(self._along(scale * y))) / scale)
 
         found, steps = gmres(operator, unbalanced / scale, self._rows.problem.stiffness, reduction, STEPS)
-        self._way.krylov_iterations += steps
+        self._iteration.krylov_iterations += steps
         return np.asarray(x + self._along(scale * found))
 
-    def iterate(self, x: Vector) -> Iterate:
-        """The forces that go with a displacement. Friction across t is that of Newton's method."""
-        rows, chosen = self._rows, self._chosen
+    def answer(self, x: Vector) -> FrictionalAnswer:
+        """Return a displacement with its forces; friction across t is that of Newton's method."""
+        rows, states = self._rows, self._states
         force = np.zeros(len(rows.limit))
-        force[self._active] = self._pushed.forces(self.residual(x))
-        normal, tie, rub = np.split(force, [rows.m, rows.plain])
-        rub = rub.reshape(rows.m, rows.width)
-        along = (rows.mu * np.maximum(normal, 0.0))[:, None] * chosen.direction
-        return Iterate(x, normal, rub + along + rows.across(x, chosen), tie)
+        force[self._active] = self._on_g.forces(self._residual(x))
+        normal, tie, friction = np.split(force, [rows.m, rows.plain])
+        sliding = rows.bound(normal)[:, None] * states.direction
+        friction = friction.reshape(rows.m, rows.width) + sliding + rows.turned_friction(x, states)
+        return FrictionalAnswer(x, normal, friction, tie)
 
     def _along(self, r: Vector) -> Vector:
-        z = self._way.smooth(r)
-        self._held.admit(z)
+        """Return P_H M r."""
+        z = self._iteration.smooth(r)
+        self._on_h.admit(z)
         return z
 
     def _stiffness(self, x: Vector) -> Vector:
-        force = self._way.product(x)
+        force = self._iteration.product(x)
         if self._turning is not None:
             force += self._turning.forces(self._turning.lengths(x))
         return force
 
 
-def _below(rows: sp.csr_matrix, added: sp.csr_matrix) -> sp.csr_matrix:
-    """Rows with others added to the first of them."""
-    nothing = sp.csr_matrix((rows.shape[0] - added.shape[0], rows.shape[1]))
-    return sp.csr_matrix(rows + sp.vstack([added, nothing]))
-
-
-# Newton's method on Coulomb's law over the ranks: from one combination of open, stick and slip to the next.
-#
-# Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
-# Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then.
-
 # Combinations tried from one start.
 MOST = 25
-# What GMRES leaves of a combination that may not be the last, and of one that came again, a round.
+# The parts to which GMRES reduces what is unbalanced: of a combination that may not be the last, and of one that came
+# again, in each round.
 LOOSE, TIGHT = 1e-3, 1e-7
 # Rounds of GMRES on a combination that came again, each on the residual anew.
 ROUNDS = 4
-# Of the tolerance, what the equilibrium and all figures of an answer may be.
+# The parts of the tolerance that equilibrium and all figures of an answer may reach.
 EQUILIBRIUM, FIGURE = 0.3, 0.7
-# What is left of the forces that meet at an unknown when their rounding is all that is left.
+# The part of the forces that meet at an unknown that is rounding.
 ROUNDING = 4 * np.finfo(float).eps
-# An error in energy, squared, of so many times what GMRES could not take off is rounding too.
+# An error in energy, squared, of so many times what GMRES could not reduce is rounding too.
 STUCK = 4.0
 
 
 class FrictionNewton:
-    """Everything is collective."""
+    """Newton's method on Coulomb's law, from one combination of open, stick and slip to the next.
+
+    Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
+    Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then. Everything is
+    collective.
+    """
 
     def __init__(self, rows: FrictionRows, tolerance: float, energy: float) -> None:
-        self._rows, self._way, self._problem = rows, rows.way, rows.problem
+        self._rows, self._iteration, self._problem = rows, rows.iteration, rows.problem
         self._tolerance, self._energy = tolerance, energy
 
-    def run(self, start: Iterate) -> Iterate | None:
-        """The answer from a start, or None where the combinations lead nowhere."""
+    def run(self, start: FrictionalAnswer) -> FrictionalAnswer | None:
+        """Return the answer from a start, or None where the combinations lead nowhere."""
         here, before = start, None
-        chosen: States | None = None
+        states: Combination | None = None
         seen: dict[object, int] = {}
         for _ in range(MOST):
-            chosen = self._rows.coulomb(here, chosen)
-            if not self._held(chosen):
+            states = self._rows.coulomb(here, states)
+            if not self._supports(states):
                 return None
-            mark = self._way.mark(chosen.flags)
+            mark = self._iteration.mark(states.flags)
             again = mark == before
             seen[mark] = seen.get(mark, 0) + 1
             if seen[mark] > 2 and not again:
-                return None  # round and round
-            system = CombinationSystem(self._rows, chosen)
+                return None  # the combinations form a cycle
+            system = CombinationSystem(self._rows, states)
             x, error = self._solved(system, system.closed(here.displacement), again)
-            if self._way.any(~np.isfinite(x)):
+            if self._iteration.any(~np.isfinite(x)):
                 return None
-            here, before = system.iterate(x), mark
+            here, before = system.answer(x), mark
             if again:
-                answer = self._rows.within(here, chosen)
-                if self._balances(system, answer, STUCK * error) and self.holds(answer):
+                answer = self._rows.within_law(here, states)
+                residual = outer_resultant(self._problem, answer) - self._iteration.product(x)
+                if self._enough(system, x, residual, STUCK * error) and self.certifiable(answer):
                     return answer
         return None
 
-    def _held(self, chosen: States) -> bool:
-        """Whether what is closed and what sticks holds every rigid motion that the load drives."""
-        if not self._way.floating.count:
+    def _supports(self, states: Combination) -> bool:
+        """Return whether what is closed and what sticks holds every rigid motion that the load drives."""
+        if not self._iteration.floating.count:
             return True
-        floating = self._rows.sticking(chosen.stick)[0].floating
-        return floating.holds(chosen.closed, self._problem.load)
+        floating = self._rows.sticking(states.stick)[0].floating
+        return floating.holds(states.closed, self._problem.load)
 
     def _solved(self, system: CombinationSystem, x: Vector, tight: bool) -> tuple[Vector, float]:
-        """The displacement, and the error in energy, squared, that is left of it."""
-        left = system.unbalanced(system.residual(x))
+        """Return the displacement, and the square of the error in energy that remains."""
+        unbalanced = system.unbalanced(x)
         for _ in range(ROUNDS if tight else 1):
-            if self._small(x, left, ROUNDING) or (tight and self._enough(system, x, left, 0.0)):
+            if self._small(x, unbalanced, ROUNDING) or (tight and self._enough(system, x, unbalanced, 0.0)):
                 break
-            x = system.improved(x, left, TIGHT if tight else LOOSE)
-            left = system.unbalanced(system.residual(x))
-        return x, system.error(left)
+            x = system.improved(x, unbalanced, TIGHT if tight else LOOSE)
+            unbalanced = system.unbalanced(x)
+        return x, system.error(unbalanced)
 
-    def _small(self, x: Vector, left: Vector, part: float) -> bool:
-        sizes = self._way.product_sizes(x) + abs(self._problem.load)
-        return not self._way.any(~(ratio(abs(left), sizes) <= part))
+    def _small(self, x: Vector, residual: Vector, part: float) -> bool:
+        sizes = self._iteration.product_sizes(x) + abs(self._problem.load)
+        return not self._iteration.any(~(ratio(abs(residual), sizes) <= part))
 
-    def _enough(self, system: CombinationSystem, x: Vector, left: Vector, floor: float) -> bool:
-        if not self._small(x, left, EQUILIBRIUM * self._tolerance):
+    def _enough(self, system: CombinationSystem, x: Vector, residual: Vector, floor: float) -> bool:
+        """Return whether a residual is small at every unknown, and in energy small or below the floor."""
+        if not self._small(x, residual, EQUILIBRIUM * self._tolerance):
             return False
-        work = self._way.dot(x, self._way.product(x))
-        return system.error(left) <= max(self._energy**2 * work, floor)
+        work = self._iteration.dot(x, self._iteration.product(x))
+        return system.error(residual) <= max(self._energy**2 * work, floor)
 
-    def _balances(self, system: CombinationSystem, answer: Iterate, floor: float) -> bool:
-        x = answer.displacement
-        return self._enough(system, x, self._rows.outer(answer) - self._way.product(x), floor)
-
-    def holds(self, answer: Iterate) -> bool:
-        """Whether every figure of the certificate but `balance`, which equilibrium implies, is small."""
+    def certifiable(self, answer: Answer) -> bool:
+        """Return whether every figure of the certificate but `balance`, which equilibrium implies, is small."""
         problem = self._problem
-        given = DistributedAnswer(answer.displacement, answer.normal, answer.rub, answer.tie)
-        found = violations(problem, given, Bodies(problem.ranks, problem.body), ROUNDING_OF_ANSWERS * self._tolerance)
-        figures = worst(problem.ranks, *(getattr(found, name) for name in FIGURES if name != "balance"))
+        found = violations(problem, answer, Bodies(problem.ranks, problem.body), ROUNDING_OF_ANSWERS * self._tolerance)
+        figures = largest_over_ranks(problem.ranks, *(getattr(found, name) for name in FIGURES if name != "balance"))
         return all(figure <= FIGURE * self._tolerance for figure in figures)
 
 
 # Bounds that change by less than this part of the largest may have come to the answer.
 SETTLED = 5e-10
-# Enough for contractions up to 0.9, as in one process; what is slower is not getting there.
+# Enough steps for contractions up to 0.9, as in one process; a slower iteration does not converge.
 MAX_STEPS = 100
-
-
-@dataclass(frozen=True, eq=False)
-class FrictionFound:
-    """An answer that holds, and what it took."""
-
-    answer: DistributedAnswer
-    steps: int  # contact problems without friction
-    changes: tuple[float, ...]  # of the bounds, relative, one a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,129 +291,120 @@ class _Limits:
 
 def solve_friction(
     problem: DistributedProblem,
-    way: DistributedIteration,
+    iteration: DistributedIteration,
     settings: Settings,
-    start: DistributedAnswer | None,
+    start: Answer | None,
     energy: float,
-) -> FrictionFound:
-    """Coulomb's answer, as far as the steps tell; the certificate judges it. Collective.
+) -> Candidate:
+    """Return the answer of Coulomb's law as far as the steps can tell; the certificate judges it. Collective.
 
     Parameters
     ----------
     problem : DistributedProblem
-        With friction.
-    way : DistributedIteration
-        With tangents.
+        A problem with friction.
+    iteration : DistributedIteration
+        The iteration on its rows, tangents included.
     settings : Settings
         `max_iter` counts contact problems without friction, `time_limit` is for all of them.
-    start : DistributedAnswer, optional
-        Of a problem with the same K and rows.
+    start : Answer, optional
+        The answer of a problem with the same K and rows.
     energy : float
-        The error in energy, of the energy of the displacement.
+        The error in energy, relative to the energy of the displacement.
 
     Raises
     ------
     NotConverged
-        The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
+        The bounds have not settled, or those of a step do not hold the bodies; the history has their changes.
     NoEquilibrium
         The bodies are held neither without friction nor with all contacts stuck.
     """
-    return _FixedPoint(problem, way, settings, energy).run(start)
+    fixed_point = _FixedPoint(problem, iteration, settings, energy)
+    found, steps = fixed_point.run(start)
+    return Candidate(
+        found.displacement,
+        found.normal_force,
+        found.tie_force,
+        iterations=steps,
+        history=tuple(fixed_point.changes),
+        friction_force=found.friction_force,
+    )
 
 
 class _FixedPoint:
+    """Tresca's fixed point; `changes` are those of the bounds in each step, relative."""
+
     def __init__(
-        self, problem: DistributedProblem, way: DistributedIteration, settings: Settings, energy: float
+        self, problem: DistributedProblem, iteration: DistributedIteration, settings: Settings, energy: float
     ) -> None:
-        self._problem, self._way, self._energy = problem, way, energy
-        self._rows = FrictionRows(problem, way)
+        self._problem, self._iteration, self._energy = problem, iteration, energy
+        self._rows = FrictionRows(problem, iteration)
         limit = settings.time_limit
         self._end = np.inf if limit is None else time.perf_counter() + limit
         self._settings = replace(settings, warm_start=None, max_iter=None)
         self._most = settings.max_iter or MAX_STEPS
         self._newton = FrictionNewton(self._rows, settings.tolerance, energy)
-        self._changes: list[float] = []
+        self.changes: list[float] = []
 
-    def run(self, start: DistributedAnswer | None) -> FrictionFound:
+    def run(self, start: Answer | None) -> tuple[FrictionalAnswer, int]:
+        """Return the answer and the number of contact problems without friction that it took."""
         rows = self._rows
-        if start is not None and (known := self._from(start)) is not None:
-            found = self._newton.run(known)
-            if found is not None:
-                return self._found(found, 0)
+        if start is not None and start.friction_force is not None and self._iteration.any(start.normal_force > 0):
+            here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
+            if (found := self._newton.run(here)) is not None:
+                return found, 0
         here = self._first()
-        bound = rows.mu * np.maximum(here.normal, 0.0)
+        bound = rows.bound(here.normal_force)
         relaxation, before = RELAXATION[1], None
-        chosen: States | None = None
+        states: Combination | None = None
         for step in range(1, self._most + 1):
-            found = self._newton.run(here)
-            if found is not None:
-                return self._found(found, step)
-            self._refuse_late()
-            chosen = states(rows.trial(here), bound, rows.stiffness, chosen)
-            here = self._step(chosen, bound, step)
-            missing = rows.mu * np.maximum(here.normal, 0.0) - bound
-            self._changes.append(self._change(missing, bound))
-            if self._changes[-1] <= SETTLED and self._newton.holds(settled := rows.within(here, chosen)):
-                return self._found(settled, step)
-            relaxation = aitken(relaxation, before, missing, self._way.dot)
+            if (found := self._newton.run(here)) is not None:
+                return found, step
+            if self._iteration.any(time.perf_counter() > self._end):
+                raise self._not_converged("the time limit is reached")
+            states = combination_of(rows.trial(here), bound, rows.stiffness, states)
+            try:
+                here = self._solved(states, bound[:, None] * states.direction)
+            except NoEquilibrium as error:
+                raise self._not_converged(f"the friction bounds of step {step} do not hold the bodies") from error
+            missing = rows.bound(here.normal_force) - bound
+            self.changes.append(self._change(missing, bound))
+            if self.changes[-1] <= SETTLED and self._newton.certifiable(settled := rows.within_law(here, states)):
+                return settled, step
+            relaxation = aitken(relaxation, before, missing, self._iteration.dot)
             bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
         raise self._not_converged(f"the friction bounds have not settled in {self._most} steps")
 
-    def _from(self, start: DistributedAnswer) -> Iterate | None:
-        """A known answer to begin with, unless nothing touches in it."""
-        if start.friction_force is None or not self._way.any(start.normal_force > 0):
-            return None
-        return Iterate(start.displacement, start.normal_force, start.friction_force, start.tie_force)
-
-    def _first(self) -> Iterate:
-        """The answer without friction or, where that holds the bodies, the one with all contacts stuck."""
+    def _first(self) -> FrictionalAnswer:
+        """Return the answer without friction where that holds the bodies, else the one with all contacts stuck."""
         m, width = self._rows.m, self._rows.width
         nothing, everywhere = np.zeros((m, width)), np.ones(m, dtype=bool)
         try:
-            return self._solved(States(~everywhere, ~everywhere, nothing, np.zeros(m)), nothing)
+            return self._solved(Combination(~everywhere, ~everywhere, nothing, np.zeros(m)), nothing)
         except NoEquilibrium:
-            stuck = States(everywhere, everywhere & (self._rows.mu > 0), nothing, np.zeros(m))
+            stuck = Combination(everywhere, everywhere & (self._rows.friction > 0), nothing, np.zeros(m))
             return self._solved(stuck, nothing)
 
-    def _step(self, chosen: States, bound: Vector, step: int) -> Iterate:
-        try:
-            return self._solved(chosen, bound[:, None] * chosen.direction)
-        except NoEquilibrium as error:
-            raise self._not_converged(f"the friction bounds of step {step} do not hold the bodies") from error
-
-    def _solved(self, chosen: States, rub: Array) -> Iterate:
-        """The answer without friction but for what sticks and the known rubbing (m, d-1)."""
+    def _solved(self, states: Combination, prescribed: Array) -> FrictionalAnswer:
+        """Return the answer where some contacts stick and the others have the prescribed friction (m, d-1)."""
         rows, m, k = self._rows, self._rows.m, self._problem.ties
-        way, limit = rows.sticking(chosen.stick)
-        before = way.krylov_iterations
-        load = self._problem.load - rows.load_of(rub)
-        limits = _Limits(load, limit[:m], limit[m:])
-        settings = replace(self._settings, time_limit=None if np.isinf(self._end) else self._left())
-        candidate = solve_by_iteration(limits, way, settings, self._energy)
-        self._way.krylov_iterations += way.krylov_iterations - before
+        iteration, limit = rows.sticking(states.stick)
+        before = iteration.krylov_iterations
+        tangential = np.concatenate([np.zeros(rows.plain), prescribed.ravel()])
+        limits = _Limits(self._problem.load - self._iteration.forces(tangential), limit[:m], limit[m:])
+        seconds = None if np.isinf(self._end) else max(self._end - time.perf_counter(), 0.0)
+        candidate = solve_by_iteration(limits, iteration, replace(self._settings, time_limit=seconds), self._energy)
+        self._iteration.krylov_iterations += iteration.krylov_iterations - before
         # What the first answers have not settled, later steps do.
-        if self._changes and not candidate.claimed:
+        if self.changes and not candidate.claimed:
             raise self._not_converged(candidate.status)
-        whole = np.zeros(len(rows.limit))
-        whole[rows.tangents(chosen.stick)] = candidate.tie_force[k:]
-        friction = rub + whole[rows.plain :].reshape(m, rows.width)
-        return Iterate(candidate.displacement, candidate.normal_force, friction, candidate.tie_force[:k])
+        tangential[rows.tangents(states.stick)] += candidate.tie_force[k:]
+        friction = tangential[rows.plain :].reshape(m, rows.width)
+        return FrictionalAnswer(candidate.displacement, candidate.normal_force, friction, candidate.tie_force[:k])
 
     def _change(self, missing: Vector, bound: Vector) -> float:
         size, largest = (float(np.max(abs(part), initial=0.0)) for part in (missing, bound))
         change, scale = self._problem.ranks.max(np.array([size, max(size, largest)]))
         return float(change / scale) if scale > 0 else 0.0
 
-    def _left(self) -> float:
-        return max(self._end - time.perf_counter(), 0.0)
-
-    def _refuse_late(self) -> None:
-        if self._way.any(time.perf_counter() > self._end):
-            raise self._not_converged("the time limit is reached")
-
     def _not_converged(self, why: str) -> NotConverged:
-        return NotConverged(f"tresca: {why}", tuple(self._changes))
-
-    def _found(self, found: Iterate, steps: int) -> FrictionFound:
-        answer = DistributedAnswer(found.displacement, found.normal, found.rub, found.tie)
-        return FrictionFound(answer, steps, tuple(self._changes))
+        return NotConverged(f"tresca: {why}", tuple(self.changes))

@@ -1,4 +1,4 @@
-"""Rows E over the unknowns of all ranks: each stands on one rank, what it touches may stand on others."""
+"""Constraint rows E over the unknowns of all ranks, and the rows of a matrix where PETSc stores them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -15,23 +15,27 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import block_type, petsc
+from contactqp.distributed.ranks import entries_of_rows
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Index, Vector
 
 
 class Rows:
-    """The rows of one rank. Making them is collective, and so are `lengths` and `forces`.
+    """The rows of one rank, a of them; the unknowns that they touch may belong to other ranks.
+
+    Making them is collective, and so are all methods but `with_entries`.
 
     Parameters
     ----------
     entries : (a, t) sparse matrix
+        The coefficients at the touched unknowns.
     touched : (t,) array of int
-        The unknowns of all ranks that the columns stand for, in PETSc's numbering, each once.
+        The unknowns that the columns stand for, in PETSc's numbering of all ranks, each once.
     like : PETSc.Mat
-        K: it says which rank has which unknowns.
+        A matrix whose columns are distributed as the unknowns are: K.
     """
 
-    def __init__(self, entries: Any, touched: NDArray[np.int64], like: Any) -> None:
+    def __init__(self, entries: Any, touched: Index, like: Any) -> None:
         PETSc = petsc()
         self.entries = sp.csr_matrix(entries)
         self.touched = np.asarray(touched, dtype=PETSc.IntType)
@@ -42,81 +46,87 @@ class Rows:
         self._scatter = PETSc.Scatter().create(self._everywhere, there, self._here, None)
 
     @classmethod
-    def over_touched(cls, rows: Any, like: Any) -> Rows:
-        """Make rows of CSR rows over the unknowns of all ranks. Collective."""
-        touched, place = np.unique(rows.indices, return_inverse=True)
-        shape = (len(rows.indptr) - 1, len(touched))
-        return cls(sp.csr_matrix((rows.data, place.ravel(), rows.indptr), shape=shape), touched, like)
+    def from_csr(cls, rows: Any, like: Any, numbers: Index | None = None) -> Rows:
+        """Make rows from CSR rows of this rank over the unknowns of all ranks. Collective.
 
-    def standing(self, entries: Any) -> Rows:
-        """Other rows over the same unknowns; not collective."""
+        With `numbers`, column j of the CSR rows stands for the unknown numbers[j].
+        """
+        touched, place = np.unique(rows.indices, return_inverse=True)
+        entries = sp.csr_matrix((rows.data, place.ravel(), rows.indptr), (len(rows.indptr) - 1, len(touched)))
+        return cls(entries, touched if numbers is None else numbers[touched], like)
+
+    def with_entries(self, entries: Any) -> Rows:
+        """Return rows with other entries at the same unknowns."""
         other = copy(self)
+        other.__dict__.pop("sizes", None)
         other.entries = sp.csr_matrix(entries)
         return other
 
     @property
     def count(self) -> int:
-        """a."""
+        """The number a of rows on this rank."""
         return int(self.entries.shape[0])
 
-    def near(self, x: Vector) -> Vector:
-        """(t,) the values of x at what the rows of this rank touch."""
+    @cached_property
+    def sizes(self) -> sp.csr_matrix:
+        """|E| (a, t)."""
+        return abs(self.entries)
+
+    def at_touched(self, x: Vector) -> Vector:
+        """Return the values (t,) of a distributed vector at the unknowns that the rows of this rank touch."""
         self._everywhere.array[:] = x
         self._scatter.scatter(self._everywhere, self._here, addv=False, mode="forward")
         return np.array(self._here.array)
 
-    def spread(self, values: Vector) -> Vector:
-        """The sum over the ranks of values (t,) at what their rows touch, as a vector of all unknowns."""
+    def assembled(self, values: Vector) -> Vector:
+        """Return the distributed vector that sums the values (t,) of all ranks at the unknowns that they touch."""
         self._here.array[:] = values
         self._everywhere.set(0.0)
         self._scatter.scatter(self._here, self._everywhere, addv=True, mode="reverse")
         return np.array(self._everywhere.array)
 
     def lengths(self, x: Vector) -> Vector:
-        """(a,) E x."""
-        return np.asarray(self.entries @ self.near(x))
+        """Return E x (a,)."""
+        return np.asarray(self.entries @ self.at_touched(x))
+
+    def length_sizes(self, x: Vector) -> Vector:
+        """Return |E||x| (a,)."""
+        return np.asarray(self.sizes @ self.at_touched(abs(x)))
 
     def forces(self, force: Vector) -> Vector:
-        """E'l."""
-        return self.spread(self.entries.T @ force)
+        """Return E'l (n_here,)."""
+        return self.assembled(self.entries.T @ force)
 
-    def matrix(self, scale: Vector | None = None) -> Any:
-        """E, its columns scaled by a vector over all unknowns, as PETSc.Mat. Collective."""
-        PETSc = petsc()
-        entries = self.entries if scale is None else sp.csr_matrix(self.entries.multiply(self.near(scale)[None, :]))
-        n = self._everywhere.getSizes()
-        indices = self.touched[entries.indices]
-        csr = (entries.indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), entries.data)
-        return PETSc.Mat().createAIJ(size=((self.count, None), n), csr=csr, comm=self._everywhere.comm)
+    def force_sizes(self, force: Vector) -> Vector:
+        """Return |E|'|l| (n_here,)."""
+        return self.assembled(self.sizes.T @ abs(force))
 
 
-# The rows of a matrix on this rank where PETSc has them: a copy would take as much as the matrix.
-#
-# petsc4py shows entries in copies only; PETSc's own functions, which it has loaded, say where they lie.
+# The rows of a matrix are read where PETSc stores them, since a copy would take as much memory as the matrix. petsc4py
+# shows entries in copies only; the C functions of the library that it has loaded return their addresses.
 
-# Blocks of rows that are copied at a time: with the eighty entries a row of bodies in space some 0.01 GB.
+# Rows of blocks that are copied at a time: about 0.01 GB with the eighty entries a row of bodies in space.
 AT_A_TIME = 2**12
 
 
 @dataclass(frozen=True, eq=False)
 class StoredBlocks:
-    """Blocks in compressed rows, as PETSc stores them: nothing is copied."""
+    """Blocks in compressed rows, in the memory where PETSc stores them."""
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
     values: NDArray[np.float64]  # (stored, size, size)
-    columns: int  # blocks of a row
+    columns: int  # the number of columns of blocks
 
     def rows(self, begin: int, end: int) -> sp.bsr_matrix:
-        """The rows of blocks from one to before another, their values a copy."""
+        """Return the rows of blocks begin, ..., end - 1; their values are a copy."""
         cut = slice(self.indptr[begin], self.indptr[end])
         return self._matrix(cut, self.indptr[begin : end + 1] - self.indptr[begin])
 
     def chosen(self, blocks: NDArray[Any]) -> sp.bsr_matrix:
-        """Some rows of blocks, copied."""
-        count = np.diff(self.indptr)[blocks]
-        ends = np.append(0, np.cumsum(count))
-        return self._matrix(np.repeat(self.indptr[blocks] - ends[:-1], count) + np.arange(ends[-1]), ends)
+        """Return a copy of some rows of blocks."""
+        entries, counts = entries_of_rows(self.indptr, blocks)
+        return self._matrix(entries, np.append(0, np.cumsum(counts)))
 
     def _matrix(self, entries: Any, indptr: NDArray[Any]) -> sp.bsr_matrix:
         size = self.values.shape[1]
@@ -126,18 +136,18 @@ class StoredBlocks:
 
 @dataclass(frozen=True, eq=False)
 class StoredRows:
-    """The rows of this rank in blocks: what couples them with one another, and what with blocks of other ranks.
+    """The rows of a distributed matrix on this rank, split by the rank that their columns belong to.
 
     Attributes
     ----------
     size : int
-        Unknowns of a block.
+        The number of unknowns of a block.
     first : int
         The number of this rank's first block among those of all ranks.
     here : StoredBlocks
-        Over the blocks of this rank.
+        The entries in columns of this rank.
     away : StoredBlocks
-        Over the blocks `others`.
+        The entries in the columns `others`.
     others : array of int
         Numbers of blocks of other ranks, ascending.
     """
@@ -149,20 +159,20 @@ class StoredRows:
     others: NDArray[Any]
 
     def parts(self) -> Iterator[tuple[int, int]]:
-        """From which row of blocks to before which, some at a time."""
+        """Yield ranges (begin, end) of rows of blocks that are small enough to be copied."""
         count = len(self.here.indptr) - 1
         for begin in range(0, count, AT_A_TIME):
             yield begin, min(begin + AT_A_TIME, count)
 
     @property
     def unknowns_of_others(self) -> NDArray[Any]:
-        """The numbers of the unknowns of `others`."""
+        """The numbers of the unknowns in the blocks `others`."""
         return (self.others[:, None] * self.size + np.arange(self.size)).ravel()
 
 
 @contextmanager
 def stored_rows(matrix: Any) -> Iterator[StoredRows]:
-    """The rows of this rank, as long as the context lasts; the matrix must stay as it is meanwhile. Not collective.
+    """Open the rows of this rank; while the context lasts the matrix must not be changed. Not collective.
 
     Parameters
     ----------
@@ -172,14 +182,14 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
     Raises
     ------
     Unsupported
-        It is of another type.
+        The matrix is of another type.
     """
     size, (first, last) = matrix.getBlockSize(), matrix.getOwnershipRange()
     kind = block_type(size).upper()
     if matrix.getType() not in (f"seq{kind}".lower(), f"mpi{kind}".lower()):
         raise Unsupported(
             f"stiffness: expected PETSc's {kind} for blocks of {size} unknowns, got {matrix.getType()}; "
-            "contactqp.distributed.environment.held_in_blocks makes it"
+            "contactqp.distributed.environment.block_matrix makes it"
         )
     here, count = ctypes.c_void_p(matrix.handle), (last - first) // size
     with ExitStack() as stack:
@@ -199,7 +209,7 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
 
 
 def chosen_rows(matrix: Any, chosen: NDArray[np.intp]) -> sp.csr_matrix:
-    """A copy of some rows of this rank over the unknowns of all ranks."""
+    """Return a copy of some rows of this rank, numbered from its first, over the unknowns of all ranks."""
     with stored_rows(matrix) as stored:
         blocks = np.unique(chosen // stored.size)
         rows = sp.hstack([part.chosen(blocks) for part in (stored.here, stored.away)], format="csr")
@@ -212,7 +222,7 @@ def chosen_rows(matrix: Any, chosen: NDArray[np.intp]) -> sp.csr_matrix:
 
 
 def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, columns: int) -> StoredBlocks:
-    """The blocks of a matrix of one process."""
+    """Return the blocks of a matrix of one process; PETSc gets them back when the stack closes."""
     PETSc = petsc()
     rows, begins, numbers = _integer(), ctypes.c_void_p(), ctypes.c_void_p()
     found, values = ctypes.c_int(), ctypes.c_void_p()
@@ -233,7 +243,7 @@ def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, col
 
 
 def _seen(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
-    """An array where it lies in memory; it cannot be written to."""
+    """Return an array at an address; it cannot be written to."""
     if not count:
         return np.zeros(0, dtype=dtype)
     kind = np.ctypeslib.as_ctypes_type(dtype)
@@ -243,12 +253,12 @@ def _seen(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
 
 
 def _integer() -> Any:
-    """A PetscInt, zero."""
+    """Return a PetscInt of value zero."""
     return np.ctypeslib.as_ctypes_type(petsc().IntType)()
 
 
 def _call(name: str, *arguments: Any) -> None:
-    """One of PETSc's functions, by its name in C."""
+    """Call one of PETSc's functions by its name in C."""
     if code := _library()[name](*arguments):
         raise petsc().Error(code)
 

@@ -1,9 +1,10 @@
-"""Levels of smoothed aggregation on the aggregates that PETSc's GAMG makes, as `contactqp.linalg.multigrid` has them.
+"""Levels of smoothed aggregation on the aggregates that PETSc's GAMG makes, as in `contactqp.linalg.multigrid`:
 
     P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,
 
-T of the motions that cost little energy. Both products are made of some rows of K at a time, in blocks of nodes: GAMG's
-own hold K P as a whole, which on several ranks takes more than K.
+where T prolongs the motions that cost little energy. Both products are made from a few rows of K at a time, in blocks
+of nodes: GAMG's own levels hold K P as a whole, which on several ranks takes more memory than K. GAMG makes the
+aggregates from the graph of K, with one number for each block.
 """
 
 from __future__ import annotations
@@ -16,17 +17,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import PREFIX, given, held_in_blocks, petsc
-from contactqp.distributed.ranks import Ranks, rows_of_others
+from contactqp.distributed.environment import PREFIX, Product, block_matrix, petsc, temporary_options
+from contactqp.distributed.ranks import Ranks, ask_ranks, rows_of_other_ranks
 from contactqp.distributed.rows import Rows, StoredBlocks, StoredRows, stored_rows
 from contactqp.errors import Unsupported
 from contactqp.linalg.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
 from contactqp.model.arrays import Array, Vector
-
-# Aggregates of nodes over the ranks, and the prolongation of a few motions from them.
-#
-# PETSc's GAMG makes the aggregates from the graph of a stiffness alone, one number for each block: its own levels, of
-# all unknowns, take more memory than the stiffness does.
 
 OPTIONS = {
     "pc_type": "gamg",
@@ -37,27 +33,27 @@ OPTIONS = {
 }
 # The aggregates of the finest level are made of neighbours of neighbours.
 AGGRESSIVE = "pc_gamg_aggressive_coarsening"
-# No aggregate.
+# The number of no aggregate.
 NONE = -1
-# A motion of which the others leave an aggregate no more than this part of its square is one of them there.
+# A motion whose square the other motions of an aggregate reduce to this part or less is a combination of them there.
 SAME_MOTION = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class Aggregates:
-    """Which aggregate each block of this rank is in, of those of all ranks; and where those of each rank begin."""
+    """The aggregate of each block of this rank, numbered over all ranks."""
 
-    of: NDArray[Any]  # (blocks here,) NONE: in none, since nothing couples with it
-    starts: NDArray[Any]  # (ranks + 1,)
+    of: NDArray[Any]  # (blocks here,) NONE where nothing couples with a block
+    starts: NDArray[Any]  # (ranks + 1,) the number of the first aggregate of each rank
 
 
 def aggregates(comm: Any, stored: StoredRows, *, finest: bool) -> Aggregates | None:
-    """Return GAMG's aggregates of blocks that K couples; None where these are no coarser. Collective.
+    """Return GAMG's aggregates of the blocks that K couples, or None where they are not coarser. Collective.
 
     Raises
     ------
     Unsupported
-        An option of the user's names another preconditioner.
+        An option that the user has set names another preconditioner.
     PETSc.Error
         GAMG gave up.
     """
@@ -67,7 +63,7 @@ def aggregates(comm: Any, stored: StoredRows, *, finest: bool) -> Aggregates | N
     pc.setOptionsPrefix(PREFIX)
     pc.setOperators(graph)
     try:
-        with given(PREFIX, {**OPTIONS, AGGRESSIVE: int(finest)}):
+        with temporary_options(PREFIX, {**OPTIONS, AGGRESSIVE: int(finest)}):
             pc.setFromOptions()
             if pc.getType() != OPTIONS["pc_type"]:
                 raise Unsupported(f"solver: gamg, but the option -{PREFIX}pc_type is {pc.getType()}")
@@ -93,7 +89,7 @@ def _found(pc: Any, graph: Any) -> Aggregates | None:
 
 
 def _graph(comm: Any, stored: StoredRows) -> Any:
-    """The Frobenius norms of the blocks of K, as AIJ."""
+    """Return the Frobenius norms of the blocks of K, as AIJ."""
     PETSc = petsc()
     count = len(stored.here.indptr) - 1
     rows = sp.hstack([_norms(stored.here), _norms(stored.away)], format="csr")
@@ -111,24 +107,28 @@ def _norms(blocks: StoredBlocks) -> sp.csr_matrix:
 
 @dataclass(frozen=True, eq=False)
 class Tentative:
-    """T: its rows on this rank over the coarse unknowns of all, and where those of each rank begin."""
+    """The tentative prolongation T."""
 
-    rows: sp.bsr_matrix
-    starts: NDArray[Any]  # (ranks + 1,)
+    rows: sp.bsr_matrix  # of this rank, over the coarse unknowns of all ranks
+    starts: NDArray[Any]  # (ranks + 1,) the number of the first coarse unknown of each rank
 
 
 def tentative(ranks: Ranks, found: Aggregates, motions: Array, size: int) -> tuple[Tentative, Array]:
-    """T with T'T = 1, zero for motions that an aggregate has not, and B_coarse with B = T B_coarse. Collective.
+    """Return T with T'T = 1, zero for motions that an aggregate has not, and B_coarse with B = T B_coarse. Collective.
 
     With G = B'B of an aggregate, whose nodes may be on several ranks, T = B W with W upper triangular and W'GW = 1: the
     Q of B = Q R, from sums.
 
     Parameters
     ----------
+    ranks : Ranks
+        The processes.
+    found : Aggregates
+        The aggregates of this rank's blocks.
     motions : (n_here, q) array
-        B.
+        B, the motions that cost little energy.
     size : int
-        Unknowns of a block.
+        The number of unknowns of a block.
     """
     q, first = motions.shape[1], found.starts[ranks.rank]
     blocks = motions.reshape(-1, size, q)
@@ -137,79 +137,70 @@ def tentative(ranks: Ranks, found: Aggregates, motions: Array, size: int) -> tup
     member = sp.csr_matrix((np.ones(len(place)), (place, np.arange(len(place)))), shape=(len(numbers), len(place)))
     some = numbers != NONE
     owner = np.searchsorted(found.starts, numbers[some], side="right") - 1
-    asker = np.full(len(owner), ranks.rank)
-    number, part, back, asker = ranks.exchanged(
-        owner, numbers[some], (member @ gram)[some], np.flatnonzero(some), asker
-    )
-    count = int(found.starts[ranks.rank + 1] - first)
-    here = sp.csr_matrix((np.ones(len(number)), (number - first, np.arange(len(number)))), shape=(count, len(number)))
-    whole = (here @ part).reshape(count, q, q)
-    mix = _orthonormal(whole)
-    back, came = ranks.exchanged(asker, back, mix[number - first])
+    count, coarse = int(found.starts[ranks.rank + 1] - first), np.zeros((0, q))
+
+    def orthonormalise(request: NDArray[Any], _: Any) -> tuple[Array]:
+        nonlocal coarse
+        number = request[:, 0].astype(np.int64) - first
+        here = sp.csr_matrix((np.ones(len(number)), (number, np.arange(len(number)))), shape=(count, len(number)))
+        whole = (here @ request[:, 1:]).reshape(count, q, q)
+        mix = _orthonormal(whole)
+        coarse = np.asarray(np.swapaxes(mix, 1, 2) @ whole).reshape(count * q, q)
+        return (mix[number],)
+
     mixes = np.zeros((len(numbers), q, q))
-    mixes[back] = came
+    mixes[some] = ask_ranks(ranks, owner, np.column_stack([numbers, member @ gram])[some], orthonormalise)[0]
     within = found.of != NONE
     indptr = np.append(0, np.cumsum(within))
     shape = (len(motions), q * int(found.starts[-1]))
     rows = sp.bsr_matrix((blocks[within] @ mixes[place[within]], found.of[within], indptr), shape=shape)
-    return Tentative(rows, q * found.starts), np.asarray(np.swapaxes(mix, 1, 2) @ whole).reshape(count * q, q)
+    return Tentative(rows, q * found.starts), coarse
 
 
 def _orthonormal(gram: Array) -> Array:
-    """W (a, q, q) with W'GW = 1 for G (a, q, q); a column of zeros for a motion that those before it make up."""
+    """Return W (a, q, q) with W'GW = 1 for G (a, q, q); zeros for a motion that is a combination of those before it."""
     W = np.zeros_like(gram)
     for k in range(gram.shape[1]):
         w = np.zeros(gram.shape[:2])
         w[:, k] = 1.0
-        for _ in range(2):  # once leaves the rounding of motions that are nearly one
+        for _ in range(2):  # once would leave the rounding of motions that are nearly parallel
             w -= np.einsum("akj,aj->ak", W, np.einsum("akj,ak->aj", W, np.einsum("akl,al->ak", gram, w)))
-        left = np.einsum("ak,akl,al->a", w, gram, w)
-        own = left > SAME_MOTION * gram[:, k, k]
-        W[own, :, k] = w[own] / np.sqrt(left[own])[:, None]
+        square = np.einsum("ak,akl,al->a", w, gram, w)
+        own = square > SAME_MOTION * gram[:, k, k]
+        W[own, :, k] = w[own] / np.sqrt(square[own])[:, None]
     return W
 
 
-# Unknowns of the coarsest level: a dense factor on every rank, part of it anew for every contact set.
+# Unknowns of the coarsest level: every rank has its dense factor, a part of which is made anew for every contact set.
 COARSEST = 600
-
-
-class Product:
-    """x -> K x of a matrix that PETSc holds. Collective."""
-
-    def __init__(self, matrix: Any) -> None:
-        self._matrix = matrix
-        self._at, self._into = matrix.createVecs()
-
-    def __call__(self, x: Vector) -> Vector:
-        self._at.array[:] = x
-        self._matrix.mult(self._at, self._into)
-        return np.array(self._into.array)
 
 
 @dataclass(frozen=True, eq=False)
 class DistributedLevel:
-    """One level: its matrix as a product, D, the largest eigenvalue of D^-1 K, and P to the next coarser one."""
+    """One level of the hierarchy."""
 
     ranks: Ranks
-    product: Product
-    diagonal: Vector
-    largest: float
-    prolong: Rows
+    product: Product  # x -> K x
+    diagonal: Vector  # D (n_here,)
+    largest: float  # eigenvalue of D^-1 K
+    prolong: Rows  # P from the next coarser level
 
 
 def smoothed_levels(
-    ranks: Ranks, stiffness: Any, diagonal: Vector, motions: NDArray[np.float64]
+    ranks: Ranks, stiffness: Any, diagonal: Vector, motions: Array
 ) -> tuple[list[DistributedLevel], Any]:
-    """All levels but the coarsest, from the finest on, and the matrix of the coarsest. Collective.
+    """Return all levels except the coarsest, from the finest on, and the matrix of the coarsest. Collective.
 
     Parameters
     ----------
+    ranks : Ranks
+        The processes.
     stiffness : PETSc.Mat
         K of the finest level.
     diagonal : (n_here,) array
         D of the finest level, positive.
     motions : (n_here, q) array
-        What costs little energy.
+        Motions that cost little energy.
 
     Raises
     ------
@@ -227,14 +218,30 @@ def smoothed_levels(
             T, B = tentative(ranks, found, B, stored.size)
             level, matrix = smoothed_level(ranks, matrix, stored, T, D)
         levels.append(level)
-        D = positive_diagonal(matrix)
+        # A coarse unknown that an aggregate had no motion for has a zero row: one stands for its diagonal.
+        D = np.array(matrix.getDiagonal().array)
+        D[D <= 0] = 1.0
     return levels, matrix
 
 
 def smoothed_level(
     ranks: Ranks, matrix: Any, stored: StoredRows, tentative: Tentative, diagonal: Vector
 ) -> tuple[DistributedLevel, Any]:
-    """One level, and the matrix of the next. Collective."""
+    """Make one level and the matrix of the next coarser one. Collective.
+
+    Parameters
+    ----------
+    ranks : Ranks
+        The processes.
+    matrix : PETSc.Mat
+        K of this level.
+    stored : StoredRows
+        The rows of `matrix` on this rank.
+    tentative : Tentative
+        T from the next coarser level.
+    diagonal : (n_here,) array
+        D of this level, positive.
+    """
     product = Product(matrix)
     largest = largest_eigenvalue(product, diagonal, ranks.dot)
     blocks = _Blocks(ranks, matrix, stored)
@@ -243,14 +250,8 @@ def smoothed_level(
     return DistributedLevel(ranks, product, diagonal, largest, _rows_of(prolong, coarse)), coarse
 
 
-def positive_diagonal(matrix: Any) -> Vector:
-    """A coarse unknown that an aggregate had no motion for has a zero row: one stands for its diagonal."""
-    diagonal = np.array(matrix.getDiagonal().array)
-    return np.where(diagonal > 0, diagonal, 1.0)
-
-
 class _Blocks:
-    """Products with a matrix of which this rank has some rows, of some of these at a time.
+    """Products with a distributed matrix, made from a few of this rank's rows at a time.
 
     Matrices over the coarse unknowns have the columns of all ranks here, of which few are filled.
     """
@@ -260,9 +261,9 @@ class _Blocks:
         self._starts = np.asarray(matrix.getOwnershipRanges()) // stored.size
 
     def smoothed(self, tentative: sp.bsr_matrix, damping: Vector) -> sp.bsr_matrix:
-        """(I - damping K) T, the rows of this rank."""
+        """Return the rows of (I - damping K) T on this rank."""
         size = self._stored.size
-        scale, unit, away = -damping.reshape(-1, size, 1), np.eye(size), self._of_others(tentative)
+        scale, unit, away = -damping.reshape(-1, size, 1), np.eye(size), self._rows_of_others(tentative)
         parts = []
         for begin, here, beside in self._parts():
             row = _rows_of_entries(here)
@@ -273,9 +274,9 @@ class _Blocks:
         return _stacked(parts, tentative)
 
     def galerkin(self, prolong: sp.bsr_matrix, starts: NDArray[Any]) -> Any:
-        """P'K P as PETSc.Mat, its unknowns dealt to the ranks as told."""
+        """Return P'K P as PETSc.Mat, with coarse unknowns distributed as `starts` says."""
         size = prolong.blocksize[1]
-        blocksize, away = (size, size), self._of_others(prolong)
+        blocksize, away = (size, size), self._rows_of_others(prolong)
         product = sp.bsr_matrix((prolong.shape[1], prolong.shape[1]), blocksize=blocksize)
         for begin, here, beside in self._parts():
             moved = _product(here, prolong, beside, away)
@@ -284,22 +285,22 @@ class _Blocks:
         row, column, values = self._ranks.exchanged(owner, row, product.indices, product.data)
         first, last = starts[self._ranks.rank], starts[self._ranks.rank + 1]
         shape = (int(last - first), product.shape[1])
-        return held_in_blocks(self._comm, _bsr(row - first // size, column, values, shape))
+        return block_matrix(self._comm, _bsr(row - first // size, column, values, shape))
 
     def _parts(self) -> Iterator[tuple[int, sp.bsr_matrix, sp.bsr_matrix]]:
-        """Some rows of K from a row of blocks on, over the unknowns of this rank and over those of others."""
+        """Yield a row of blocks and copies of some rows of K from there on, over unknowns here and of other ranks."""
         for begin, end in self._stored.parts():
             yield begin, self._stored.here.rows(begin, end), self._stored.away.rows(begin, end)
 
-    def _of_others(self, rows: sp.bsr_matrix) -> sp.bsr_matrix:
-        """The rows of the blocks of other ranks that some rows here couple with."""
+    def _rows_of_others(self, rows: sp.bsr_matrix) -> sp.bsr_matrix:
+        """Fetch the rows of a matrix at the blocks of other ranks that K couples with blocks here."""
         others = self._stored.others
-        entries = rows_of_others(self._ranks, self._starts, others, rows)
+        entries = rows_of_other_ranks(self._ranks, self._starts, others, rows)
         return _bsr(*entries, (len(others) * self._stored.size, rows.shape[1]))
 
 
 def _product(here: sp.bsr_matrix, own: sp.bsr_matrix, beside: sp.bsr_matrix, away: sp.bsr_matrix) -> sp.bsr_matrix:
-    """Some rows of K by what this rank and the others have of a matrix."""
+    """Multiply some rows of K with a matrix, whose rows of this rank are `own` and of others `away`."""
     product = sp.bsr_matrix(here @ own, blocksize=own.blocksize)
     if beside.nnz:
         product = product + sp.bsr_matrix(beside @ away, blocksize=own.blocksize)
@@ -307,12 +308,12 @@ def _product(here: sp.bsr_matrix, own: sp.bsr_matrix, beside: sp.bsr_matrix, awa
 
 
 def _rows_of_entries(matrix: sp.bsr_matrix) -> NDArray[Any]:
-    """The row, of blocks, of each stored block."""
+    """Return the row of blocks of each stored block."""
     return np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
 
 
 def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], shape: tuple[int, int]) -> sp.bsr_matrix:
-    """Blocks at rows and columns of blocks; those at one place are added."""
+    """Return blocks at rows and columns of blocks as a matrix; blocks at one place are added."""
     order = np.argsort(row, kind="stable")
     indptr = np.append(0, np.cumsum(np.bincount(row, minlength=shape[0] // values.shape[1])))
     matrix = sp.bsr_matrix((values[order], column[order], indptr), shape=shape)
@@ -321,7 +322,7 @@ def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], s
 
 
 def _cut(matrix: sp.bsr_matrix, begin: int, count: int) -> sp.bsr_matrix:
-    """So many rows from a row of blocks on."""
+    """Return `count` rows from a row of blocks on."""
     indptr = matrix.indptr[begin : begin + count // matrix.blocksize[0] + 1]
     entries = slice(indptr[0], indptr[-1])
     parts = matrix.data[entries], matrix.indices[entries], indptr - indptr[0]
@@ -329,7 +330,7 @@ def _cut(matrix: sp.bsr_matrix, begin: int, count: int) -> sp.bsr_matrix:
 
 
 def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:
-    """One below the other, together of a shape that is told."""
+    """Put matrices one below the other, in the shape of `like`."""
     ends = np.append(0, np.cumsum([part.indptr[-1] for part in parts]))
     indptr = np.concatenate([[0], *(part.indptr[1:] + end for part, end in zip(parts, ends, strict=False))])
     indices = np.concatenate([like.indices[:0], *(part.indices for part in parts)])
@@ -338,7 +339,7 @@ def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:
 
 
 def _rows_of(prolong: sp.bsr_matrix, coarse: Any) -> Rows:
-    """P over the coarse unknowns that it touches."""
+    """Return P over the coarse unknowns that it touches."""
     size = prolong.blocksize[1]
     blocks, place = np.unique(prolong.indices, return_inverse=True)
     shape = (prolong.shape[0], len(blocks) * size)

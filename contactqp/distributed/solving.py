@@ -1,29 +1,42 @@
-"""solve_distributed(): the active set over the ranks, and its certificate."""
+"""Solve contact problems over the ranks of MPI and certify the answers.
+
+`solve_distributed` solves a problem of which each rank has a part. `solve_whole` does so with a problem that every rank
+was given whole, and returns the whole answer to each.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contactqp.certificate.bounds import Bounds, iterated_bounds
+from contactqp.certificate.bounds import iterated_bounds
 from contactqp.distributed import bounded
 from contactqp.distributed.certificate import certify_distributed, contact_status
-from contactqp.distributed.environment import destroy_dropped
+from contactqp.distributed.distributing import distribute
+from contactqp.distributed.environment import collect_garbage
 from contactqp.distributed.friction import solve_friction
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
-from contactqp.distributed.problem import DistributedAnswer, DistributedProblem, DistributedSolution
+from contactqp.distributed.problem import DistributedProblem, DistributedSolution
+from contactqp.distributed.ranks import Ranks
 from contactqp.errors import NotCertified, NotConverged, Unsupported
-from contactqp.model.solution import Candidate, Work
+from contactqp.linalg.existence import describe_motion
+from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer, Candidate, Certificate, FreeMotion, Nothing, Solution, Violations, Work
+from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.methods import Settings, find, refuse_arguments
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
-# Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9, in
-# energy; single unknowns that are much softer than others may be off by more of their own size.
+# The error in energy, relative to the energy of the contact forces: on any number of ranks the displacement is that of
+# one process to 1e-9, in energy; single unknowns that are much softer than others may differ by more of their own size.
 ENERGY = 1e-10
 
 
@@ -35,26 +48,27 @@ def solve_distributed(
     tolerance: float = 1e-9,
     time_limit: float | None = None,
     max_iter: int | None = None,
-    warm_start: DistributedAnswer | None = None,
+    warm_start: Answer | None = None,
 ) -> DistributedSolution:
-    """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate. Collective.
+    """Find the minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate. Collective.
 
     Parameters
     ----------
     problem : DistributedProblem
+        The problem, with or without friction.
     method : str
         ``"active-set"``: the primal-dual active set with truncated conjugate gradients
         (`contactqp.solving.methods.inexact_active_set`). For comparison PETSc's own, which take contacts and ties that
-        are bounds on unknowns of their own and bodies that are held (`contactqp.distributed.bounded`):
+        are bounds on unknowns of their own and bodies that are supported (`contactqp.distributed.bounded`):
         ``"vinewtonrsls"``, ``"vinewtonssls"`` (SNES) and ``"tao-bntr"``; their `solver` is ``"mumps"``, ``"hypre"`` or
         ``"asm"``.
     solver : str
-        What preconditions them: ``"gamg"``, ``"hypre"``, ``"mumps"`` (a factorisation), or ``"auto"``: MUMPS up to
-        100 000 unknowns and GAMG beyond. Options of PETSc's with the prefix ``contactqp_`` come after.
+        The preconditioner: ``"gamg"``, ``"hypre"``, ``"mumps"`` (a factorisation), or ``"auto"``: MUMPS up to 100 000
+        unknowns and GAMG beyond. PETSc's options with the prefix ``contactqp_`` override ours.
     tolerance, time_limit, max_iter
         As in `contactqp.solve`; max_iter counts contact sets.
-    warm_start : DistributedAnswer, optional
-        Of a problem with the same K and rows.
+    warm_start : Answer, optional
+        This rank's part of the answer of a problem with the same K and rows.
 
     Raises
     ------
@@ -63,148 +77,286 @@ def solve_distributed(
     NotConverged, NotCertified
         As `contactqp.solve`, and where constraints conflict; the solution they carry is a DistributedSolution.
     Unsupported
-        Another method, a solver that this PETSc has not.
+        Another method, or a solver that this PETSc lacks.
     InvalidProblem
-        A tolerance or a limit that is none.
+        An invalid tolerance or limit.
     BackendFailed
         PETSc gave up.
     """
     started = time.perf_counter()
     refuse_method(method)
     refuse_arguments(tolerance, "auto", True, time_limit, max_iter)
-    destroy_dropped(problem.ranks.comm)
-    settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
-    if method in bounded.METHODS:
-        return _by_bounds(problem, method, solver, settings, started)
-    way = iteration_of(problem, chosen_solver(solver, problem.dimension))
-    before = way.krylov_iterations
-    if problem.frictional:
-        return _rubbing(problem, way, method, settings, warm_start, started)
-    candidate = solve_by_iteration(problem, way, settings, ENERGY)
-    answer = DistributedAnswer(candidate.displacement, candidate.normal_force, None, candidate.tie_force)
-    answer, motions = _at_rest(problem, way, answer)
-    solution = _judged(
-        problem, answer, way, method, started, candidate.iterations, way.krylov_iterations - before, motions
+    collect_garbage(problem.ranks.comm)
+    start = None
+    if warm_start is not None:
+        start = Candidate(warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
+    settings = Settings(tolerance, max_iter, time_limit, start, {})
+    by_bounds = method in bounded.METHODS
+    preconditioner = AUTO if by_bounds and solver not in SOLVERS else solver
+    iteration = iteration_of(problem, chosen_solver(preconditioner, problem.dimension))
+    before = iteration.krylov_iterations
+    if by_bounds:
+        if iteration.floating.count:
+            raise Unsupported(f"{method}: a body that only contacts hold has no stiffness that PETSc could factorise")
+        candidate = bounded.solve_bounded(problem, method, solver, settings)
+    elif problem.frictional:
+        candidate = solve_friction(problem, iteration, settings, warm_start, ENERGY)
+        method = f"tresca with {method}"
+    else:
+        candidate = solve_by_iteration(problem, iteration, settings, ENERGY)
+    answer = Answer(candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force)
+    answer, motions = _at_rest(problem, iteration, answer)
+    solution = _certified(problem, answer, motions, iteration, method)
+    krylov_iterations = iteration.krylov_iterations - before
+    solution = replace(
+        solution,
+        seconds=float(problem.ranks.max(time.perf_counter() - started)),
+        work=replace(solution.work, iterations=candidate.iterations, krylov_iterations=krylov_iterations),
     )
-    return _accepted(solution, candidate)
+    if not candidate.claimed:
+        message = f"{method}: {candidate.status} (after {candidate.iterations} iterations)"
+        raise NotConverged(message, candidate.history, solution)
+    if not solution.certificate.passed:
+        failures = "; ".join(solution.certificate.failures)
+        raise NotCertified(f"{method}: the certificate refuses the answer: {failures}", solution)
+    return solution
 
 
-def judged(
-    problem: DistributedProblem, answer: DistributedAnswer, method: str, solver: str = AUTO
+def certified_solution(
+    problem: DistributedProblem, answer: Answer, method: str, solver: str = AUTO
 ) -> DistributedSolution:
-    """An answer that is known already, with its certificate. Collective."""
-    way = iteration_of(problem, chosen_solver(solver, problem.dimension))
-    _, motions = _at_rest(problem, way, answer)
-    return _judged(problem, answer, way, method, time.perf_counter(), 0, 0, motions)
+    """Certify an answer that is known already, without raising where the certificate refuses it. Collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        The problem.
+    answer : Answer
+        This rank's part of the answer.
+    method : str
+        The name of the method that it is from.
+    solver : str
+        The preconditioner, as in `solve_distributed`.
+    """
+    iteration = iteration_of(problem, chosen_solver(solver, problem.dimension))
+    return _certified(problem, answer, _at_rest(problem, iteration, answer)[1], iteration, method)
 
 
 def refuse_method(method: str) -> None:
-    """Raise Unsupported for what is not done over ranks."""
+    """Raise Unsupported for a method that does not solve over ranks."""
     if method in bounded.METHODS or find(method).kind == "active set":
         return
     raise Unsupported(f"{method}: engine 'petsc' has active-set, and {', '.join(bounded.METHODS)} to compare it with")
 
 
-def _by_bounds(
-    problem: DistributedProblem, method: str, solver: str, settings: Settings, started: float
-) -> DistributedSolution:
-    """By PETSc's own solvers; what bounds their error is ours."""
-    way = iteration_of(problem, chosen_solver(solver if solver in SOLVERS else AUTO, problem.dimension))
-    if way.floating.count:
-        raise Unsupported(f"{method}: a body that only contacts hold has no stiffness that PETSc could factorise")
-    candidate = bounded.solve_bounded(problem, method, solver, settings)
-    answer = DistributedAnswer(candidate.displacement, candidate.normal_force, None, candidate.tie_force)
-    none = np.zeros((len(problem.load), 0))
-    return _accepted(_judged(problem, answer, way, method, started, candidate.iterations, 0, none), candidate)
-
-
 def iteration_of(problem: DistributedProblem, solver: str) -> DistributedIteration:
-    """Made once for a stiffness and its rows; shared by all problems that have both."""
+    """Return the iteration of a stiffness and its rows, made once for all problems that have both. Collective."""
     frictional = problem.frictional
-    key = f"iteration by {solver}, {'with' if frictional else 'without'} friction"
-    if key not in problem.shared:
-        problem.shared[key] = DistributedIteration(problem, solver, tangents=frictional)
-    way: DistributedIteration = problem.shared[key]
-    return way
+    made = problem.computed.iterations
+    if (solver, frictional) not in made:
+        made[solver, frictional] = DistributedIteration(problem, solver, tangents=frictional)
+    found: DistributedIteration = made[solver, frictional]
+    return found
 
 
-def _rubbing(
-    problem: DistributedProblem,
-    way: DistributedIteration,
-    method: str,
-    settings: Settings,
-    start: DistributedAnswer | None,
-    started: float,
-) -> DistributedSolution:
-    """The answer with friction, certified."""
-    before = way.krylov_iterations
-    found = solve_friction(problem, way, settings, start, ENERGY)
-    steps = way.krylov_iterations - before
-    answer, motions = _at_rest(problem, way, found.answer)
-    name = f"tresca with {method}"
-    solution = _judged(problem, answer, way, name, started, found.steps, steps, motions)
-    return _accepted(solution, Candidate(answer.displacement, answer.normal_force, answer.tie_force))
-
-
-def _at_rest(
-    problem: DistributedProblem, way: DistributedIteration, answer: DistributedAnswer
-) -> tuple[DistributedAnswer, Any]:
-    """The displacement of least norm within the gaps, and the motions that nothing resists."""
-    if not way.floating.count:
+def _at_rest(problem: DistributedProblem, iteration: DistributedIteration, answer: Answer) -> tuple[Answer, Array]:
+    """Return the answer with the displacement of least norm within the gaps, and the motions that nothing resists."""
+    floating = iteration.floating
+    if not floating.count:
         return answer, np.zeros((len(problem.load), 0))
-    floating = way.floating
     if answer.friction_force is not None and problem.friction is not None:
-        rubs = (problem.friction > 0) & (answer.normal_force > 0)
-        floating = FrictionRows(problem, way).sticking(rubs)[0].floating
+        stick = (problem.friction > 0) & (answer.normal_force > 0)
+        floating = FrictionRows(problem, iteration).sticking(stick)[0].floating
     displacement, motions = floating.at_rest(problem, answer.displacement, answer.normal_force)
     return replace(answer, displacement=displacement), motions
 
 
-def _start(known: DistributedAnswer | None) -> Candidate | None:
-    return None if known is None else Candidate(known.displacement, known.normal_force, known.tie_force)
-
-
-def _judged(
-    problem: DistributedProblem,
-    answer: DistributedAnswer,
-    way: DistributedIteration,
-    method: str,
-    started: float,
-    sets: int | None,
-    steps: int,
-    motions: Any,
+def _certified(
+    problem: DistributedProblem, answer: Answer, motions: Array, iteration: DistributedIteration, method: str
 ) -> DistributedSolution:
-    answered, before = time.perf_counter(), way.krylov_iterations
+    """Return an answer with its certificate; its seconds and its work are those of the certificate."""
+    started, before = time.perf_counter(), iteration.krylov_iterations
+    certificate = certify_distributed(problem, answer, bounds=lambda: iterated_bounds(problem, answer, iteration))
+    seconds = float(problem.ranks.max(time.perf_counter() - started))
+    work = Work(
+        factorisations=int(iteration.factorised),
+        retained=problem.dimension,
+        solver=iteration.solver,
+        krylov_iterations=iteration.krylov_iterations - before,
+    )
+    status = contact_status(problem, certificate)
+    return DistributedSolution(problem, answer, status, certificate, method, seconds, seconds, work, motions)
 
-    def known() -> Bounds:
-        return iterated_bounds(problem, answer, way)
 
-    certificate = certify_distributed(problem, answer, bounds=known)
-    ended = time.perf_counter()
-    return DistributedSolution(
-        problem=problem,
-        answer=answer,
-        status=contact_status(problem, certificate),
-        certificate=certificate,
-        method=method,
-        seconds=float(problem.ranks.max(ended - started)),
-        certify_seconds=float(problem.ranks.max(ended - answered)),
-        work=Work(
-            factorisations=int(way.solver == "mumps"),
-            iterations=sets,
-            retained=problem.dimension,
-            solver=way.solver,
-            krylov_iterations=steps + way.krylov_iterations - before,
-        ),
-        motions=motions,
+# The fields of violations that have one entry an unknown; "tie" has one a tie, and the others one a contact.
+_OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
+# The options of `solve` that make sense in one process alone, with the values that state nothing.
+_OF_ONE_PROCESS = {"condense": "auto", "polish": True}
+# The options of `solve_distributed`, whose warm start is distributed.
+_OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
+
+
+def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
+    """Solve as `contactqp.solve` on the ranks of MPI; all ranks give the same and get the same. Collective.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        The whole problem, on every rank.
+    method : str
+        As in `solve_distributed`.
+    warm_start : Solution, optional
+        A solution of a problem with the same K and rows.
+    **options
+        The options that `options_on_ranks` accepts.
+
+    Raises
+    ------
+    Unsupported
+        A method or an option that makes sense in one process alone.
+    """
+    chosen = options_on_ranks(options)
+    part = distribute(problem, Ranks())
+    start = None if warm_start is None else part_of_solution(part, warm_start)
+    with whole_in_errors(problem):
+        return whole_solution(problem, solve_distributed(part, method, warm_start=start, **chosen))
+
+
+def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of `solve` that mean something on several ranks.
+
+    Raises
+    ------
+    Unsupported
+        Another one is given.
+    """
+    stated = [name for name, usual in _OF_ONE_PROCESS.items() if name in options and options[name] != usual]
+    if stated:
+        raise Unsupported(f"engine 'petsc': {stated[0]} is an option of one process, leave it out")
+    algorithm = options.get("algorithm")
+    if algorithm is not None and not (algorithm in ALGORITHMS and ALGORITHMS[algorithm].on_ranks):
+        raise Unsupported(f"engine 'petsc': friction is solved by 'tresca' alone, got {options['algorithm']!r}")
+    chosen = {name: value for name, value in options.items() if name not in (*_OF_ONE_PROCESS, "algorithm")}
+    if unknown := [name for name in chosen if name not in _OPTIONS]:
+        raise Unsupported(f"engine 'petsc': there is no option {unknown[0]!r}, expected one of {', '.join(_OPTIONS)}")
+    return chosen
+
+
+def part_of_solution(part: DistributedProblem, solution: Solution) -> Answer:
+    """Return this rank's part of a solution that all ranks have."""
+    friction, free = solution.friction_force, part.dof_number >= 0
+    displacement = np.zeros(len(part.dof_number))
+    displacement[free] = solution.displacement[part.dof_number[free]]
+    return Answer(
+        displacement=displacement,
+        normal_force=solution.normal_force[part.contact_number],
+        friction_force=None if friction is None else friction[part.contact_number],
+        tie_force=solution.tie_force[part.tie_number],
     )
 
 
-def _accepted(solution: DistributedSolution, candidate: Candidate) -> DistributedSolution:
-    if not candidate.claimed:
-        message = f"{solution.method}: {candidate.status} (after {candidate.iterations} iterations)"
-        raise NotConverged(message, candidate.history, solution)
-    if not solution.certificate.passed:
-        failures = "; ".join(solution.certificate.failures)
-        raise NotCertified(f"{solution.method}: the certificate refuses the answer: {failures}", solution)
-    return solution
+@contextmanager
+def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
+    """Replace the distributed solution that an error carries by the whole one. Collective where all ranks raise it."""
+    try:
+        yield
+    except (NotConverged, NotCertified) as error:
+        found: Any = error.solution
+        carrier: Any = error
+        if isinstance(found, DistributedSolution):
+            carrier.solution = whole_solution(problem, found)
+        raise
+
+
+def whole_solution(problem: ContactProblem, solution: DistributedSolution) -> Solution:
+    """Return a distributed solution as one process would have it, on every rank. Collective."""
+    return Solution(
+        problem=problem,
+        displacement=solution.displacement,
+        normal_force=solution.normal_force,
+        friction_force=solution.friction_force,
+        tie_force=solution.tie_force,
+        contact_status=solution.contact_status,
+        free_motions=tuple(FreeMotion(motion, describe_motion(problem, motion)) for motion in solution.free_motions),
+        certificate=whole_certificate(solution, solution.problem.gathered),
+        method=solution.method,
+        seconds=solution.seconds,
+        certify_seconds=solution.certify_seconds,
+        work=solution.work,
+    )
+
+
+Gather = Callable[[NDArray[Any], Index], NDArray[Any]]
+
+
+def whole_certificate(solution: DistributedSolution, gather: Gather) -> Certificate:
+    """Return the certificate with the figures of the contacts, unknowns and ties of all ranks. Collective.
+
+    `gather` returns the values of all ranks in the order of their numbers.
+    """
+    part, certificate = solution.problem, solution.certificate
+    bound, found = certificate.force_bound, certificate.violations
+    return replace(
+        certificate,
+        force_bound=None if bound is None else gather(bound, part.contact_number),
+        violations=None if found is None else _whole_violations(found, part, gather),
+    )
+
+
+def _whole_violations(found: Violations, part: DistributedProblem, gather: Gather) -> Violations:
+    numbers = dict.fromkeys(_OF_UNKNOWNS, part.dof_number) | {"tie": part.tie_number}
+    whole = {
+        each.name: gather(getattr(found, each.name), numbers.get(each.name, part.contact_number))
+        for each in fields(found)
+        if each.name not in ("intrinsic_size", "nothing")
+    }
+    none, tangent = found.nothing, found.nothing.tangent
+    if part.slip_origin is not None:
+        tangent = gather(tangent.reshape(part.slip_origin.shape), part.contact_number).ravel()
+    nothing = Nothing(
+        force=gather(none.force, part.dof_number),
+        normal=gather(none.normal, part.contact_number),
+        tangent=tangent,
+        tie=gather(none.tie, part.tie_number),
+    )
+    return Violations(**whole, intrinsic_size=found.intrinsic_size, nothing=nothing)
+
+
+@dataclass(frozen=True, eq=False)
+class CollectedSolution:
+    """A solution for the rank that prints it: in the numbers of one process on the first rank, arrays of no rows on
+    the others.
+    """
+
+    displacement: Vector = field(repr=False)  # (n,)
+    normal_force: Vector = field(repr=False)  # (m,)
+    friction_force: Array | None = field(repr=False)  # (m, d-1)
+    tie_force: Vector = field(repr=False)  # (k,)
+    contact_status: NDArray[np.str_] = field(repr=False)  # (m,)
+    certificate: Certificate  # its figures and its verdict are those of all ranks
+    method: str
+    seconds: float
+    work: Work
+
+
+def collected(solution: DistributedSolution) -> CollectedSolution:
+    """Collect a solution of all ranks on the first one. Collective."""
+    part, answer = solution.problem, solution.answer
+
+    def gather(values: NDArray[Any], numbers: Index) -> NDArray[Any]:
+        free = np.flatnonzero(numbers >= 0)
+        every, order = part.ranks.exchanged(np.zeros(len(free), dtype=np.intp), values[free], numbers[free])
+        return np.asarray(every[np.argsort(order)])
+
+    friction = answer.friction_force
+    return CollectedSolution(
+        displacement=gather(answer.displacement, part.dof_number),
+        normal_force=gather(answer.normal_force, part.contact_number),
+        friction_force=None if friction is None else gather(friction, part.contact_number),
+        tie_force=gather(answer.tie_force, part.tie_number),
+        contact_status=gather(solution.status, part.contact_number),
+        certificate=whole_certificate(solution, gather),
+        method=solution.method,
+        seconds=solution.seconds,
+        work=solution.work,
+    )

@@ -33,7 +33,7 @@ SERIAL, PETSC = "serial", "petsc"
 _ON_RANKS = "contactqp.distributed.scenes.running_on_ranks"
 _TABLE = {
     PETSC: Engine(
-        solve="contactqp.distributed.whole:solve_whole",
+        solve="contactqp.distributed.solving:solve_whole",
         build=f"{_ON_RANKS}:model_on_ranks",
         run=f"{_ON_RANKS}:run_on_ranks",
         answer_at=f"{_ON_RANKS}:answer_at",

@@ -16,11 +16,16 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.distributed.distributing import Portion, part_of, share_of_first, whole_portion
+from contactqp.distributed.distributing import ProblemRows, problem_from_share, rows_of_problem, share_from_first_rank
 from contactqp.distributed.problem import DistributedSolution
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.solving import refuse_method, solve_distributed
-from contactqp.distributed.whole import CollectedSolution, collected, options_on_ranks
+from contactqp.distributed.solving import (
+    CollectedSolution,
+    collected,
+    options_on_ranks,
+    refuse_method,
+    solve_distributed,
+)
 from contactqp.errors import (
     BackendFailed,
     InvalidProblem,
@@ -119,7 +124,7 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
     failure: str | None = None
     try:
         with naming(file):
-            solution = collected(solve_distributed(part_of(ranks, share), method, **chosen))
+            solution = collected(solve_distributed(problem_from_share(ranks, share), method, **chosen))
     except (NotConverged, NotCertified) as error:
         found: Any = error.solution
         solution = collected(found) if isinstance(found, DistributedSolution) else None
@@ -129,20 +134,20 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
     return FileOutcome(file, outline, solution, failure, time.perf_counter() - began, dict(options))
 
 
-def _read(file: str, ranks: Ranks) -> tuple[Outline, Portion]:
+def _read(file: str, ranks: Ranks) -> tuple[Outline, ProblemRows]:
     """Return the facts about a file's problem and this rank's share of it; the whole problem is dropped."""
-    found = ranks.by_first(lambda: _first_reads(file))
+    found = ranks.on_first_rank(lambda: _first_reads(file))
     outline, whole = (None, None) if found is None else found
-    share = share_of_first(whole, ranks)
-    shared_outline: Any = ranks.told(outline)
+    share = share_from_first_rank(whole, ranks)
+    shared_outline: Any = ranks.broadcast(outline)
     return shared_outline, share
 
 
-def _first_reads(file: str) -> tuple[Outline, Portion]:
+def _first_reads(file: str) -> tuple[Outline, ProblemRows]:
     problem = solvable_form(file)
     if not isinstance(problem, ContactProblem):
         raise Unsupported(f"{file}: engine 'petsc': a problem in local form has no stiffness to deal out")
-    return outline_of(problem), whole_portion(problem)
+    return outline_of(problem), rows_of_problem(problem)
 
 
 SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")

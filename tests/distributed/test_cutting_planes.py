@@ -11,12 +11,12 @@ from contactqp.errors import NotConverged
 
 
 def _found(basis: np.ndarray, weight: np.ndarray) -> tuple[float, int]:
-    search, questions = CuttingPlanes(weight), 0
+    search, queries = CuttingPlanes(weight), 0
     while not search.done:
-        asked, questions = search.question, questions + 1
-        search.tell(basis.T @ np.sign(basis @ asked))
+        query, queries = search.query, queries + 1
+        search.add_cut(basis.T @ np.sign(basis @ query))
     best = search.best
-    return abs(float(weight @ best)) / float(np.sum(abs(basis @ best))), questions
+    return abs(float(weight @ best)) / float(np.sum(abs(basis @ best))), queries
 
 
 @pytest.mark.parametrize(("count", "width"), [(3, 2), (20, 3), (2000, 3), (12, 6), (300, 6), (3000, 6)])
@@ -28,15 +28,15 @@ def test_the_worst_motion_is_that_of_the_whole_program(count: int, width: int) -
     weight = rng.standard_normal(width)
     direction = _worst_direction(basis, weight / np.max(abs(weight)))
     expected = abs(weight @ direction) / np.sum(abs(basis @ direction))
-    found, questions = _found(basis, weight)
+    found, queries = _found(basis, weight)
     assert found == pytest.approx(expected, rel=1e-8)
     # No coordinate alone is as bad, so there was something to search.
     assert np.max(abs(weight) / np.sum(abs(basis), axis=0)) < found
-    assert questions < 200
+    assert queries < 200
 
 
 def test_a_search_that_gets_no_nearer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("contactqp.distributed.certificate.MOST_QUESTIONS", 8)
+    monkeypatch.setattr("contactqp.distributed.certificate.MOST_QUERIES", 8)
     basis = np.linalg.qr(np.random.default_rng(0).standard_normal((2000, 6)))[0]
     with pytest.raises(NotConverged, match="balance of forces"):
         _found(basis, np.arange(1.0, 7.0))

@@ -1,4 +1,4 @@
-"""The nodes of one rank's pieces and what is made of them: numbers, bodies, surfaces and the distributed stiffness."""
+"""The nodes of one rank's pieces: numbers and owners, connected bodies, surfaces and the distributed stiffness."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from contactqp.distributed.environment import block_type, petsc
-from contactqp.distributed.pieces.partition_mesh import DealtMesh
-from contactqp.distributed.ranks import Ranks, asked
+from contactqp.distributed.pieces.partition_mesh import PartitionedMesh
+from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Body, pattern
@@ -26,19 +26,20 @@ from contactqp.model.arrays import Array, Index
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Nodes body after body, those of each body as its piece has them: N of them, of which the rank owns k.
+    """The N nodes of one rank, body after body, those of each body as its piece has them; the rank owns k of them.
 
     Attributes
     ----------
     ranks : Ranks
+        The processes.
     numbers : (N,) array of int
-        In the whole structure, body after body as one process has them.
+        The numbers in the whole structure, body after body as one process has them.
     owners : (N,) array of int
-        Ranks.
+        The rank that owns each node.
     place : (N,) array of int
-        In PETSc's order: rank after rank, those of a rank by their numbers.
+        The place in PETSc's order: rank after rank, those of a rank by their numbers.
     first : int
-        The place of the first that this rank owns.
+        The place of the first node that this rank owns.
     """
 
     ranks: Ranks
@@ -49,72 +50,73 @@ class Nodes:
 
     @cached_property
     def own(self) -> Index:
-        """(k,) which of the nodes this rank owns; in PETSc's order."""
+        """The nodes (k,) that this rank owns, in PETSc's order."""
         return np.flatnonzero(self.owners == self.ranks.rank)
 
     @cached_property
     def ghosts(self) -> Index:
-        """(N - k,) which of the nodes others own."""
+        """The nodes (N - k,) that other ranks own."""
         return np.flatnonzero(self.owners != self.ranks.rank)
 
     def summed(self, values: Array) -> Array:
-        """(k, c) at own nodes, from what each rank brings to all of its nodes (N, c). Collective."""
+        """Return the sums (k, c) at own nodes of the values (N, c) that each rank has at its nodes. Collective."""
         total = values[self.own]
-        came, brought = self.ranks.exchanged(self.owners[self.ghosts], self.place[self.ghosts], values[self.ghosts])
-        np.add.at(total, came - self.first, brought)
+        place, added = self.ranks.exchanged(self.owners[self.ghosts], self.place[self.ghosts], values[self.ghosts])
+        np.add.at(total, place - self.first, added)
         return np.asarray(total)
 
-    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(N, ...) at all nodes of this rank, from those of the own (k, ...). Collective."""
+    def with_ghosts(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the values (N, ...) at all nodes of this rank, from those (k, ...) at own nodes. Collective."""
         every = np.empty((len(self.numbers), *values.shape[1:]), dtype=values.dtype)
         every[self.own] = values
-        every[self.ghosts] = asked(
-            self.ranks,
-            self.owners[self.ghosts],
-            self.place[self.ghosts],
-            lambda came, _: (values[came - self.first],),
-        )[0]
+        owners, places = self.owners[self.ghosts], self.place[self.ghosts]
+        (every[self.ghosts],) = ask_ranks(self.ranks, owners, places, lambda asked, _: (values[asked - self.first],))
         return every
 
 
-def number_nodes(ranks: Ranks, meshes: Sequence[DealtMesh]) -> Nodes:
-    """The nodes of meshes side by side. Collective."""
+def number_nodes(ranks: Ranks, meshes: Sequence[PartitionedMesh]) -> Nodes:
+    """Number the nodes of meshes side by side. Collective."""
     offsets = np.cumsum([0, *[part.mesh.total for part in meshes]])
     numbers = np.concatenate([part.mesh.numbers + first for part, first in zip(meshes, offsets[:-1], strict=True)])
     owners = np.concatenate([part.owners for part in meshes])
     own, ghosts = np.flatnonzero(owners == ranks.rank), np.flatnonzero(owners != ranks.rank)
-    first, mine = ranks.first(len(own)), numbers[own]
+    first, mine = ranks.offset(len(own)), numbers[own]
     place = np.empty(len(numbers), dtype=np.int64)
     place[own] = first + np.arange(len(own))
-    place[ghosts] = asked(
-        ranks, owners[ghosts], numbers[ghosts], lambda came, _: (first + np.searchsorted(mine, came),)
-    )[0]
+    (place[ghosts],) = ask_ranks(
+        ranks, owners[ghosts], numbers[ghosts], lambda asked, _: (first + np.searchsorted(mine, asked),)
+    )
     return Nodes(ranks, numbers, owners, place, first)
 
 
-# The bodies of K: parts of it that no entry connects, on whatever ranks they are.
-
-
 def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Index:
-    """(own nodes,) the number of the part that each node is in, by the least node of each; 0 where held. Collective.
+    """Return the number of the body, a connected part of K, that each own node belongs to. Collective.
+
+    Bodies are numbered in the order of their lowest nodes; the number of nodes that are not free is 0.
 
     Parameters
     ----------
     nodes : Nodes
-    meeting : sparse matrix
-        (nodes, elements) of this rank: which nodes its elements have.
-    free : (nodes,) array of bool
-        Nodes that supports do not hold altogether; the others connect nothing.
+        The nodes of this rank.
+    meeting : (N, elements) sparse matrix
+        The nodes that each element of this rank has.
+    free : (N,) array of bool
+        Nodes that have a free unknown; the others connect nothing.
+
+    Returns
+    -------
+    (k,) array of int
+        The same numbers on all ranks.
     """
     ranks = nodes.ranks
     some = sp.csr_matrix(meeting)[np.flatnonzero(free)]
     graph = sp.bmat([[None, some], [some.T, None]], format="csr")
     count, label = connected_components(graph, directed=False) if some.nnz else (0, np.zeros(some.shape[0], int))
     _, label = np.unique(label[: some.shape[0]], return_inverse=True)
-    first = ranks.first(count)
+    first = ranks.offset(count)
     mine = np.full(len(nodes.numbers), -1)
     mine[free] = first + label
-    theirs = nodes.spread(mine[nodes.own])
+    theirs = nodes.with_ghosts(mine[nodes.own])
     joined = np.unique(np.stack([mine, theirs])[:, mine >= 0], axis=1)
     joined = ranks.gathered(joined.T)
     total = int(ranks.sum(count))
@@ -129,24 +131,24 @@ def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Inde
     return np.where(own >= 0, rank_of[part[np.maximum(own, 0)]] if parts else 0, 0).astype(np.int64)
 
 
-# The surfaces that may touch, which all ranks have whole: few nodes beside those of the bodies.
-
-
 @dataclass(frozen=True, eq=False)
-class Touching:
-    """Nodes of surfaces, t of them, in the order of their numbers; d t unknowns, node by node. The same on all ranks.
+class ContactSurfaces:
+    """The surfaces that may touch, whole on every rank: t nodes in the order of their numbers, few beside all nodes.
+
+    Their d t unknowns are numbered node by node.
 
     Attributes
     ----------
     structure : Structure
-        Of this rank's pieces.
+        The pieces of this rank.
     firsts : (bodies + 1,) array of int
         The number of each body's first node in the whole structure.
     numbers, place, owners : (t,) arrays of int
-        Of the nodes: in the whole structure, in PETSc's order, and the ranks that own them.
-    points : (t, d) array [length]
+        The number of each node in the whole structure, its place in PETSc's order, and the rank that owns it.
+    points : (t, d) array
+        Coordinates of the nodes [length].
     facets : mapping of (body, side) to (p, k) array of int
-        Places in `numbers`.
+        The nodes of each facet, as places in `numbers`.
     """
 
     structure: Structure
@@ -159,41 +161,41 @@ class Touching:
 
     @property
     def size(self) -> int:
-        """d t."""
+        """The number d t of unknowns."""
         return int(self.points.size)
 
     def body(self, name: str) -> Any:
-        """This rank's piece of a body."""
+        """Return this rank's piece of a body."""
         return self.structure.body(name)
 
     def surface(self, body: str, side: str) -> Surface:
-        """A side of a body, numbered in the unknowns of these nodes."""
+        """Return a side of a body, numbered in the unknowns of these nodes."""
         part = self.structure.solid(body)
         unknowns = np.arange(self.size).reshape(self.points.shape)
         revolved = part.model == "axisymmetric"
         return Surface(self.points, self.facets[body, side], unknowns, f"{body}.{side}", part.thickness, revolved)
 
     def in_body(self, body: str, nodes: Index) -> Index:
-        """The numbers in a body of nodes of its surfaces."""
+        """Return the numbers in a body of nodes of its surfaces."""
         return np.asarray(self.numbers[nodes] - self.first(body))
 
     def first(self, body: str) -> int:
-        """The number of a body's first node in the whole structure."""
+        """Return the number of a body's first node in the whole structure."""
         return int(self.firsts[[part.name for part in self.structure.bodies].index(body)])
 
     def of_body(self, body: str) -> NDArray[np.bool_]:
-        """Which nodes a body has, (t,)."""
+        """Return flags (t,) of the nodes of a body."""
         first = self.first(body)
         total = self.structure.body(body).mesh.total
         mask: NDArray[np.bool_] = (self.numbers >= first) & (self.numbers < first + total)
         return mask
 
     def named(self, body: str, pairing: Pairing) -> Pairing:
-        """The pairing with its nodes as the body numbers them."""
+        """Return the pairing with its nodes as the body numbers them."""
         return replace(pairing, nodes=self.in_body(body, pairing.nodes), unpaired=self.in_body(body, pairing.unpaired))
 
     def gathered(self, nodes: Nodes, values: NDArray[Any]) -> NDArray[Any]:
-        """What the owners know of these nodes, (t, ...), on every rank, from (own nodes, ...). Collective."""
+        """Return the values (t, ...) at these nodes on every rank, from those (k, ...) at own nodes. Collective."""
         mine = self.owners == nodes.ranks.rank
         found = nodes.ranks.gathered(values[self.place[mine] - nodes.first])
         where = nodes.ranks.gathered(np.flatnonzero(mine))
@@ -202,13 +204,13 @@ class Touching:
         return every
 
 
-def touching(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]]) -> Touching:
-    """Gathers the sides of bodies. Collective.
+def gather_surfaces(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]]) -> ContactSurfaces:
+    """Gather the sides of bodies on every rank. Collective.
 
     Raises
     ------
     InvalidProblem
-        No such side, a side without faces, a side of several kinds of facet.
+        There is no such side, or it has no faces or several kinds of facet.
     """
     ranks = nodes.ranks
     firsts = np.cumsum([0, *[body.mesh.total for body in structure.bodies]])
@@ -219,7 +221,7 @@ def touching(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]
     mine = np.flatnonzero((place < len(own)) & (own[np.minimum(place, len(own) - 1)] == numbers) if len(own) else [])
     points = np.concatenate([body.mesh.points for body in structure.bodies])[nodes.own[place[mine]]]
     order = np.argsort(ranks.gathered(mine))
-    return Touching(
+    return ContactSurfaces(
         structure,
         firsts,
         numbers,
@@ -231,7 +233,7 @@ def touching(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]
 
 
 def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side: str) -> Index:
-    """The facets of a side of all ranks by the numbers of their nodes, in an order that no partition changes."""
+    """Return the facets of a side on all ranks by the numbers of their nodes, in an order that no partition changes."""
     body = structure.solid(name)
     first = structure.first(name) // body.dimension
     found = body.mesh.side(side)
@@ -246,17 +248,11 @@ def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side:
     return np.asarray(every[np.lexsort(every.T[::-1])])
 
 
-# K of all pieces as one matrix over the ranks: elements go in batch by batch, so that little is held beside K.
-
-
 def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:
-    """K of all unknowns, free or not, with blocks of one node each. Collective.
+    """Assemble K of all unknowns, constrained ones too, as PETSc.Mat with blocks of one node each. Collective.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        This rank's pieces, in the order of `nodes`.
-    nodes : Nodes
+    `bodies` are this rank's pieces, in the order of `nodes`. Elements go in batch by batch, so that little memory is
+    needed beside that of K.
     """
     PETSc = petsc()
     d = bodies[0].dimension
@@ -290,20 +286,20 @@ def _add(K: Any, body: Body, part: Block, place: NDArray[Any]) -> None:
 
 
 def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
-    """How many nodes of this rank and of others each own node meets in elements of any rank."""
+    """Return how many nodes of this rank and of others each own node meets in elements of any rank."""
     ranks, first, count = nodes.ranks, nodes.first, len(nodes.own)
     has = incidence(bodies)
     meeting = sp.csr_matrix(has @ has.T)
     row = np.repeat(np.arange(len(nodes.numbers)), np.diff(meeting.indptr))
     place, other = nodes.place[row], nodes.place[meeting.indices]
     foreign = nodes.owners[row] != ranks.rank
-    told = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
+    rows, columns = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
     touched = np.zeros(count, dtype=bool)
-    touched[told[0] - first] = True
+    touched[rows - first] = True
     # Only rows that other ranks have a part in may get columns twice.
     mine = ~foreign
     mine[mine] = touched[place[mine] - first]
-    pairs = np.stack([np.concatenate([told[0], place[mine]]), np.concatenate([told[1], other[mine]])])
+    pairs = np.stack([np.concatenate([rows, place[mine]]), np.concatenate([columns, other[mine]])])
     pairs = np.unique(pairs, axis=1)
     alone = ~foreign & ~mine
     rows = np.concatenate([place[alone], pairs[0]]) - first
@@ -313,7 +309,7 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
 
 
 def incidence(bodies: Sequence[Part]) -> Any:
-    """Which nodes the elements of this rank have: (nodes, elements) CSR of ones."""
+    """Return ones (nodes, elements) at the nodes that each element of this rank has, as CSR."""
     element, node, first, elements = [], [], 0, 0
     for body in bodies:
         for block in body.mesh.blocks:

@@ -1,71 +1,231 @@
-"""Partition a mesh over ranks: neighbours across facets, the graph's cut, and each rank's elements as a mesh."""
+"""Partition meshes over ranks: equal shares of the elements, their neighbours, the cut of the graph, and each rank's
+elements as a mesh.
+
+Elements come from shapes, of which each rank makes a slab, and from files, which one rank reads and distributes.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from contactqp.distributed.distributing import partition
-from contactqp.distributed.pieces.sources import OUTSIDE, Share, Source
-from contactqp.distributed.ranks import Ranks, asked
+from contactqp.distributed.distributing import partition_graph
+from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.elements.geometry import Block, facet_keys, groups
+from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import REFERENCES
-from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Index
+from contactqp.elements.reference_elements import REFERENCES, Reference
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arrays import Array, Index
+
+# Bit 0 of a facet's marks: it lies on the boundary of the whole mesh. Bit 1 + i: it belongs to side i.
+OUTSIDE = 1
+# The bits of a 64-bit number beside bit 0 and its sign.
+MOST_NAMES = 62
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """Elements of one kind that one rank has.
+
+    Attributes
+    ----------
+    kind : Reference
+        The reference element.
+    nodes : (E, n) array of int
+        Codes of the nodes: whole numbers in the order of the node numbers of the whole mesh.
+    marks : (E, facets) array of int
+        Bits of each facet: OUTSIDE, and those of the sides.
+    """
+
+    kind: Reference
+    nodes: Index
+    marks: Index
+
+    @property
+    def facets(self) -> Index:
+        """The nodes (E facets, k) of all facets, element by element."""
+        return self.nodes[:, list(self.kind.facets)].reshape(self.marks.size, len(self.kind.facets[0]))
+
+
+class Source(Protocol):
+    """A mesh of which this rank can get a share. Its methods are collective."""
+
+    @property
+    def sides(self) -> tuple[str, ...]: ...
+
+    @property
+    def node_sets(self) -> tuple[str, ...]: ...
+
+    @property
+    def dimension(self) -> int: ...
+
+    def shares(self) -> list[Share]:
+        """Return an equal share of the elements, the same kinds in the same order on all ranks."""
+        ...
+
+    def marked(self, share: Share) -> Share:
+        """Return the share with the bits of the sides, once OUTSIDE is set."""
+        ...
+
+    def nodes(self, codes: Index) -> tuple[Array, Index]:
+        """Return coordinates (N, d) of nodes and the bits (N,) of their node sets, bit i of set i."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeSource:
+    """A shape, of which each rank makes a slab of each patch and nothing else."""
+
+    ranks: Ranks
+    lattice: Lattice
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        return tuple(self.lattice.sides)
+
+    @property
+    def node_sets(self) -> tuple[str, ...]:
+        return tuple(self.lattice.nearest)
+
+    @property
+    def dimension(self) -> int:
+        return self.lattice.reference.dimension
+
+    def shares(self) -> list[Share]:
+        codes = self.lattice.elements(self.ranks.rank, self.ranks.size)
+        marks = np.zeros((len(codes), len(self.lattice.reference.facets)), dtype=np.int64)
+        return [Share(self.lattice.reference, codes, marks)]
+
+    def marked(self, share: Share) -> Share:
+        marks = share.marks.copy()
+        outside = (marks & OUTSIDE) > 0
+        element, facet = np.nonzero(outside)
+        nodes = np.take_along_axis(share.nodes[element], np.array(share.kind.facets)[facet], axis=1)
+        for bit, name in enumerate(self.sides, start=1):
+            inside = self.lattice.on_side(name, nodes.ravel()).reshape(nodes.shape).all(axis=1)
+            marks[element[inside], facet[inside]] |= 1 << bit
+        return Share(share.kind, share.nodes, marks)
+
+    def nodes(self, codes: Index) -> tuple[Array, Index]:
+        points = np.asarray(self.lattice.position(self.lattice.keys(codes)))
+        bits = np.zeros(len(codes), dtype=np.int64)
+        for i, point in enumerate(self.lattice.nearest.values()):
+            apart = np.linalg.norm(points - point, axis=1)
+            best = int(np.argmin(apart)) if len(codes) else -1
+            mine = (float(apart[best]), int(codes[best])) if len(codes) else (np.inf, -1)
+            bits[codes == min(self.ranks.comm.allgather(mine))[1]] |= 1 << i
+        return points, bits
+
+
+class FileSource:
+    """A mesh that rank 0 alone reads and keeps until it is distributed, so that rank 0 needs memory for all of it.
+
+    Parameters
+    ----------
+    ranks : Ranks
+        The processes.
+    read : function
+        Returns the mesh; called by rank 0 only. Its ContactQPError is raised on all ranks.
+    """
+
+    def __init__(self, ranks: Ranks, read: Callable[[], Mesh]) -> None:
+        self.ranks = ranks
+        self._mesh: Mesh | None = None
+        with ranks.raising_together():
+            if ranks.rank == 0:
+                self._mesh = read()
+                if max(len(self._mesh.sides), len(self._mesh.node_sets)) > MOST_NAMES:
+                    raise Unsupported(f"mesh: expected at most {MOST_NAMES} sides and sets to be dealt out, got more")
+        mesh = self._mesh
+        names = None if mesh is None else (tuple(mesh.sides), tuple(mesh.node_sets), mesh.dimension)
+        self.sides, self.node_sets, self.dimension = ranks.broadcast(names)
+
+    def shares(self) -> list[Share]:
+        """Return equal shares of the elements of each kind in their order, which rank 0 distributes."""
+        mesh = self._mesh
+        kinds = self.ranks.broadcast(None if mesh is None else [block.kind.name for block in mesh.blocks])
+        found, first = [], 0
+        for i, name in enumerate(kinds):
+            kind = REFERENCES[name]
+            nodes = np.zeros((0, len(kind.nodes)), dtype=np.int64)
+            marks = np.zeros((0, len(kind.facets)), dtype=np.int64)
+            if mesh is not None:
+                nodes, marks = mesh.blocks[i].nodes, self._marks(mesh, first, len(mesh.blocks[i]), len(kind.facets))
+                first += len(nodes)
+            share = np.arange(len(nodes)) * self.ranks.size // max(len(nodes), 1)
+            found.append(Share(kind, *self.ranks.exchanged(share, nodes, marks)))
+        return found
+
+    def _marks(self, mesh: Mesh, first: int, count: int, facets: int) -> Index:
+        marks = np.zeros((count, facets), dtype=np.int64)
+        for bit, name in enumerate(self.sides, start=1):
+            pairs = mesh.sides[name]
+            mine = pairs[(pairs[:, 0] >= first) & (pairs[:, 0] < first + count)]
+            marks[mine[:, 0] - first, mine[:, 1]] |= 1 << bit
+        return marks
+
+    def marked(self, share: Share) -> Share:
+        return share
+
+    def nodes(self, codes: Index) -> tuple[Array, Index]:
+        mesh = self._mesh
+        bits = np.zeros(0 if mesh is None else len(mesh.points), dtype=np.int64)
+        if mesh is not None:
+            for i, name in enumerate(self.node_sets):
+                bits[mesh.node_sets[name]] |= 1 << i
+
+        def found(asked: Index, _: Index) -> tuple[Array, Index]:
+            return (np.zeros((0, self.dimension)) if mesh is None else mesh.points[asked]), bits[asked]
+
+        points, members = ask_ranks(self.ranks, np.zeros(len(codes), dtype=np.int64), codes, found)
+        self._mesh = None  # all of it is distributed
+        return points, members
+
 
 # Each rank shows so many of its codes, for the ranges of codes to become about equal.
 SAMPLES = 128
 
 
-def ranges(ranks: Ranks, codes: Index) -> Index:
-    """Return where to cut all codes into one range a rank, about equally full: (size - 1,). Collective.
+def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
+    """Number codes among the distinct ones of all ranks in ascending order, and find their owners. Collective.
 
     Parameters
     ----------
+    ranks : Ranks
+        The processes.
     codes : (k,) array of int
-        Those of this rank, ascending.
-    """
-    shown = codes[np.linspace(0, len(codes) - 1, min(SAMPLES, len(codes))).astype(np.int64)]
-    every = np.sort(ranks.gathered(shown))
-    return every[len(every) * np.arange(1, ranks.size) // ranks.size]
-
-
-def numbered(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
-    """The number of each code among the distinct ones of all ranks in ascending order, and who owns it. Collective.
-
-    Parameters
-    ----------
-    codes : (k,) array of int
-        Those of this rank, distinct and ascending.
+        The codes of this rank, distinct and ascending.
 
     Returns
     -------
     numbers, owners : (k,) arrays of int
-        The owner is the lowest rank that has the code.
+        The number of each code, and its owner, the lowest rank that has it.
     total : int
-        How many distinct codes there are.
+        The number of distinct codes.
     """
     total = 0
 
-    def answer(came: Index, asker: Index) -> tuple[Index, Index]:
+    def number(asked: Index, sender: Index) -> tuple[Index, Index]:
         nonlocal total
-        distinct, inverse = np.unique(came, return_inverse=True)
+        distinct, inverse = np.unique(asked, return_inverse=True)
         owner = np.full(len(distinct), ranks.size)
-        np.minimum.at(owner, inverse, asker)
+        np.minimum.at(owner, inverse, sender)
         total = int(ranks.sum(len(distinct)))
-        return ranks.first(len(distinct)) + inverse, owner[inverse]
+        return ranks.offset(len(distinct)) + inverse, owner[inverse]
 
-    whom = np.searchsorted(ranges(ranks, codes), codes, side="right")
-    numbers, owners = asked(ranks, whom, codes, answer)
+    # Each rank numbers one range of codes; samples of all codes tell where to cut them into about equal ranges.
+    shown = codes[np.linspace(0, len(codes) - 1, min(SAMPLES, len(codes))).astype(np.int64)]
+    every = np.sort(ranks.gathered(shown))
+    limits = every[len(every) * np.arange(1, ranks.size) // ranks.size]
+    numbers, owners = ask_ranks(ranks, np.searchsorted(limits, codes, side="right"), codes, number)
     return numbers, owners, total
 
-
-# Which elements share a facet, on whatever ranks they are.
 
 # An odd number with bits all over (the golden ratio's): it spreads facets evenly over the ranks.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
@@ -73,28 +233,32 @@ _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The shares with the marks of the boundary, and who is beside whom: elements of this rank, and any element."""
+    """The elements that share a facet with an element of this rank."""
 
-    shares: list[Share]
-    here: Index  # (k,) numbers of elements
-    there: Index  # (k,)
+    shares: list[Share]  # with the marks of the boundary
+    here: Index  # (k,) numbers of elements of this rank
+    there: Index  # (k,) numbers of their neighbours, on any rank
 
 
 def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
-    """Collective.
+    """Find the elements that share a facet, on whatever ranks they are. Collective.
 
     Parameters
     ----------
+    ranks : Ranks
+        The processes.
     shares : sequence of Share
-        Of one mesh; the elements of this rank have the numbers from `first`, share after share.
+        This rank's shares of one mesh.
+    first : int
+        The number of this rank's first element; they are numbered share after share.
 
     Raises
     ------
     InvalidProblem
         Three elements share a facet: they overlap.
     """
-    facets = [share.facets[:, : _corners(share)] for share in shares]
-    known, local = np.unique(np.concatenate([part.ravel() for part in facets]), return_inverse=True)
+    facets = [share.facets[:, : REFERENCES[share.kind.facet].corners] for share in shares]
+    corners, local = np.unique(np.concatenate([part.ravel() for part in facets]), return_inverse=True)
     keys, element, at, begin = [], [], 0, first
     for share, part in zip(shares, facets, strict=True):
         numbers = local[at : at + part.size].reshape(part.shape)
@@ -103,10 +267,10 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
         at, begin = at + part.size, begin + len(share.nodes)
     key, number = np.concatenate(keys), np.concatenate(element)
     other = np.full(len(number), -1)
-    with ranks.together():
+    with ranks.raising_together():
         _match(key, number, other)
     alone = np.flatnonzero(other < 0)
-    other[alone] = _elsewhere(ranks, known[key[alone]], number[alone])
+    other[alone] = _on_other_rank(ranks, corners[key[alone]], number[alone])
     marked, at = [], 0
     for share in shares:
         outside = other[at : at + share.marks.size].reshape(share.marks.shape) < 0
@@ -116,12 +280,8 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
     return Neighbours(marked, number[shared], other[shared])
 
 
-def _corners(share: Share) -> int:
-    return REFERENCES[share.kind.facet].corners
-
-
 def _match(keys: Index, element: Index, other: Index) -> None:
-    """Writes the element on the other side of each facet that two elements among these share."""
+    """Write the element on the other side of each facet that two elements among these share."""
     order, new = groups(keys)
     start = np.flatnonzero(new)
     count = np.diff(np.append(start, len(order)))
@@ -132,32 +292,30 @@ def _match(keys: Index, element: Index, other: Index) -> None:
     other[a], other[b] = element[b], element[a]
 
 
-def _elsewhere(ranks: Ranks, keys: Index, element: Index) -> Index:
-    """The element of another rank that has the same facet, or -1."""
+def _on_other_rank(ranks: Ranks, keys: Index, element: Index) -> Index:
+    """Return the element of another rank that has the same facet, or -1."""
     if ranks.size == 1:
         return np.full(len(element), -1)
     mixed = (keys.astype(np.uint64) + np.uint64(1)).sum(axis=1, dtype=np.uint64) * _SPREAD >> np.uint64(32)
     whom = (mixed % np.uint64(ranks.size)).astype(np.int64)
 
-    def answer(came: Index, _: Index) -> tuple[Index]:
-        other = np.full(len(came), -1)
-        with ranks.together():
-            _match(came[:, :-1], came[:, -1], other)
+    def matched(facets: Index, _: Index) -> tuple[Index]:
+        other = np.full(len(facets), -1)
+        with ranks.raising_together():
+            _match(facets[:, :-1], facets[:, -1], other)
         return (other,)
 
-    return asked(ranks, whom, np.column_stack([keys, element]), answer)[0]
-
-
-# The elements of one rank as a mesh: facets towards other ranks are no boundary, and sets may have no part here.
+    return ask_ranks(ranks, whom, np.column_stack([keys, element]), matched)[0]
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPiece(Mesh):
-    """A mesh of which other ranks have the rest; it may have no elements.
+    """The elements of one rank as a mesh; it may have no elements, and sets may have no part here.
 
-    The nodes that this rank owns come first, then those that others own; both in the order of their numbers.
+    The nodes that this rank owns come first, then those that others own; both in the order of their numbers. Facets
+    towards elements of other ranks are no boundary.
 
-    Parameters
+    Attributes
     ----------
     outside : (p, 2) array of int
         Pairs (element, local facet) on the boundary of the whole mesh.
@@ -166,11 +324,11 @@ class MeshPiece(Mesh):
     faceless : tuple of str
         Node sets that hold no whole facet, on any rank.
     numbers : (N,) array of int
-        Of the nodes in the whole mesh.
+        The numbers of the nodes in the whole mesh.
     owned : int
-        How many of them this rank owns.
+        The number of nodes that this rank owns.
     whole : int
-        How many nodes the whole mesh has.
+        The number of nodes of the whole mesh.
     """
 
     outside: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -186,31 +344,31 @@ class MeshPiece(Mesh):
 
     @cached_property
     def boundary(self) -> Index:
-        """The facets here of the whole mesh's boundary."""
+        """The facets (p, 2) on this rank of the boundary of the whole mesh."""
         return self.outside
 
     @property
     def total(self) -> int:
-        """How many nodes the whole mesh has."""
+        """The number of nodes of the whole mesh."""
         return self.whole
 
     def number(self, node: int) -> int:
-        """Its number in the whole mesh."""
+        """Return the number of a node in the whole mesh."""
         return int(self.numbers[node])
 
     def places(self, what: str, numbers: Index) -> Index:
-        """The nodes of these numbers that this rank owns."""
+        """Return those of the nodes with these numbers that this rank owns."""
         wanted = super().places(what, numbers)
         return np.flatnonzero(np.isin(self.numbers[: self.owned], wanted))
 
     def nodes(self, name: str) -> Index:
-        """The nodes of a set or side that this rank owns."""
+        """Return the nodes of a set or side that this rank owns."""
         if name not in self.own:
             raise self._unknown(name)
         return self.own[name]
 
     def side(self, name: str) -> tuple[Block, ...]:
-        """The facets of this rank; none where other ranks have them all."""
+        """Return the facets of a side on this rank; none where other ranks have them all."""
         if name not in self.own:
             raise self._unknown(name)
         if name in self.faceless:
@@ -220,27 +378,25 @@ class MeshPiece(Mesh):
         return self.facets_within(self.node_sets[name]) if name in self.node_sets else ()
 
     def with_names(self, own: Mapping[str, Index], faceless: tuple[str, ...]) -> MeshPiece:
-        """The same piece with `own` and `faceless`, which the ranks find together once they have their pieces."""
+        """Return the piece with `own` and `faceless`, which the ranks find together once they have their pieces."""
         mesh = copy.copy(self)
         object.__setattr__(mesh, "own", own)
         object.__setattr__(mesh, "faceless", faceless)
         return mesh
 
     def _unknown(self, name: str) -> InvalidProblem:
-        known = ", ".join(map(repr, sorted(self.own))) or "none"
-        return InvalidProblem(f"mesh: there is no set {name!r}; it has {known}")
-
-
-# From equal shares of the elements to pieces: the graph of neighbours is cut, and elements go where it says.
+        names = ", ".join(map(repr, sorted(self.own))) or "none"
+        return InvalidProblem(f"mesh: there is no set {name!r}; it has {names}")
 
 
 @dataclass(frozen=True, eq=False)
-class DealtMesh:
+class PartitionedMesh:
     """One rank's piece of one mesh.
 
     Attributes
     ----------
     mesh : MeshPiece
+        The elements of this rank.
     owners : (N,) array of int
         The rank that owns each of its nodes.
     """
@@ -249,24 +405,26 @@ class DealtMesh:
     owners: Index
 
 
-def deal(ranks: Ranks, sources: Sequence[Source]) -> list[DealtMesh]:
-    """The pieces of meshes that are cut together, so that every rank has as many elements as any other. Collective.
+def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[PartitionedMesh]:
+    """Partition meshes together, so that all ranks have about as many elements, and return their pieces. Collective.
 
     Raises
     ------
     InvalidProblem
-        A mesh that is no good, on any rank.
+        A mesh is invalid, on any rank.
     """
     shares = [source.shares() for source in sources]
     counts = [sum(len(share.nodes) for share in some) for some in shares]
-    first = ranks.first(sum(counts))
+    first = ranks.offset(sum(counts))
     here, there = [], []
     for i, some in enumerate(shares):
         found = neighbours(ranks, some, first + sum(counts[:i]))
         shares[i] = [sources[i].marked(share) for share in found.shares]
         here.append(found.here - first)
         there.append(found.there)
-    owner = _cut(ranks, sum(counts), np.concatenate(here), np.concatenate(there))
+    element, other = np.concatenate(here), np.concatenate(there)
+    indptr = np.append(0, np.cumsum(np.bincount(element, minlength=sum(counts))))
+    owner = partition_graph(ranks, indptr, other[np.argsort(element, kind="stable")]).astype(np.int64)
     pieces, at = [], 0
     for i, source in enumerate(sources):
         some, shares[i] = shares[i], []
@@ -278,17 +436,10 @@ def deal(ranks: Ranks, sources: Sequence[Source]) -> list[DealtMesh]:
     return pieces
 
 
-def _cut(ranks: Ranks, count: int, here: Index, there: Index) -> Index:
-    """The rank that each element of this rank goes to."""
-    order = np.argsort(here, kind="stable")
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
-    return partition(ranks, indptr, there[order]).astype(np.int64)
-
-
-def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> DealtMesh:
+def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> PartitionedMesh:
     flat = [np.zeros(0, dtype=np.int64), *[share.nodes.ravel() for share in shares]]
     codes, local = np.unique(np.concatenate(flat), return_inverse=True)
-    numbers, owners, total = numbered(ranks, codes)
+    numbers, owners, total = number_codes(ranks, codes)
     points, members = source.nodes(codes)
     order = np.argsort(owners != ranks.rank, kind="stable")
     place = np.empty_like(order)
@@ -303,7 +454,7 @@ def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> DealtMesh:
             marks.append(share.marks)
     sets = {name: np.flatnonzero(members & (1 << i)) for i, name in enumerate(source.node_sets)}
     sides = {name: _marked(marks, 1 << bit) for bit, name in enumerate(source.sides, start=1)}
-    with ranks.together():
+    with ranks.raising_together():
         mesh = MeshPiece(
             points[order],
             tuple(blocks),
@@ -314,11 +465,11 @@ def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> DealtMesh:
             owned=int(np.count_nonzero(owners == ranks.rank)),
             whole=total,
         )
-    return DealtMesh(_named(ranks, source, mesh, owners), owners)
+    return PartitionedMesh(_named(ranks, source, mesh, owners), owners)
 
 
 def _marked(marks: Sequence[Index], bit: int) -> Index:
-    """Pairs (element, local facet) with that bit; elements are counted block after block."""
+    """Return pairs (element, local facet) whose marks have a bit; elements are counted block after block."""
     found, first = [np.zeros((0, 2), dtype=np.int64)], 0
     for part in marks:
         pairs = np.argwhere(part & bit)
@@ -329,15 +480,15 @@ def _marked(marks: Sequence[Index], bit: int) -> Index:
 
 
 def _named(ranks: Ranks, source: Source, mesh: MeshPiece, owners: Index) -> MeshPiece:
-    """With the own nodes of sides that facets of other ranks give, and the sets that hold no facet."""
+    """Return the piece with its own nodes of all sets and sides, and the sets that hold no facet on any rank."""
     numbers, owned = mesh.numbers, mesh.owned
     bits = np.zeros(len(numbers), dtype=np.int64)
     for bit, name in enumerate(source.sides):
         for block in mesh.facets_of(mesh.sides[name]) if name in mesh.sides else ():
             bits[block.nodes] |= 1 << bit
     ghost = np.flatnonzero((owners != ranks.rank) & (bits > 0))
-    came, told = ranks.exchanged(owners[ghost], numbers[ghost], bits[ghost])
-    np.bitwise_or.at(bits, np.searchsorted(numbers[:owned], came), told)
+    node, added = ranks.exchanged(owners[ghost], numbers[ghost], bits[ghost])  # facets of other ranks on own nodes
+    np.bitwise_or.at(bits, np.searchsorted(numbers[:owned], node), added)
     own = {name: np.flatnonzero(bits[:owned] & (1 << bit)) for bit, name in enumerate(source.sides)}
     faceless = []
     for name in source.node_sets:

@@ -1,4 +1,4 @@
-"""K u = f of pieces that supports hold and loads act on, and the contact problem that it makes."""
+"""The system K u = f of supported and loaded pieces, and the contact problem that it makes."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.distributed.environment import petsc
-from contactqp.distributed.pieces.nodes import Nodes, Touching, assemble_stiffness, connected_parts, incidence
+from contactqp.distributed.environment import Product, petsc
+from contactqp.distributed.pieces.nodes import ContactSurfaces, Nodes, assemble_stiffness, connected_parts, incidence
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks, asked
+from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.elements.loads import Load
 from contactqp.elements.structure import EVERYTHING_HELD, FreeContacts, Structure, Support
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Index, Mask, Vector
 from contactqp.model.problem import Units
 
 
 @dataclass(frozen=True, eq=False)
 class PieceSystem:
-    """As `structure.System`, of which this rank has the unknowns of its own nodes, k d of them.
+    """The system of a structure, of which this rank has the k d unknowns of its own nodes.
 
     Parameters
     ----------
     structure : Structure
-        Of the pieces of this rank.
+        The pieces of this rank.
     nodes : Nodes
+        Their nodes.
     prescribed : (k d,) array
         Displacements of the supports [length], NaN at free unknowns.
     """
@@ -42,46 +42,47 @@ class PieceSystem:
 
     @property
     def ranks(self) -> Ranks:
+        """The processes."""
         return self.nodes.ranks
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """The number d of unknowns of a node."""
         return len(self.structure.bodies[0].axes)
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
-        """(k d,) unknowns that supports hold."""
+    def constrained(self) -> Mask:
+        """Flags (k d,) of the unknowns that supports constrain."""
         return ~np.isnan(self.prescribed)
 
     @cached_property
-    def given(self) -> Vector:
-        """(k d,) the prescribed displacements, 0 at free unknowns [length]."""
-        return np.where(self.held, self.prescribed, 0.0)
+    def support_displacement(self) -> Vector:
+        """The prescribed displacements (k d,), 0 at free unknowns [length]."""
+        return np.where(self.constrained, self.prescribed, 0.0)
 
     @cached_property
     def parts(self) -> StiffnessParts:
-        """K in the parts that the problem and its answers need. First asked collectively."""
+        """K in the parts that the problem and its answers need; collective when they are first asked for."""
         return _in_parts(self)
 
     def forces(self, loads: Sequence[Load]) -> Vector:
-        """(k d,) nodal forces of loads on all own unknowns [force]. Collective."""
+        """Return the nodal forces (k d,) of loads on all own unknowns [force]. Collective."""
         total = np.zeros(self.structure.size)
-        with self.ranks.together():
+        with self.ranks.raising_together():
             for acting in loads:
                 first = self.structure.first(acting.body)
                 body = self.structure.solid(acting.body)
                 total[first : first + body.size] += acting.forces(body)
         return self.nodes.summed(total.reshape(-1, self.dimension)).ravel()
 
-    def at_held(self, displacement: Vector) -> Vector:
-        """K u at held unknowns, 0 at free ones: (k d,), from the u of all own unknowns. Collective."""
-        found = np.zeros(len(self.held))
-        found[self.held] = self.parts.of_held.lengths(displacement)
+    def constrained_product(self, displacement: Vector) -> Vector:
+        """Return K u (k d,) at constrained unknowns, 0 at free ones, from the u of all own unknowns. Collective."""
+        found = np.zeros(len(self.constrained))
+        found[self.constrained] = self.parts.constrained_rows.lengths(displacement)
         return found
 
     def own_nodes(self, body: str, number: int | None = None) -> Index:
-        """The places among own nodes of those of a body, or of the one with a number in it."""
+        """Return the places among own nodes of those of a body, or of the one with a number in it."""
         mesh = self.structure.body(body).mesh
         if number is not None:
             return self.own_places(body, mesh.places(body, np.array([number])))
@@ -90,40 +91,42 @@ class PieceSystem:
         return np.asarray(self.nodes.place[mine] - self.nodes.first)
 
     def own_places(self, body: str, nodes: Index) -> Index:
-        """The places among own nodes of those that the piece of a body has at `nodes`, all own."""
+        """Return the places among own nodes of `nodes` of the piece of a body, which this rank owns."""
         first = self.structure.first(body) // self.dimension
         return np.asarray(self.nodes.place[first + nodes] - self.nodes.first)
 
     def right_side(self, load: Vector) -> Vector:
-        """f - K u_prescribed at free unknowns, 0 at held ones: (k d,) [force]."""
-        return np.where(self.held, 0.0, load - self.parts.of_given)
+        """Return f - K u_prescribed (k d,) at free unknowns, 0 at constrained ones [force]."""
+        return np.where(self.constrained, 0.0, load - self.parts.support_product)
 
     def problem(
-        self, load: Vector, touching: Touching, contacts: FreeContacts, slaves: Index, *, units: Units
+        self, load: Vector, surfaces: ContactSurfaces, contacts: FreeContacts, slaves: Index, *, units: Units
     ) -> DistributedProblem:
-        """The contact problem. Collective.
+        """Return this rank's part of the contact problem. Collective.
 
         Parameters
         ----------
         load : (k d,) array
-            On all own unknowns [force].
-        touching : Touching
+            Forces on all own unknowns [force].
+        surfaces : ContactSurfaces
+            The surfaces that may touch.
         contacts : FreeContacts
-            Over the free unknowns of `touching`.
+            The contacts, over the free unknowns of `surfaces`.
         slaves : (m,) array of int
-            The place in `touching` of each contact's node: its owner has the contact.
+            The place in `surfaces` of each contact's node, whose owner gets the contact.
+        units : Units
+            The units of the scene.
         """
         K, d = self.parts.free, self.dimension
-        mine = np.flatnonzero(touching.owners[slaves] == self.ranks.rank)
-        unknowns = (d * touching.place[:, None] + np.arange(d)).ravel()
-        free = touching.gathered(self.nodes, ~self.held.reshape(-1, d)).ravel()
-        there = unknowns[free]
+        mine = np.flatnonzero(surfaces.owners[slaves] == self.ranks.rank)
+        unknowns = (d * surfaces.place[:, None] + np.arange(d)).ravel()
+        free = unknowns[surfaces.gathered(self.nodes, ~self.constrained.reshape(-1, d)).ravel()]
         tangential: dict[str, Any] = {}
         if contacts.friction is not None and contacts.slip_origin is not None:
             per = d - 1
             along = (per * mine[:, None] + np.arange(per)).ravel()
             tangential = {
-                "tangent": _rows(contacts.tangent[along], there, K),
+                "tangent": Rows.from_csr(sp.csr_matrix(contacts.tangent[along]), K, free),
                 "friction": contacts.friction[mine],
                 "slip_origin": contacts.slip_origin.reshape(-1, per)[mine],
             }
@@ -132,11 +135,11 @@ class PieceSystem:
             ranks=self.ranks,
             stiffness=K,
             load=self.right_side(load),
-            normal=_rows(contacts.normal[mine], there, K),
+            normal=Rows.from_csr(sp.csr_matrix(contacts.normal[mine]), K, free),
             gap=contacts.gap[mine],
-            tie=_rows(sp.csr_matrix((0, len(there))), there, K),
+            tie=Rows.from_csr(sp.csr_matrix((0, len(free))), K, free),
             tie_value=np.zeros(0),
-            held=self.held,
+            constrained=self.constrained,
             body=np.repeat(self._bodies(), d),
             near_null_space=self._motions(),
             dof_number=self._free_numbers(),
@@ -149,7 +152,7 @@ class PieceSystem:
         )
 
     def _motions(self) -> Vector:
-        """Rigid motions about one centre for each body, on whatever ranks its nodes are; 0 where held."""
+        """Return rigid motions about one centre for each body, on whatever ranks its nodes are; 0 where constrained."""
         parts, first = [], 0
         for body in self.structure.bodies:
             N = len(body.mesh.points)
@@ -160,29 +163,29 @@ class PieceSystem:
             d, q = self.dimension, motions.shape[1]
             parts.append(motions.reshape(N, d, q)[mine].reshape(d * len(mine), q))
         motions = np.concatenate(parts)
-        motions[self.held] = 0.0
+        motions[self.constrained] = 0.0
         return motions
 
     def _bodies(self) -> Index:
-        loose: NDArray[np.bool_] = ~np.all(self.held.reshape(-1, self.dimension), axis=1)
-        return connected_parts(self.nodes, incidence(self.structure.bodies), self.nodes.spread(loose))
+        free: Mask = ~np.all(self.constrained.reshape(-1, self.dimension), axis=1)
+        return connected_parts(self.nodes, incidence(self.structure.bodies), self.nodes.with_ghosts(free))
 
     def _free_numbers(self) -> Index:
-        """The number of each own unknown among the free ones in the order of one process; -1 where held."""
+        """Return the number of each own unknown among the free ones as one process has them; -1 where constrained."""
         ranks, nodes = self.ranks, self.nodes
-        free = ~self.held.reshape(-1, self.dimension)
+        free = ~self.constrained.reshape(-1, self.dimension)
         count = free.sum(axis=1)
         total = int(ranks.sum(len(nodes.own)))
         numbers = nodes.numbers[nodes.own]
 
-        def answer(came: Index, _: Index) -> tuple[Index]:
-            order = np.argsort(came[:, 0])
+        def first_numbers(asked: Index, _: Index) -> tuple[Index]:
+            order = np.argsort(asked[:, 0])
             before = np.empty(len(order), dtype=np.int64)
-            before[order] = np.cumsum(came[order, 1]) - came[order, 1]
-            return (ranks.first(int(came[:, 1].sum())) + before,)
+            before[order] = np.cumsum(asked[order, 1]) - asked[order, 1]
+            return (ranks.offset(int(asked[:, 1].sum())) + before,)
 
-        question = np.column_stack([numbers, count])
-        (start,) = asked(ranks, numbers * ranks.size // max(total, 1), question, answer)
+        requests = np.column_stack([numbers, count])
+        (start,) = ask_ranks(ranks, numbers * ranks.size // max(total, 1), requests, first_numbers)
         found = start[:, None] + np.cumsum(free, axis=1) - 1
         return np.where(free, found, -1).ravel().astype(np.int64)
 
@@ -198,31 +201,32 @@ class PieceSystem:
 
 @dataclass(frozen=True, eq=False)
 class StiffnessParts:
-    """K with rows of their own for held unknowns, and what their rows and columns were.
+    """K with decoupled constrained unknowns, and what their rows and columns were.
 
     Attributes
     ----------
     free : PETSc.Mat
-    of_given : (k d,) array
+        K with nothing but the diagonal in rows and columns of constrained unknowns.
+    support_product : (k d,) array
         K u_prescribed on all own unknowns [force].
-    of_held : Rows
-        Those of this rank's held unknowns.
+    constrained_rows : Rows
+        The rows of K of this rank's constrained unknowns.
     """
 
     free: Any
-    of_given: Vector
-    of_held: Rows
+    support_product: Vector
+    constrained_rows: Rows
 
 
-def prescribed_of(structure: Structure, nodes: Nodes, supports: Sequence[Support]) -> Vector:
-    """(k d,) the prescribed displacements of own unknowns, NaN at free ones. Collective.
+def prescribed_displacements(structure: Structure, nodes: Nodes, supports: Sequence[Support]) -> Vector:
+    """Return the prescribed displacements (k d,) of own unknowns, NaN at free ones. Collective.
 
     Raises
     ------
     InvalidProblem
         As `Structure.assemble`.
     """
-    with nodes.ranks.together():
+    with nodes.ranks.raising_together():
         every = structure.prescribed(supports)
     mine = every.reshape(-1, len(structure.bodies[0].axes))[nodes.own].ravel()
     if not nodes.ranks.any(np.isnan(mine)):
@@ -234,20 +238,12 @@ def _in_parts(system: PieceSystem) -> StiffnessParts:
     PETSc = petsc()
     bodies = [system.structure.solid(body.name) for body in system.structure.bodies]
     K = assemble_stiffness(bodies, system.nodes)
-    into, at = K.createVecs()
-    at.array[:] = system.given
-    K.mult(at, into)
-    held = np.flatnonzero(system.held)
-    of_held = Rows.over_touched(chosen_rows(K, held), K)
+    support_product = Product(K)(system.support_displacement)
+    constrained = np.flatnonzero(system.constrained)
+    constrained_rows = Rows.from_csr(chosen_rows(K, constrained), K)
     diagonal = K.getDiagonal()
     K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    K.zeroRowsColumns((K.getOwnershipRange()[0] + held).astype(PETSc.IntType), diag=1.0)
+    K.zeroRowsColumns((K.getOwnershipRange()[0] + constrained).astype(PETSc.IntType), diag=1.0)
     K.setDiagonal(diagonal)  # a support's own stiffness is of the size of its neighbours'
     K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    return StiffnessParts(K, np.array(into.array), of_held)
-
-
-def _rows(rows: Any, there: Index, like: Any) -> Rows:
-    rows = sp.csr_matrix(rows)
-    columns = np.unique(rows.indices)
-    return Rows(rows[:, columns], there[columns], like)
+    return StiffnessParts(K, support_product, constrained_rows)

@@ -1,1 +1,1 @@
-"""Case files solved on the ranks of MPI."""
+"""Case files that are solved on the ranks of MPI."""

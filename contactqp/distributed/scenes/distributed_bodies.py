@@ -14,18 +14,16 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.analysis.history import Energies, History
-from contactqp.distributed.pieces.nodes import Touching, number_nodes, touching
-from contactqp.distributed.pieces.partition_mesh import MeshPiece, deal
-from contactqp.distributed.pieces.sources import FileSource, LatticeSource, Source
-from contactqp.distributed.pieces.system import PieceSystem, prescribed_of
+from contactqp.distributed.pieces.nodes import ContactSurfaces, gather_surfaces, number_nodes
+from contactqp.distributed.pieces.partition_mesh import FileSource, LatticeSource, MeshPiece, Source, partition_meshes
+from contactqp.distributed.pieces.system import PieceSystem, prescribed_displacements
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.geometry import Block
 from contactqp.elements.loads import node_numbers
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import stress_sums
-from contactqp.elements.structure import FreeContacts, Part, Structure, free_contacts
-from contactqp.elements.structure import Support as Held
+from contactqp.elements.structure import FreeContacts, Part, Structure, Support, free_contacts
 from contactqp.errors import Unsupported
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Vector
@@ -50,99 +48,104 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class DistributedBodyModel(ContactEntries):
-    """What a scene of bodies is made into on many ranks; the contacts are the same on all of them.
+    """The model of a scene of bodies on several ranks; the contacts are the same on all of them.
 
     Attributes
     ----------
     contacts : tuple of PairedContact
-        Their rows are over the unknowns of `touching`.
+        The contacts, with rows over the unknowns of `surfaces`.
     scene : Scene
+        The scene.
     ranks : Ranks
+        The processes.
     system : PieceSystem
-    touching : Touching
+        The pieces of this rank with their supports.
+    surfaces : ContactSurfaces
+        The surfaces that may touch.
     supports : tuple of Support
+        The supports of the scene.
     load : (k d,) array
-        On own unknowns at full value, or at the end of the load path [force].
+        The load on own unknowns at full value, or at the end of the load path [force].
     loads : mapping of name to (k d,) array
-        Each by itself, where they come one by one.
+        Each load by itself, where a load path applies them one after another [force].
     """
 
     scene: SceneData
     ranks: Ranks
     system: PieceSystem
-    touching: Touching
-    supports: tuple[Held, ...]
+    surfaces: ContactSurfaces
+    supports: tuple[Support, ...]
     load: Vector
     loads: Mapping[str, Vector]
 
     @property
     def structure(self) -> Structure:
-        """The pieces of this rank."""
+        """The structure of this rank's pieces."""
         return self.system.structure
 
     @cached_property
     def problem(self) -> DistributedProblem:
-        """On the free unknowns, first asked collectively."""
+        """The contact problem on the free unknowns; collective when it is first asked for."""
         nodes = np.concatenate([np.zeros(0, dtype=np.int64), *[self._slaves(c.body, c.pairing) for c in self.contacts]])
         with stage(BUILD):
             return self.system.problem(
                 self.load,
-                self.touching,
+                self.surfaces,
                 self.free_contacts,
                 nodes[self.kept],
                 units=Units(length=self.scene.units.length, force=self.scene.units.force),
             )
 
     def _slaves(self, body: str, pairing: Pairing) -> NDArray[np.int64]:
-        """The places in `touching` of the nodes of a pairing."""
-        found = np.searchsorted(self.touching.numbers, self.touching.first(body) + pairing.nodes)
+        """Return the places in `surfaces` of the nodes of a pairing."""
+        found = np.searchsorted(self.surfaces.numbers, self.surfaces.first(body) + pairing.nodes)
         return np.asarray(found, dtype=np.int64)
 
     @cached_property
     def free_contacts(self) -> FreeContacts:
-        """The contacts that a free unknown moves, the same on all ranks; first asked collectively."""
+        """The contacts that a free unknown moves, the same on all ranks; collective when they are first asked for."""
         d = self.system.dimension
-        prescribed = self.touching.gathered(self.system.nodes, self.system.prescribed.reshape(-1, d)).ravel()
+        prescribed = self.surfaces.gathered(self.system.nodes, self.system.prescribed.reshape(-1, d)).ravel()
         pairings = [contact.pairing for contact in self.contacts]
         return free_contacts(pairings, prescribed, friction=self.row_friction, names=self.row_names)
 
     @property
     def kept(self) -> NDArray[np.int64]:
-        """Which rows of all pairings are contacts of the problem."""
+        """The rows of all pairings that are contacts of the problem."""
         return self.free_contacts.kept
 
     def load_on_all(self, time: Fraction) -> Vector:
-        """The load on own unknowns, held ones too, at a pseudo-time of the load path."""
+        """Return the load (k d,) on own unknowns, constrained ones too, at a pseudo-time of the load path [force]."""
         if not has_corners(self.scene):
             return float(time) * self.load
         return sum_of(self.loads, factors_at(self.scene, time), len(self.load))
 
     def load_at(self, time: Fraction) -> Vector:
-        """The right-hand side (n_here,) under that load; prescribed displacements stay. First asked collectively."""
+        """Return the right-hand side (n_here,) under that load; prescribed displacements stay. Collective at first."""
         return self.system.right_side(self.load_on_all(time))
 
     def displacement(self, solution: DistributedSolution) -> Vector:
-        """(k d,) u of own unknowns, prescribed ones included."""
-        return solution.answer.displacement + self.system.given
+        """Return the displacements (k d,) of own unknowns, prescribed ones included [length]."""
+        return solution.answer.displacement + self.system.support_displacement
 
     def velocity(self, _: Vector) -> Vector:
-        """Motions are followed by one process."""
+        """Raise Unsupported: motions are followed by one process."""
         raise Unsupported("motions: expected elastic bodies at rest on many ranks")
 
     def node_at(self, body: str, point: ArrayLike) -> int:
-        """The number of the node of a body at a point. Collective."""
+        """Return the number of the node of a body at a point. Collective."""
         return node_at(self.ranks, self.structure.body(body), point, f"the body {body!r}")
 
     def displacement_at(self, body: str, node: int, solution: DistributedSolution) -> Vector:
-        """(d,) of a node of a body. Collective."""
+        """Return the displacement (d,) of a node of a body [length]. Collective."""
         d = self.system.dimension
         mine = self.system.own_nodes(body, node)
         return np.asarray(self.ranks.sum(self.displacement(solution).reshape(-1, d)[mine].sum(axis=0)))
 
     def stress_at(self, body: str, node: int, solution: DistributedSolution) -> Vector:
-        """(6,) at a node of a body, the mean over the elements of all ranks that have it. Collective."""
+        """Return the stress (6,) at a node of a body, the mean over its elements on all ranks. Collective."""
         d, part = self.system.dimension, self.structure.solid(body)
-        every = self.system.nodes.spread(self.displacement(solution).reshape(-1, d)).ravel()
+        every = self.system.nodes.with_ghosts(self.displacement(solution).reshape(-1, d)).ravel()
         total, count = np.zeros(6), 0.0
         for place in np.flatnonzero(node_numbers_of(part) == node):
             around = [Block(b.kind, b.nodes[(b.nodes == place).any(axis=1)]) for b in part.mesh.blocks]
@@ -153,23 +156,23 @@ class DistributedBodyModel(ContactEntries):
         return np.asarray(self.ranks.sum(total) / self.ranks.sum(count))
 
     def resultant(self, name: str, solution: DistributedSolution) -> Vector:
-        """(d,) the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave."""
+        """Return the sum (d,) of -E_N' lambda of one contact over the nodes of its body, the slave of two [force]."""
         contact = self.contacts[self.place(name)]
         forces = -(contact.pairing.normal.T @ self.normal_forces(name, solution))
-        return np.asarray(forces.reshape(self.touching.points.shape)[self.touching.of_body(contact.body)].sum(axis=0))
+        return np.asarray(forces.reshape(self.surfaces.points.shape)[self.surfaces.of_body(contact.body)].sum(axis=0))
 
     def ranges(self, body: str, field: Vector) -> Vector:
-        """(d, 2) the lowest and the highest value of a field on own unknowns, at the nodes of a body. Collective."""
+        """Return the lowest and the highest value (d, 2) of a field on own unknowns at a body's nodes. Collective."""
         values = field.reshape(-1, self.system.dimension)[self.system.own_nodes(body)]
         low, high = (self.ranks.max(np.max(sign * values, axis=0, initial=-np.inf)) for sign in (-1, 1))
         return np.stack([-low, high], axis=1)
 
     def free_motions(self, solution: DistributedSolution) -> NDArray[np.float64]:
-        """(q, k d) the directions of the solution's free motions on own unknowns; supports stand still."""
+        """Return the directions (q, k d) of the solution's free motions on own unknowns; supports stand still."""
         return solution.motions.T.copy()
 
     def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
-        """The column of some fields (q, k d) where field i is largest on any rank, and its place. Collective."""
+        """Return the column (q,) of fields (q, k d) where field i is largest on any rank, and its number."""
         found = (0.0, -1, np.zeros(len(rows)))
         if rows.shape[1]:
             size = np.abs(rows[i])
@@ -179,30 +182,43 @@ class DistributedBodyModel(ContactEntries):
         return column, place
 
     def energy(self, solution: DistributedSolution, time: Fraction) -> float:
-        """1/2 u'Ku - f'u of all unknowns, prescribed ones included. Collective."""
-        u, given, of_given = solution.answer.displacement, self.system.given, self.system.parts.of_given
-        elastic = u @ self.problem.product(u) / 2 + u @ of_given + given @ of_given / 2
-        return float(self.ranks.sum(float(elastic - self.load_on_all(time) @ (u + given))))
+        """Return 1/2 u'Ku - f'u of all unknowns, prescribed ones included [force * length]. Collective."""
+        u, supports = solution.answer.displacement, self.system.support_displacement
+        force = self.system.parts.support_product
+        elastic = u @ self.problem.product(u) / 2 + u @ force + supports @ force / 2
+        return float(self.ranks.sum(float(elastic - self.load_on_all(time) @ (u + supports))))
 
     def support_force(self, support: int, solution: DistributedSolution, time: Fraction) -> float:
-        """What an entry of the scene's supports does to its body, along its axis. Collective."""
-        residual = self.system.at_held(self.displacement(solution)) - self.load_on_all(time)
-        pressed = np.zeros(self.touching.size)
+        """Return the force of a support of the scene on its body, along its axis [force]. Collective."""
+        residual = self.system.constrained_product(self.displacement(solution)) - self.load_on_all(time)
+        pressed = np.zeros(self.surfaces.size)
         for contact in self.contacts:
             pressed += contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
             if solution.friction_force is not None:
                 pressed += contact.pairing.tangent.T @ self.tangential(contact.name, solution.friction_force).ravel()
-        d, mine = self.system.dimension, self.touching.owners == self.ranks.rank
-        at = self.touching.place[mine] - self.system.nodes.first
+        d, mine = self.system.dimension, self.surfaces.owners == self.ranks.rank
+        at = self.surfaces.place[mine] - self.system.nodes.first
         residual.reshape(-1, d)[at] += pressed.reshape(-1, d)[mine]
-        held = self.supports[support]
-        nodes = node_numbers(self.structure.solid(held.body), held.nodes)
-        places = self.system.own_places(held.body, nodes)
-        return float(self.ranks.sum(float(residual.reshape(-1, d)[places, held.axis].sum())))
+        stated = self.supports[support]
+        nodes = node_numbers(self.structure.solid(stated.body), stated.nodes)
+        places = self.system.own_places(stated.body, nodes)
+        return float(self.ranks.sum(float(residual.reshape(-1, d)[places, stated.axis].sum())))
 
 
 def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:
-    """The number of the node of a body at a point, whatever rank has it; as `nearest_node`. Collective."""
+    """Return the number of the node of a body at a point, whatever rank has it; as `nearest_node`. Collective.
+
+    Parameters
+    ----------
+    ranks : Ranks
+        The processes.
+    body : Part
+        This rank's piece of the body.
+    point : (d,) array
+        The point [length].
+    what : str
+        The name of the body in messages.
+    """
     numbers, found = node_numbers_of(body), None
     if body.mesh.elements:
         here = nearest_to(body, point)
@@ -214,31 +230,28 @@ def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:
 
 
 def node_numbers_of(body: Part) -> NDArray[np.int64]:
-    """The number in the whole mesh of each node of a piece."""
-    assert isinstance(body.mesh, MeshPiece)  # what has ranks is made of pieces
+    """Return the number in the whole mesh of each node of a piece."""
+    assert isinstance(body.mesh, MeshPiece)  # the bodies of a DistributedBodyModel are pieces
     return body.mesh.numbers
 
 
-# From a scene of elastic bodies to a contact problem of which each rank has its part.
-
-
 def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
-    """Pieces of meshes, supports, loads and pairs of a scene of bodies. Collective.
+    """Make the model of a scene of bodies: pieces of meshes, supports, loads and contacts. Collective.
 
-    Shapes are made slab by slab. A mesh file is read by rank 0, which for that time has all of it.
+    Shapes are made slab by slab. A mesh file is read by rank 0, which then has all of the mesh for a while.
 
     Raises
     ------
     SceneError
-        What is no good, its key first; the same on all ranks.
+        The scene is invalid; the message begins with the key and is the same on all ranks.
     Unsupported
         Membranes, motions, large deformations, a scene without bodies.
     """
     others = ("membranes", scene.membranes), ("motions", scene.motion), ("large motions", scene.large)
-    for what, there in (*others, ("a scene without bodies", not scene.bodies)):
-        if there:
+    for feature, present in (*others, ("a scene without bodies", not scene.bodies)):
+        if present:
             raise Unsupported(
-                f"{what}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"
+                f"{feature}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"
             )
     with stage(BUILD):
         return _model(scene, ranks)
@@ -250,11 +263,11 @@ def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
         with at_key(f"bodies[{i}] ({body.name!r})"):
             sources.append(_source(scene, ranks, body))
     with at_key("bodies"):
-        dealt = deal(ranks, sources)
-        nodes = number_nodes(ranks, dealt)
+        meshes = partition_meshes(ranks, sources)
+        nodes = number_nodes(ranks, meshes)
     pieces: list[Part] = []
-    for i, (body, part) in enumerate(zip(scene.bodies, dealt, strict=True)):
-        with at_key(f"bodies[{i}] ({body.name!r})"), ranks.together():
+    for i, (body, part) in enumerate(zip(scene.bodies, meshes, strict=True)):
+        with at_key(f"bodies[{i}] ({body.name!r})"), ranks.raising_together():
             pieces.append(solid_body(scene, body, part.mesh))
     with at_key("bodies"):
         structure = Structure(pieces)
@@ -262,7 +275,7 @@ def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     acting = list(loads_of(scene, structure, at))
     supports = tuple(supports_of(scene, structure, at))
     with at_key("supports"):
-        system = PieceSystem(structure, nodes, prescribed_of(structure, nodes, supports))
+        system = PieceSystem(structure, nodes, prescribed_displacements(structure, nodes, supports))
     names = dict.fromkeys(name for name, _ in acting)
     by_name = {name: system.forces([load for other, load in acting if other == name]) for name in names}
     load = sum((part for part in by_name.values()), np.zeros(len(system.prescribed)))
@@ -275,7 +288,7 @@ def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
                 structure.solid(body_name).mesh.side(side)
                 sides.append((body_name, side))
     with at_key("contacts"):
-        surfaces = touching(structure, nodes, sides)
+        surfaces = gather_surfaces(structure, nodes, sides)
     contacts = []
     for i, contact in enumerate(scene.contacts):
         with at_key(f"contacts[{i}] ({contact.name!r})"):
@@ -293,12 +306,12 @@ def _source(scene: SceneData, ranks: Ranks, body: Body) -> Source:
     return FileSource(ranks, partial(mesh_of_file, scene, body.mesh))
 
 
-# Solutions of bodies of which each rank has a piece, as tables and claims ask for them. All of it is collective.
-
-
 @dataclass(frozen=True, eq=False)
 class ProblemInPieces:
-    """What is said of the problem of a solution; names are those of one process, on every rank."""
+    """The problem of a distributed solution as tables and claims ask for it, in the numbers of one process.
+
+    Properties that are gathered are collective when they are first asked for.
+    """
 
     part: DistributedProblem = field(repr=False)
     contact_names: tuple[str, ...] = field(repr=False)
@@ -319,52 +332,52 @@ class ProblemInPieces:
 
     @property
     def contacts(self) -> int:
-        """m, on all ranks."""
+        """The number m of contacts on all ranks."""
         return len(self.contact_names)
 
     @property
     def tangent(self) -> None:
-        """Pictures of paths ask for it, and these are without friction."""
+        """None: pictures of paths ask for it, and these paths have no friction."""
         return None
 
     @cached_property
     def normal(self) -> Any:
         """E_N (m, n) in the numbers of one process, gathered on every rank."""
         part, rows = self.part, self.part.normal.entries.tocoo()
-        column = part.normal.near(part.dof_number.astype(float)).astype(np.int64)[rows.col]
+        column = part.normal.at_touched(part.dof_number.astype(float)).astype(np.int64)[rows.col]
         free, gathered = column >= 0, part.ranks.gathered
         places = gathered(part.contact_number[rows.row][free]), gathered(column[free])
         return sp.csr_matrix((gathered(rows.data[free]), places), shape=(self.contacts, part.dimension))
 
     @cached_property
     def load(self) -> NDArray[np.float64]:
-        """(n,) gathered on every rank [force]."""
-        return self.part.whole(self.part.load, self.part.dof_number)
+        """The load (n,), gathered on every rank [force]."""
+        return self.part.gathered(self.part.load, self.part.dof_number)
 
     @cached_property
     def dof_names(self) -> tuple[str, ...]:
-        """(n,) gathered on every rank: for those who ask for every number."""
+        """The names (n,) of all unknowns, gathered on every rank."""
         here = np.array([self.part.dof_name(i) for i in range(len(self.part.dof_number))], dtype=np.str_)
-        return tuple(map(str, self.part.whole(here, self.part.dof_number)))
+        return tuple(map(str, self.part.gathered(here, self.part.dof_number)))
 
 
 @dataclass(frozen=True, eq=False)
 class SolutionInPieces:
-    """As `contactqp.Solution`; displacements are gathered when they are asked for, contacts are few."""
+    """A distributed solution with the interface of `contactqp.Solution`, whose arrays are gathered when asked for."""
 
     found: DistributedSolution
     problem: ProblemInPieces
 
     def __getattr__(self, name: str) -> Any:
-        """All else is the distributed solution's."""
+        """Return an attribute of the distributed solution."""
         return getattr(self.found, name)
 
 
 def in_pieces(model: DistributedBodyModel, solutions: Sequence[DistributedSolution]) -> list[SolutionInPieces]:
-    """The solutions with the names of the scene."""
+    """Return the solutions with the names of the scene."""
     names, frictional = np.array(model.row_names, dtype=np.str_)[model.kept], model.problem.frictional
-    told = tuple(map(str, names))
-    return [SolutionInPieces(one, ProblemInPieces(one.problem, told, frictional)) for one in solutions]
+    contact_names = tuple(map(str, names))
+    return [SolutionInPieces(one, ProblemInPieces(one.problem, contact_names, frictional)) for one in solutions]
 
 
 def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
@@ -377,7 +390,7 @@ def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
 
 
 def gather(history: History) -> None:
-    """Have every rank hold what pictures and files take of a history, so that one of them can write them."""
+    """Gather all fields of a history that pictures and files use on every rank, so that one of them can write them."""
     for solution in history:
         for name in ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status", "energy"):
             getattr(solution, name)

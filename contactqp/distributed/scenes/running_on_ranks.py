@@ -1,4 +1,9 @@
-"""A scene's load, or its load path in steps, on the ranks of MPI."""
+"""Solve a scene's load, or its load path in steps, on the ranks of MPI.
+
+With friction a path is followed as in one process: slip counts from where contacts were before, or where they closed.
+What a step needs to know of the contacts before it (`contactqp.analysis.friction_step`) is whole on every rank, a few
+numbers for each contact, so that all ranks decide alike.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactqp.analysis.history import Event, History
+from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, step_to
+from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.analysis.load_path import DEFAULT_STEPS, changes
 from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.distributing import distribute
@@ -20,11 +26,17 @@ from contactqp.distributed.preconditioner import AUTO
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel, distributed_model, energies, in_pieces
-from contactqp.distributed.scenes.friction_on_ranks import changes_of_rubbing, energies_of_rubbing, follow_rubbing
-from contactqp.distributed.solving import judged, solve_distributed
-from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
-from contactqp.errors import Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.distributed.solving import (
+    certified_solution,
+    options_on_ranks,
+    solve_distributed,
+    solve_whole,
+    whole_in_errors,
+    whole_solution,
+)
+from contactqp.distributed.violations import row_sizes
+from contactqp.errors import NoEquilibrium, NotConverged, Unsupported
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import build
 from contactqp.scene.schema import SceneData
@@ -36,9 +48,6 @@ if TYPE_CHECKING:
     ModelOnRanks = Model | DistributedBodyModel
 
 
-# One load after another on the ranks of MPI, each solved for from the answer before.
-
-
 def follow_distributed(
     problem: DistributedProblem,
     loads: Iterable[Vector],
@@ -46,33 +55,182 @@ def follow_distributed(
     checkpoint: Checkpoint | None = None,
     **options: Any,
 ) -> Iterator[DistributedSolution]:
-    """The solution under each load, started from the one before. Collective.
+    """Yield the solution without friction under each load, started from the one before. Collective.
 
     Parameters
     ----------
     problem : DistributedProblem
-        Its load is not used.
-    loads : iterable of (n_here,) arrays [force]
+        The problem; its own load is not used.
+    loads : iterable of (n_here,) arrays
+        The loads [force].
+    method : str
+        As in `solve_distributed`.
     checkpoint : Checkpoint, optional
-        Answers that it has are judged again and not solved for; every other one is kept there.
-    method, **options
-        Of `solve_distributed`.
+        Answers that it has are certified again and not solved for; every other one is written there.
+    **options
+        Options of `solve_distributed`.
     """
     before: DistributedSolution | None = None
     for step, load in enumerate(loads):
         at = replace(problem, load=load)
         if checkpoint is not None and step < checkpoint.steps:
-            before = judged(at, checkpoint.read(step, at), method, options.get("solver", AUTO))
+            before = certified_solution(at, checkpoint.read(step, at), method, options.get("solver", AUTO))
         else:
-            start = None if before is None else before.answer
-            before = solve_distributed(at, method, warm_start=start, **options)
+            before = _solved_from(before, at, method, options)
             if checkpoint is not None:
                 checkpoint.write(step, at, before.answer)
         yield before
 
 
+def _solved_from(
+    start: DistributedSolution | None, problem: DistributedProblem, method: str, options: dict[str, Any]
+) -> DistributedSolution:
+    return solve_distributed(problem, method, warm_start=None if start is None else start.answer, **options)
+
+
+def follow_with_friction(
+    problem: DistributedProblem, loads: Iterable[Vector], method: str, **options: Any
+) -> Iterator[DistributedSolution]:
+    """Yield the solution with friction under each load (n_here,). Collective.
+
+    The problem of each solution has the slip origins of its step, as those of `contactqp.follow_path`.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        The problem; its own load is not used.
+    loads : iterable of (n_here,) arrays
+        The loads [force].
+    method : str
+        As in `solve_distributed`.
+    **options
+        Options of `solve_distributed`.
+    """
+    stepper = _Stepper(problem, method, options)
+    origin = problem.gathered(_origin(problem), problem.contact_number)
+    anchors, state = Anchors(origin, np.zeros(len(origin), dtype=bool)), None
+    for load in loads:
+        if state is None:
+            stepper.turn(load, load)
+            state = stepper.solve(1.0, origin, np.zeros(len(origin), dtype=bool))
+            # A contact that is closed and carries nothing is where the problem anchored it.
+            at_rest = state.touching & ~state.pushes
+            anchors = Anchors(np.where(at_rest[:, None], origin, state.position), state.touching)
+            stepper.accept(state)
+        else:
+            stepper.turn(stepper.load, load)
+            state = stepper.accept(step_to(1.0, replace(state, fraction=0.0), anchors, stepper.solve))
+            anchors = Anchors(state.position, state.touching)
+        yield stepper.before
+
+
+class _Stepper:
+    """The steps of `contactqp.analysis.friction_step.SolveStepper` over the ranks; everything is collective."""
+
+    before: DistributedSolution
+
+    def __init__(self, problem: DistributedProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem, self._method, self._options = problem, method, options
+        self._start_solution: DistributedSolution | None = None
+        self._farthest = WIDENED * float(problem.ranks.max(float(np.max(abs(problem.gap), initial=0.0))))
+
+    def turn(self, start: Vector, load: Vector) -> None:
+        """Set out from one load to the next."""
+        self._start, self.load = start, load
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """Return the equilibrium at a fraction of the load step.
+
+        `origin` (m, d-1) and `held_open` (m,) are the slip origins and the contacts held open, of all ranks.
+        """
+        problem, here = self._problem, self._problem.contact_number
+        load = self.load if fraction == 1 else self._start + fraction * (self.load - self._start)
+        far = np.where(held_open[here], WIDENED * abs(problem.gap) + self._farthest, 0.0)
+        at = replace(problem, load=load, slip_origin=origin[here], gap=problem.gap + far)
+        solution = _solved_from(self._start_solution, at, self._method, self._options)
+        if problem.ranks.any(solution.answer.normal_force[held_open[here]] > 0):
+            raise NoEquilibrium("a contact that is held open closes")
+        return self._state(solution, fraction, held_open)
+
+    def accept(self, state: State) -> State:
+        """Make a state a step of the path, with the problem's own gaps; the next solve starts from it.
+
+        Raises
+        ------
+        NotConverged
+            Contacts that do not reach their obstacle make a difference: there are several equilibria.
+        """
+        found: Any = state.step.finish()
+        ranks = self._problem.ranks
+        if ranks.any(found.problem.gap != self._problem.gap):
+            wide = found.answer.displacement
+            found = _solved_from(found, replace(found.problem, gap=self._problem.gap), self._method, self._options)
+            moved = np.array([np.max(abs(part), initial=0.0) for part in (found.answer.displacement - wide, wide)])
+            change, size = ranks.max(moved)
+            if change > SAME * size:
+                raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
+        self.before = self._start_solution = found
+        return state
+
+    def _state(self, solution: DistributedSolution, fraction: float, held_open: Mask) -> State:
+        """Return what the next step needs of a solution; gaps are those of the problem."""
+        problem, u = self._problem, solution.answer.displacement
+        rows: Any = problem.tangent
+        largest = float(problem.ranks.max(float(np.max(np.sqrt(problem.metric) * abs(u), initial=0.0))))
+        lengths = problem.normal.length_sizes(u) + abs(problem.gap)
+        rounding = TOUCHING * (lengths + np.sqrt(row_sizes(problem, problem.normal).compliance) * largest)
+        gap = problem.gap - problem.normal.lengths(u)
+        position = rows.lengths(u).reshape(_origin(problem).shape)
+        gap, rounding, position = (self._gathered(part) for part in (gap, rounding, position))
+        pushes = self._gathered(solution.answer.normal_force) > 0
+        step: Any = solution
+        return State(
+            fraction=fraction,
+            gap=gap,
+            position=position,
+            pushes=pushes,
+            slides=pushes & (self._gathered(solution.status) == "slip"),
+            touching=pushes | (gap <= rounding),
+            overlap=held_open & (gap < -rounding),
+            step=SolvedStep(step),
+        )
+
+    def _gathered(self, values: Any) -> Any:
+        return self._problem.gathered(values, self._problem.contact_number)
+
+
+def changes_with_friction(
+    solutions: Sequence[DistributedSolution], times: Sequence[float], names: Sequence[str]
+) -> Iterator[Event]:
+    """Yield every change of a contact's state, at the first step that shows it. Collective."""
+    states = [(one.normal_force > 0, (one.normal_force > 0) & (one.contact_status == "slip")) for one in solutions]
+    return contact_changes(states, times, names.__getitem__)
+
+
+def energies_with_friction(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
+    """Yield the energies of each step, as `contactqp.History.energies` has them with friction. Collective."""
+    work = dissipated = 0.0
+    before: Vector | None = None
+    for now in solutions:
+        problem, u = now.problem, now.answer.displacement
+        dot, moved = problem.ranks.dot, np.zeros_like(u) if before is None else u - before
+        work += dot(problem.load - problem.product(moved) / 2, moved)
+        rows, friction = problem.tangent, now.answer.friction_force
+        if before is not None and rows is not None and friction is not None:
+            dissipated += dot(friction.ravel(), rows.lengths(u) - _origin(problem).ravel())
+        before = u
+        yield Energies(dot(u, problem.product(u)) / 2, kinetic=0.0, work=work, dissipated=dissipated)
+
+
+def _origin(problem: DistributedProblem) -> Array:
+    """Return the slip origins (m_here, d-1)."""
+    if problem.slip_origin is None:
+        raise ValueError("a path with friction of a problem without tangential rows")
+    return problem.slip_origin
+
+
 def instants(corners: Sequence[Vector], steps: int) -> Iterator[tuple[float, Vector]]:
-    """Pseudo-time and load of the start, without a load, and of so many equal steps from corner to corner."""
+    """Yield pseudo-time and load of the start, without a load, and of equal steps from corner to corner."""
     rest = np.zeros_like(corners[0])
     yield 0.0, rest
     for leg, (start, end) in enumerate(pairwise([rest, *corners])):
@@ -80,53 +238,55 @@ def instants(corners: Sequence[Vector], steps: int) -> Iterator[tuple[float, Vec
             yield leg + i / steps, end if i == steps else start + i / steps * (end - start)
 
 
-# What a scene says that changes no answer of it.
+# The fields of a scene that change no answer of it.
 _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")
-# Bytes of a digest, as many as two scenes never share by chance; and of a file that are in memory at once.
+# Bytes of a digest, so many that two scenes never share one by chance; and of a file that are in memory at once.
 _SIZE, _CHUNK = 12, 2**20
 
 
 def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
-    """As `contactqp.run` with ``engine="petsc"``, of a model that is built already. Collective.
+    """Solve a model as `contactqp.run` with ``engine="petsc"`` does. Collective.
+
+    Parameters
+    ----------
+    model : Model or DistributedBodyModel
+        The model of a scene.
+    method : str
+        As in `solve_distributed`.
+    checkpoint : str or Path, optional
+        A folder where the steps of a path are kept.
+    **options
+        Options of `contactqp.run`.
 
     Raises
     ------
     Unsupported, InvalidProblem
-        As there.
+        As `contactqp.run`.
     """
     chosen, ranks = options_on_ranks(options), Ranks()
     _refuse(model)
-    kept = None
+    steps = None
     if checkpoint is not None:
-        with ranks.together():
+        with ranks.raising_together():
             digest = digest_of(model.scene)
-        kept = Checkpoint(checkpoint, digest, ranks)
-    if isinstance(model, DistributedBodyModel):
-        return _run_pieces(model, method, kept, chosen)
-    part = distribute(model.problem, ranks)
+        steps = Checkpoint(checkpoint, digest, ranks)
     at = list(_instants(model))
-    along = _followed(model, part, (load[part.dof_number] for _, load in at), method, kept, chosen)
-    with whole_in_errors(model.problem):
-        found = list(along)
-    whole = [_whole_problem(model.problem, load, solution) for (_, load), solution in zip(at, found, strict=True)]
-    solutions = [gathered(problem, solution) for problem, solution in zip(whole, found, strict=True)]
     times = [time for time, _ in at]
+    if isinstance(model, DistributedBodyModel):
+        found = list(_followed(model, model.problem, (load for _, load in at), method, steps, chosen))
+        solutions: Any = in_pieces(model, found)
+        compute = energies_with_friction if _path_has_friction(model) else energies
+        events = _events(model, solutions, times, solutions[0].problem.contact_name)
+        return History(solutions, times, events, energies=lambda: compute(found))
+    part = distribute(model.problem, ranks)
+    with whole_in_errors(model.problem):
+        found = list(_followed(model, part, (load[part.dof_number] for _, load in at), method, steps, chosen))
+    problems = [_whole_problem(model.problem, load, solution) for (_, load), solution in zip(at, found, strict=True)]
+    solutions = [whole_solution(problem, solution) for problem, solution in zip(problems, found, strict=True)]
     return History(solutions, times, _events(model, solutions, times, model.problem.contact_name))
 
 
-def _run_pieces(model: DistributedBodyModel, method: str, kept: Checkpoint | None, options: dict[str, Any]) -> History:
-    """Nobody ever has the whole; what is asked of the solutions is asked by all ranks together."""
-    at = list(_instants(model))
-    found = list(_followed(model, model.problem, (load for _, load in at), method, kept, options))
-    solutions: Any = in_pieces(model, found)
-    times = [time for time, _ in at]
-    told = energies_of_rubbing if _rubs_along(model) else energies
-    events = _events(model, solutions, times, solutions[0].problem.contact_name)
-    return History(solutions, times, events, energies=lambda: told(found))
-
-
-def _rubs_along(model: ModelOnRanks) -> bool:
-    """Whether a path has friction."""
+def _path_has_friction(model: ModelOnRanks) -> bool:
     return model.scene.path is not None and model.problem.frictional
 
 
@@ -135,14 +295,14 @@ def _followed(
     part: DistributedProblem,
     loads: Iterator[Vector],
     method: str,
-    kept: Checkpoint | None,
+    checkpoint: Checkpoint | None,
     options: dict[str, Any],
 ) -> Iterator[DistributedSolution]:
-    if not _rubs_along(model):
-        return follow_distributed(part, loads, method, kept, **options)
-    if kept is not None:
+    if not _path_has_friction(model):
+        return follow_distributed(part, loads, method, checkpoint, **options)
+    if checkpoint is not None:
         raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
-    return follow_rubbing(part, loads, method, **options)
+    return follow_with_friction(part, loads, method, **options)
 
 
 def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedSolution) -> ContactProblem:
@@ -150,20 +310,32 @@ def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedS
     part = solution.problem
     if part.slip_origin is None:
         return problem.replace(load=load)
-    return problem.replace(load=load, slip_origin=part.whole(part.slip_origin, part.contact_number))
+    return problem.replace(load=load, slip_origin=part.gathered(part.slip_origin, part.contact_number))
 
 
 def _events(
     model: ModelOnRanks, solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str]
 ) -> Callable[[], Iterable[Event]]:
-    if not _rubs_along(model):
+    if not _path_has_friction(model):
         return lambda: changes(solutions, times)
     names = [name(i) for i in range(len(solutions[0].normal_force))]
-    return lambda: changes_of_rubbing(solutions, times, names)
+    return lambda: changes_with_friction(solutions, times, names)
 
 
 def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
-    """The solution under the load at a pseudo-time, of its own. Collective."""
+    """Return the solution under the load at a pseudo-time, solved for by itself. Collective.
+
+    Parameters
+    ----------
+    model : Model or DistributedBodyModel
+        The model of a scene.
+    time : Fraction
+        The pseudo-time of the load path.
+    method : str
+        As in `solve_distributed`.
+    **options
+        Options of `contactqp.run`.
+    """
     if isinstance(model, DistributedBodyModel):
         at = replace(model.problem, load=model.load_at(time))
         return in_pieces(model, [solve_distributed(at, method, **options_on_ranks(options))])[0]
@@ -171,24 +343,24 @@ def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) 
 
 
 def model_on_ranks(scene: SceneData) -> ModelOnRanks:
-    """The scene's model: elastic bodies in pieces; all else is small, and every rank has it. Collective.
+    """Return the model of a scene: elastic bodies in pieces; all else is small and whole on every rank. Collective.
 
     Raises
     ------
     SceneError, BackendMissing
-        As `contactqp.scene.building.build`; what one rank refuses, a file that it does not have, all do.
+        As `contactqp.scene.building.build`; all ranks raise an error of one, such as a file that it lacks.
     """
     ranks = Ranks()
     if scene.bodies and not (scene.membranes or scene.motion or scene.large):
         return distributed_model(scene, ranks)
-    with ranks.together():
+    with ranks.raising_together():
         return build(scene)
 
 
 def digest_of(scene: SceneData) -> str:
-    """Another text for a scene with another answer: of all that it says, and of the mesh files that it names."""
-    said = scene.model_copy(update=dict.fromkeys(_WORDS))
-    found = hashlib.blake2b(repr(said).encode(), digest_size=_SIZE)
+    """Return a text that differs between scenes with different answers, the contents of their mesh files included."""
+    stated = scene.model_copy(update=dict.fromkeys(_WORDS))
+    found = hashlib.blake2b(repr(stated).encode(), digest_size=_SIZE)
     folder = Path() if scene.file is None else scene.file.parent
     for body in (*scene.bodies, *scene.membranes):
         if (name := getattr(body.mesh, "file", None)) is not None:
@@ -207,12 +379,11 @@ def _instants(model: ModelOnRanks) -> Iterator[tuple[float, Vector]]:
 
 
 def _refuse(model: ModelOnRanks) -> None:
-    scene = model.scene
-    path = scene.path
+    scene, path = model.scene, model.scene.path
     reasons = {
         "a motion": scene.motion is not None,
         "large deformations": scene.large,
         "exact events of a load path; state its steps alone": path is not None and path.events is not None,
     }
-    if found := [what for what, there in reasons.items() if there]:
+    if found := [feature for feature, present in reasons.items() if present]:
         raise Unsupported(f"engine 'petsc': {found[0]}")

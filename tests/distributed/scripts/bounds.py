@@ -11,16 +11,16 @@ import contactqp as cq
 from contactqp.certificate.bounds import Bounds
 from contactqp.distributed.certificate import certify_distributed
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
+from contactqp.model.solution import Answer
 from contactqp.scene.building import build
 
 scene = cq.load_scene(Path(__file__).parents[3] / "cases" / "truss_floor.toml")
 problem = build(scene).problem
 found = cq.solve(problem)
 part = distribute(problem, Ranks())
-answer = DistributedAnswer(
+answer = Answer(
     found.displacement[part.dof_number], found.normal_force[part.contact_number], None, found.tie_force[part.tie_number]
 )
 
@@ -53,7 +53,7 @@ assert len(named.failures) == 1, named.failures
 assert problem.contact_name(problem.contacts - 1) in named.failures[0], named.failures
 
 # One rank's mistake is told by all.
-long = DistributedAnswer(np.append(answer.displacement, 0.0), answer.normal_force, None, answer.tie_force)
+long = Answer(np.append(answer.displacement, 0.0), answer.normal_force, None, answer.tie_force)
 with pytest.raises(InvalidProblem, match="displacement: expected shape"):
     certify_distributed(part, long if part.ranks.rank == 0 else answer)
 print("judged")

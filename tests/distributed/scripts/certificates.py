@@ -13,7 +13,6 @@ import contactqp as cq
 from contactqp.certificate.certificate import contact_status as status_of_one
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.model.solution import FIGURES, Answer
 from contactqp.scene.building import build
@@ -79,7 +78,7 @@ def judge(problem: cq.ContactProblem, ranks: Ranks, what: str) -> None:
     for kind, candidate in [("right", answer), *wrong(problem, answer)]:
         called = f"{what}, {kind}"
         one = ranks.comm.bcast(of_one_process(problem, candidate) if ranks.rank == 0 else None)
-        here = DistributedAnswer(
+        here = Answer(
             candidate.displacement[part.dof_number],
             candidate.normal_force[part.contact_number],
             None if candidate.friction_force is None else candidate.friction_force[part.contact_number],
@@ -89,7 +88,7 @@ def judge(problem: cq.ContactProblem, ranks: Ranks, what: str) -> None:
         same(one, many, called)
         assert kind != "right" or many.passed, called
         assert many.passed == (not many.failures), called
-        status = part.whole(contact_status(part, many), part.contact_number)
+        status = part.gathered(contact_status(part, many), part.contact_number)
         assert list(status) == list(status_of_one(problem, one)), called
         assert one.grazing == many.grazing, (called, one.grazing, many.grazing)
         if ranks.rank == 0:

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 
 import contactqp as cq
-from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
+from contactqp.model.solution import Answer
 from contactqp.scene.answers import Instant
 from contactqp.scene.body_answers import BodyAnswer, motions_in_words, summaries
 from contactqp.scene.building import build
@@ -23,13 +23,13 @@ OF_A_PATH = ("elastic energy", "work of the loads", "dissipated energy", "event 
 def dealt(model, solution):
     """The answer of one process, of which each rank has its part; as DistributedSolution."""
     d = model.problem
-    here = np.where(d.held, 0.0, solution.displacement[d.dof_number])
+    here = np.where(d.constrained, 0.0, solution.displacement[d.dof_number])
     friction = None if solution.friction_force is None else solution.friction_force[d.contact_number]
-    answer = DistributedAnswer(here, solution.normal_force[d.contact_number], friction, np.zeros(0))
+    answer = Answer(here, solution.normal_force[d.contact_number], friction, np.zeros(0))
     whole = {name: getattr(solution, name) for name in ("normal_force", "friction_force", "gap", "contact_status")}
     motions = np.zeros((len(here), len(solution.free_motions)))
     for i, motion in enumerate(solution.free_motions):
-        motions[:, i] = np.where(d.held, 0.0, motion.direction[d.dof_number])
+        motions[:, i] = np.where(d.constrained, 0.0, motion.direction[d.dof_number])
     return SimpleNamespace(
         answer=answer, motions=motions, free_motions=solution.free_motions, certificate=solution.certificate, **whole
     )

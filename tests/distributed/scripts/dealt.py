@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from contactqp.distributed.distributing import distribute, part_of, share_of_first, whole_portion
+from contactqp.distributed.distributing import distribute, problem_from_share, rows_of_problem, share_from_first_rank
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.solving import solve_distributed
-from contactqp.distributed.whole import collected
+from contactqp.distributed.solving import collected, solve_distributed
 from contactqp.linalg.measures import bodies
 
 ranks = Ranks()
@@ -25,30 +24,30 @@ def close(found, wanted, what, tolerance=ROUNDING):
 
 
 def dealt(path):
-    whole = whole_portion(cq.read_problem(path)) if ranks.rank == 0 else None
-    return part_of(ranks, share_of_first(whole, ranks))
+    whole = rows_of_problem(cq.read_problem(path)) if ranks.rank == 0 else None
+    return problem_from_share(ranks, share_from_first_rank(whole, ranks))
 
 
 def compare(d, one):
     n, m, k = one.dimension, one.contacts, one.ties
 
     def whole(values):
-        return d.whole(values, d.dof_number)
+        return d.gathered(values, d.dof_number)
 
     assert d.dimension == n
     for numbers, count in ((d.dof_number, n), (d.contact_number, m), (d.tie_number, k)):
-        assert np.array_equal(d.whole(numbers, numbers), np.arange(count)), "each has one rank"
+        assert np.array_equal(d.gathered(numbers, numbers), np.arange(count)), "each has one rank"
     u, force, tied = (np.random.default_rng(i).standard_normal(count) for i, count in enumerate((n, m, k)))
     here = u[d.dof_number]
     close(whole(d.product(here)), one.stiffness @ u, "K u")
     close(whole(d.diagonal), one.stiffness.diagonal(), "diagonal of K")
     close(whole(d.load), one.load, "load")
-    close(d.whole(d.normal.lengths(here), d.contact_number), one.normal @ u, "E_N u")
+    close(d.gathered(d.normal.lengths(here), d.contact_number), one.normal @ u, "E_N u")
     close(whole(d.normal.forces(force[d.contact_number])), one.normal.T @ force, "E_N' l")
-    close(d.whole(d.gap, d.contact_number), one.gap, "gap")
-    close(d.whole(d.tie.lengths(here), d.tie_number), one.tie @ u, "A u")
+    close(d.gathered(d.gap, d.contact_number), one.gap, "gap")
+    close(d.gathered(d.tie.lengths(here), d.tie_number), one.tie @ u, "A u")
     close(whole(d.tie.forces(tied[d.tie_number])), one.tie.T @ tied, "A' nu")
-    close(d.whole(d.tie_value, d.tie_number), one.tie_value, "b")
+    close(d.gathered(d.tie_value, d.tie_number), one.tie_value, "b")
     assert np.array_equal(whole(d.body), bodies(one)), "bodies"
     assert d.units == one.units
     for names, numbers, called in (
@@ -60,9 +59,9 @@ def compare(d, one):
     assert (d.tangent is None) == (one.tangent is None)
     if d.tangent is not None:
         slips = d.tangent.lengths(here).reshape(d.slip_origin.shape)
-        close(d.whole(slips, d.contact_number), (one.tangent @ u).reshape(one.slip_origin.shape), "E_T u")
-        close(d.whole(d.friction, d.contact_number), one.friction, "friction")
-        close(d.whole(d.slip_origin, d.contact_number), one.slip_origin, "slip origin")
+        close(d.gathered(slips, d.contact_number), (one.tangent @ u).reshape(one.slip_origin.shape), "E_T u")
+        close(d.gathered(d.friction, d.contact_number), one.friction, "friction")
+        close(d.gathered(d.slip_origin, d.contact_number), one.slip_origin, "slip origin")
 
 
 def compare_answers(d, one):

@@ -70,7 +70,7 @@ def refuse():
 
 def said_of_refusal():
     try:
-        ranks.by_first(refuse)
+        ranks.on_first_rank(refuse)
     except InvalidProblem as error:
         return str(error)
     return None
@@ -80,6 +80,6 @@ check_all()
 of_ranks.MOST_BYTES = 40  # a row or two of the wider ones: many rounds
 check_all()
 assert said_of_refusal() == "a file: no good"
-assert ranks.by_first(lambda: 3) == (3 if ranks.rank == 0 else None)
+assert ranks.on_first_rank(lambda: 3) == (3 if ranks.rank == 0 else None)
 if ranks.rank == 0:
     print(f"the same on {ranks.size}")

@@ -12,7 +12,7 @@ import contactqp as cq
 from contactqp.distributed import solving
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.solving import judged, solve_distributed
+from contactqp.distributed.solving import certified_solution, solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.scene.building import build
 
@@ -32,12 +32,12 @@ with pytest.raises(NotConverged, match="the time limit is reached"):
 
 # Bounds see what figures of equilibrium do not: a force that is off by a little where it is carried on.
 off = replace(found.answer, normal_force=found.answer.normal_force * (1 + 1e-4))
-refused = judged(part, off, "active-set").certificate
+refused = certified_solution(part, off, "active-set").certificate
 assert not refused.passed
 assert any(failure.startswith("equilibrium") for failure in refused.failures), refused.failures
 soft = np.ones(part.contacts)
 moved = replace(found.answer, displacement=found.answer.displacement + 1e-4 * abs(found.answer.displacement).max())
-assert not judged(part, moved, "active-set").certificate.passed
+assert not certified_solution(part, moved, "active-set").certificate.passed
 
 # A method that hands over the answer of the bodies without contact is refused, whatever it claims.
 right = solving.solve_by_iteration

@@ -18,9 +18,9 @@ ranks = Ranks()
 part = distribute(pushed_in_plane(0.3), ranks)
 right = FrictionNewton.run
 SPOILT = {
-    "without friction": lambda found: replace(found, rub=np.zeros_like(found.rub)),
-    "friction along the slip": lambda found: replace(found, rub=-found.rub),
-    "friction of 1.001 of it": lambda found: replace(found, rub=1.001 * found.rub),
+    "without friction": lambda found: replace(found, friction_force=np.zeros_like(found.friction_force)),
+    "friction along the slip": lambda found: replace(found, friction_force=-found.friction_force),
+    "friction of 1.001 of it": lambda found: replace(found, friction_force=1.001 * found.friction_force),
     "a displacement of 1.000001 of it": lambda found: replace(found, displacement=1.000001 * found.displacement),
 }
 for spoil in SPOILT.values():

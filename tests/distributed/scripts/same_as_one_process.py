@@ -27,43 +27,43 @@ def compare(path, spoil):
     serial, model = build(scene), distributed_model(scene, ranks)
     one, d = serial.problem, model.problem
     if spoil and ranks.rank == ranks.size - 1:
-        d.load[np.flatnonzero(~d.held)[0]] += 1e-9 * np.abs(one.load).max()
+        d.load[np.flatnonzero(~d.constrained)[0]] += 1e-9 * np.abs(one.load).max()
     n, m = one.dimension, one.contacts
     assert d.dimension == n
     assert int(ranks.sum(d.contacts)) == m
-    assert np.array_equal(d.held, d.dof_number < 0)
+    assert np.array_equal(d.constrained, d.dof_number < 0)
 
     def whole(values):
-        return d.whole(values, d.dof_number)
+        return d.gathered(values, d.dof_number)
 
     assert np.array_equal(np.sort(whole(d.dof_number)), np.arange(n)), "every free unknown has one rank"
     u = np.random.default_rng(1).standard_normal(n)
-    here = np.where(d.held, 0.0, u[d.dof_number])
+    here = np.where(d.constrained, 0.0, u[d.dof_number])
     close(whole(d.product(here)), one.stiffness @ u, "K u")
     close(whole(d.diagonal), one.stiffness.diagonal(), "diagonal of K")
     assert np.all(d.diagonal > 0)
-    held_only = np.where(d.held, 1.0, 0.0)
-    close(d.product(held_only), np.where(d.held, d.diagonal, 0.0), "rows of held unknowns")
+    held_only = np.where(d.constrained, 1.0, 0.0)
+    close(d.product(held_only), np.where(d.constrained, d.diagonal, 0.0), "rows of held unknowns")
     close(whole(d.load), one.load, "load")
-    assert not d.load[d.held].any()
-    assert not d.near_null_space[d.held].any()
-    close(d.whole(d.normal.lengths(here), d.contact_number), one.normal @ u, "E_N u")
-    close(d.whole(d.gap, d.contact_number), one.gap, "gap")
+    assert not d.load[d.constrained].any()
+    assert not d.near_null_space[d.constrained].any()
+    close(d.gathered(d.normal.lengths(here), d.contact_number), one.normal @ u, "E_N u")
+    close(d.gathered(d.gap, d.contact_number), one.gap, "gap")
     force = np.random.default_rng(2).standard_normal(m)
     close(whole(d.normal.forces(force[d.contact_number])), one.normal.T @ force, "E_N' l")
     close(whole(d.near_null_space), one.near_null_space, "rigid motions")
     assert np.array_equal(whole(d.body), bodies(one)), "bodies"
     for i, number in enumerate(d.contact_number):
         assert d.contact_name(i) == one.contact_name(int(number))
-    for i in np.flatnonzero(~d.held)[::7]:
+    for i in np.flatnonzero(~d.constrained)[::7]:
         assert d.dof_name(int(i)) == one.dof_name(int(d.dof_number[i]))
     assert (d.tangent is None) == (one.tangent is None)
     if d.tangent is not None:
         per = one.slip_origin.shape[1]
         slips = d.tangent.lengths(here).reshape(-1, per)
-        close(d.whole(slips, d.contact_number), (one.tangent @ u).reshape(-1, per), "E_T u")
-        close(d.whole(d.friction, d.contact_number), one.friction, "friction")
-        close(d.whole(d.slip_origin, d.contact_number), one.slip_origin, "slip origin")
+        close(d.gathered(slips, d.contact_number), (one.tangent @ u).reshape(-1, per), "E_T u")
+        close(d.gathered(d.friction, d.contact_number), one.friction, "friction")
+        close(d.gathered(d.slip_origin, d.contact_number), one.slip_origin, "slip origin")
     for ours, theirs in zip(model.contacts, serial.contacts, strict=True):
         close(ours.pairing.area, theirs.pairing.area, "areas")
         assert np.array_equal(ours.pairing.nodes, theirs.pairing.nodes)

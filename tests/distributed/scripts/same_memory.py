@@ -22,7 +22,7 @@ problem = distribute(on_sphere((8, 8, 6)), ranks)
 seen = []
 for _ in range(3):
     for _ in range(20):
-        problem.shared.clear()  # or the preconditioner would be made once
+        problem.computed.clear()  # or the preconditioner would be made once
         solve_distributed(problem, solver="mumps")
     seen.append(resident())
 # Without a word to PETSc it is 80 MiB and more.
