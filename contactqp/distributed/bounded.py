@@ -217,11 +217,10 @@ def _first_along_direction(entries: sp.csr_matrix) -> Indices:
     return leader
 
 
-# Names of methods, and PETSc's names of their types.
-NEWTON = {"vinewtonrsls": "vinewtonrsls", "vinewtonssls": "vinewtonssls"}
-PREFIX = "contactqp_bounds_"
-TRUST_REGION = {"tao-bntr": "bntr"}
+# Types of SNES, and "tao-" with a type of TAO.
+NEWTON, TRUST_REGION = ("vinewtonrsls", "vinewtonssls"), ("tao-bntr",)
 METHODS = (*NEWTON, *TRUST_REGION)
+PREFIX = "contactqp_bounds_"
 # This method writes D_a + D_b B, which is not symmetric, over the matrix that it is given, in each step.
 CHANGES_MATRIX = ("vinewtonssls",)
 # Options of the solvers of symmetric linear systems; UNSYMMETRIC has what they need otherwise.
@@ -272,10 +271,11 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
     scaled = _Scaled(bound_unknowns(problem, method), settings.warm_start)
     run = _newton if method in NEWTON else _trust_region
     with failing_as_backend(method), temporary_options(PREFIX, _options(method, inner, settings)):
-        y, steps, reason, ksp = run(scaled, method, settings)
-    if ksp.getConvergedReason() == petsc().KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
-        refuse_failed_factors(ksp.getPC())
-    return scaled.candidate(y, steps, reason)
+        ended = run(scaled, method, settings)
+    ksp, reasons = ended.getKSP(), petsc().KSP.ConvergedReason
+    if ksp.getConvergedReason() in (reasons.DIVERGED_PCSETUP_FAILED, reasons.DIVERGED_NANORINF):
+        refuse_failed_factors(ksp.getPC())  # CG in a trust region goes on with the infinities of failed factors
+    return scaled.candidate(int(ended.getIterationNumber()), int(ended.getConvergedReason()))
 
 
 def inner_solver(method: str, solver: str, dimension: int) -> str:
@@ -325,36 +325,36 @@ class _Scaled:
         start = np.zeros(len(load))
         if warm_start is not None:
             start = bounds.unknowns(warm_start.displacement) / self._unit
-        self.start = self._vector(np.clip(start, self.lower.array, self.upper.array))
+        self.y = self._vector(np.clip(start, self.lower.array, self.upper.array))  # the start, then the answer
 
     def _vector(self, values: Vector) -> Any:
         v = self.B.createVecRight()
         v.array[:] = values
         return v
 
-    def candidate(self, y: Any, steps: int, reason: int) -> Candidate:
+    def candidate(self, steps: int, reason: int) -> Candidate:
         """Return PETSc's answer in the problem's unknowns.
 
         Where PETSc ended at rounding it is claimed too; the certificate judges it.
         """
         claimed = reason > 0 or reason == NO_DECREASE
-        bounds, w = self._bounds, self._unit * y.array
+        bounds, w = self._bounds, self._unit * self.y.array
         displacement = bounds.displacement(w)
         residual = bounds.force(bounds.problem.load - bounds.problem.product(displacement))
         forces = bounds.forces(w, residual, self._diagonal)
         return Candidate(displacement, *forces, iterations=steps, claimed=claimed, status=f"PETSc's reason {reason}")
 
 
-def _newton(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int, Any]:
-    snes, y = petsc().SNES().create(problem.B.comm), problem.start
+def _newton(problem: _Scaled, method: str, settings: Settings) -> Any:
+    snes = petsc().SNES().create(problem.B.comm)
 
     def gradient(_: Any, at: Any, out: Any) -> None:
         problem.B.mult(at, out)
         out.axpy(-1.0, problem.load)
 
     snes.setOptionsPrefix(PREFIX)
-    snes.setType(NEWTON[method])
-    snes.setFunction(gradient, y.duplicate())
+    snes.setType(method)
+    snes.setFunction(gradient, problem.y.duplicate())
     if method in CHANGES_MATRIX:
         snes.setJacobian(lambda _snes, _at, J, _P: problem.B.copy(J), problem.B.duplicate(copy=True))
     else:
@@ -362,12 +362,12 @@ def _newton(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int
     snes.setVariableBounds(problem.lower, problem.upper)
     snes.setTolerances(rtol=0.0, atol=OUTER * settings.tolerance, stol=0.0, max_it=settings.max_iter or STEPS)
     snes.setFromOptions()
-    snes.solve(None, y)
-    return y, int(snes.getIterationNumber()), int(snes.getConvergedReason()), snes.getKSP()
+    snes.solve(None, problem.y)
+    return snes
 
 
-def _trust_region(problem: _Scaled, method: str, settings: Settings) -> tuple[Any, int, int, Any]:
-    tao, y = petsc().TAO().create(problem.B.comm), problem.start
+def _trust_region(problem: _Scaled, method: str, settings: Settings) -> Any:
+    tao = petsc().TAO().create(problem.B.comm)
 
     def objective(_: Any, at: Any, gradient: Any) -> float:
         problem.B.mult(at, gradient)
@@ -376,15 +376,15 @@ def _trust_region(problem: _Scaled, method: str, settings: Settings) -> tuple[An
         return float(energy)
 
     tao.setOptionsPrefix(PREFIX)
-    tao.setType(TRUST_REGION[method])
-    tao.setObjectiveGradient(objective, y.duplicate())
+    tao.setType(method.removeprefix("tao-"))
+    tao.setObjectiveGradient(objective, problem.y.duplicate())
     tao.setHessian(lambda *_: None, problem.B)
     tao.setVariableBounds((problem.lower, problem.upper))
     tao.setTolerances(gatol=OUTER * settings.tolerance, grtol=0.0, gttol=0.0)
     tao.setMaximumIterations(settings.max_iter or STEPS)
     tao.setFromOptions()
-    tao.solve(y)
-    return y, int(tao.getIterationNumber()), int(tao.getConvergedReason()), tao.getKSP()
+    tao.solve(problem.y)
+    return tao
 
 
 def _options(method: str, solver: str, settings: Settings) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.distributed.solving import solve_distributed
-from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
+from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, Unsupported
 from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
@@ -92,6 +92,7 @@ close(on_all.normal_force, known.normal_force, "engine petsc")
 
 for part in (held("block_on_paraboloid", "block.top", "z"), held("hertz_line", "cylinder.top", "y")):
     known = solve_distributed(part)
+    assert np.any(known.normal_force > 0)
     for method in METHODS:
         compared(part, known, method, "asm")
     compared(part, known, "vinewtonrsls", "mumps")
@@ -102,6 +103,14 @@ options["snes_vi_zero_tolerance"] = 0.1
 with pytest.raises(NotCertified, match="equilibrium"):
     solve_distributed(part, "vinewtonrsls", solver="mumps")
 options.delValue("snes_vi_zero_tolerance")
+
+# With a hundredth of the memory that it expects to need MUMPS fails, and the number of its error is passed on.
+for method in METHODS:
+    name = ("tao_bnk_" if method.startswith("tao") else "") + "mat_mumps_icntl_14"
+    options[name] = -99
+    with pytest.raises(BackendFailed, match=r"^PETSc's mumps failed: INFOG\(1\) = -9 "):
+        solve_distributed(part, method, solver="mumps")
+    options.delValue(name)
 
 crossing = distribute(chain([row(u0=1), row(u2=1, u3=1), row(u2=1, u3=-1)], [1e-3] * 3, [], []), ranks)
 with pytest.raises(Unsupported, match=r"^vinewtonrsls takes bounds on single unknowns; contact 1 limits several"):
