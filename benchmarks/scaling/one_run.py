@@ -144,9 +144,9 @@ def _levels(pc: Any, solver: str) -> list[dict[str, float]]:
     return found
 
 
-def without_contact(problem: DistributedProblem, way: DistributedIteration) -> int:
+def without_contact(problem: DistributedProblem, iteration: DistributedIteration) -> int:
     """Steps of conjugate gradients for K u = f with the multigrid that contact has, to the error that `linear` has."""
-    run = way.run_without_rows(problem.load.copy())
+    run = iteration.run_without_rows(problem.load.copy())
     enough = ENERGY**2 * run.square()
     while run.square() > enough and run.step():
         pass
@@ -158,9 +158,9 @@ def contact(problem: DistributedProblem, solver: str) -> tuple[dict[str, Any], D
     problem.computed.clear()
     ranks: Any = problem.ranks
     started = time.process_time()
-    set_up, way = timed(ranks, lambda: iteration_of(problem, chosen_solver(solver, problem.dimension)))
+    set_up, iteration = timed(ranks, lambda: iteration_of(problem, chosen_solver(solver, problem.dimension)))
     before = time.process_time()
-    same, same_steps = timed(ranks, lambda: without_contact(problem, way))
+    same, same_steps = timed(ranks, lambda: without_contact(problem, iteration))
     started += time.process_time() - before
     met = ranks.met
     seconds, solution = timed(ranks, lambda: solve_distributed(problem, solver=solver))

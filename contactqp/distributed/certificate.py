@@ -61,8 +61,6 @@ class CuttingPlanes:
 
     Attributes
     ----------
-    query : (p,) array
-        The a whose sums are wanted next.
     best : (p,) array
         The a with the least h(a) / |w'a| so far.
     done : bool
@@ -78,6 +76,7 @@ class CuttingPlanes:
 
     @property
     def query(self) -> Vector:
+        """The a (p,) whose sums are wanted next."""
         return np.asarray(self._queries[0])
 
     def add_cut(self, sums: Vector) -> None:
@@ -179,19 +178,19 @@ class _BodyColumns:
 
     def set_basis(self, weights: dict[int, Array]) -> None:
         """Set the basis w weight' of the bodies that have their home here; weights are (p, r), p <= r."""
-        width = self._columns.shape[1]
-        transposed = np.zeros((self._bodies.count, width, width))
-        for i, weight in weights.items():
-            transposed[i, :, : len(weight)] = weight.T
-        self.basis = self._bodies.combined(self._columns, self._bodies.from_homes(transposed))
+        self.basis = self._combined(self._columns, weights, self._columns.shape[1])
 
     def sums_along(self, directions: dict[int, Vector]) -> Array:
         """Return the sums (count, r) of sign(basis a) basis, for a direction a (p,) of each body at its home."""
-        padded = np.zeros((self._bodies.count, self.basis.shape[1]))
-        for i, direction in directions.items():
-            padded[i, : len(direction)] = direction
-        along = self._bodies.combined(self.basis, self._bodies.from_homes(padded)[:, :, None])
+        along = self._combined(self.basis, {i: direction[None] for i, direction in directions.items()}, 1)
         return self._bodies.totals(np.sign(along) * self.basis)
+
+    def _combined(self, columns: Array, weights: dict[int, Array], count: int) -> Array:
+        """Return columns (n_here, r) times weight' of each body, (n_here, count); fewer weights are padded by zeros."""
+        padded = np.zeros((self._bodies.count, columns.shape[1], count))
+        for i, weight in weights.items():
+            padded[i, : weight.shape[1], : len(weight)] = weight.T
+        return self._bodies.combined(columns, self._bodies.from_homes(padded))
 
 
 class _WorstMotion:
@@ -272,7 +271,10 @@ def certify_distributed(
     frictional = problem.frictional
     if failures := _not_finite(problem, answer):
         return not_finite(frictional, failures, tolerance, error_tolerance)
-    error_bounds = _error_bounds(frictional, bounds)
+    if frictional or bounds is None:
+        error_bounds = no_bounds(FRICTION_HAS_NONE if frictional else NOT_ASKED)
+    else:
+        error_bounds = bounds()
     bodies = Bodies(ranks, problem.body)
     found = violations(problem, answer, bodies, ROUNDING_OF_ANSWERS * tolerance)
     names = [name for name in FIGURES if name != "balance"]
@@ -312,12 +314,6 @@ def certify_distributed(
 def contact_status(problem: DistributedProblem, certificate: Certificate) -> Any:
     """Return the status (m_here,) of this rank's contacts: open, closed, grazing and, with friction, stick or slip."""
     return status_words(certificate, problem.friction, np.isin(problem.contact_number, certificate.grazing))
-
-
-def _error_bounds(frictional: bool, bounds: Callable[[], Bounds] | None) -> Bounds:
-    if frictional:
-        return no_bounds(FRICTION_HAS_NONE)
-    return no_bounds(NOT_ASKED) if bounds is None else bounds()
 
 
 def _refuse_shapes(problem: DistributedProblem, answer: Answer) -> None:

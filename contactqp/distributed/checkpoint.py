@@ -75,8 +75,12 @@ class Checkpoint:
         ranks, here = self._ranks, self._part(step, self._ranks.rank, self._ranks.size)
         with ranks.raising_together(), _naming(here):
             here.parent.mkdir(exist_ok=True)
-            parts: dict[str, Any] = _parts(problem, answer)
-            write_whole(here, lambda beside: np.savez(beside, **parts), durable=True)
+            stored: dict[str, Any] = {}
+            for name, numbered in _NUMBERS.items():
+                if (values := getattr(answer, name)) is not None:
+                    free = getattr(problem, numbered) >= 0
+                    stored |= {numbered: getattr(problem, numbered)[free], name: values[free]}
+            write_whole(here, lambda beside: np.savez(beside, **stored), durable=True)
         with ranks.raising_together():
             if ranks.rank == 0:
                 _write_json(self._commit(step), {"format": FORMAT, "case": self._digest, "parts": ranks.size})
@@ -164,15 +168,6 @@ _NUMBERS = {
     "tie_force": "tie_number",
     "friction_force": "contact_number",
 }
-
-
-def _parts(problem: DistributedProblem, answer: Answer) -> dict[str, NDArray[Any]]:
-    """Return the arrays that one rank stores, without constrained unknowns."""
-    free = problem.dof_number >= 0
-    stored = {name: getattr(problem, name) for name in ("contact_number", "tie_number")}
-    stored |= {"dof_number": problem.dof_number[free], "displacement": answer.displacement[free]}
-    stored |= {"normal_force": answer.normal_force, "tie_force": answer.tie_force}
-    return stored if answer.friction_force is None else {**stored, "friction_force": answer.friction_force}
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:

@@ -28,11 +28,6 @@ _PREFIX = "/usr"
 _DEBIAN = "/usr/lib/petscdir/petsc*/*-real/lib/python3/dist-packages"
 
 
-def available() -> bool:
-    """Return whether petsc4py and mpi4py are installed; neither is loaded for that."""
-    return not _missing()
-
-
 @cache
 def petsc() -> Any:
     """Start MPI and return the module petsc4py.PETSc.
@@ -45,8 +40,8 @@ def petsc() -> Any:
     BackendMissing
         petsc4py or mpi4py is not installed, does not fit this NumPy, or was built for complex numbers.
     """
-    if missing := _missing():
-        raise BackendMissing(f"{' and '.join(missing)} not installed: {RECIPE}")
+    if names := missing():
+        raise BackendMissing(f"{' and '.join(names)} not installed: {RECIPE}")
     try:
         importlib.import_module("mpi4py.MPI")  # starts MPI, and ends it with the process
         importlib.import_module("petsc4py").init([])
@@ -60,7 +55,8 @@ def petsc() -> Any:
     return PETSc
 
 
-def _missing() -> list[str]:
+def missing() -> list[str]:
+    """Return which of petsc4py and mpi4py are not installed; neither is loaded for that."""
     # Debian's petsc4py is put on the path of the Python that it was built for, unless PETSC_DIR names another PETSc.
     if importlib.util.find_spec("petsc4py") is None and sys.base_prefix == _PREFIX and "PETSC_DIR" not in os.environ:
         sys.path += sorted(glob.glob(_DEBIAN))[-1:]
@@ -141,14 +137,9 @@ def release_free_memory() -> None:
     A stiffness lasts and is made after a mesh, which does not, so that it would add to the mesh's memory. With another
     C library nothing happens.
     """
-    trim = _malloc_trim()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # CDLL(None) searches what this process has loaded
     if trim is not None:
         trim(0)
-
-
-@cache
-def _malloc_trim() -> Any:
-    return getattr(ctypes.CDLL(None), "malloc_trim", None)  # CDLL(None) searches what this process has loaded
 
 
 def collect_garbage(comm: Any) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.distributed.problem import Bodies, DistributedProblem
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import UNRESISTED
@@ -93,7 +94,25 @@ _INFEASIBLE, _UNBOUNDED = 2, 3
 _DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
 
 
-class FloatingMotions:
+class MotionProjections:
+    """Projections that remove D-orthonormal motions (n_here, r), of which K knows nothing. Both are collective."""
+
+    def __init__(self, ranks: Ranks, diagonal: Vector, motions: Array) -> None:
+        self._ranks, self._diagonal, self.motions = ranks, diagonal, motions
+
+    def admit(self, z: Vector) -> None:
+        """Remove the motions from a displacement, in the metric of D, in place."""
+        if self.motions.shape[1]:
+            z -= self.motions @ self._ranks.sum(self.motions.T @ (self._diagonal * z))
+
+    def balanced(self, r: Vector) -> Vector:
+        """Return a force that does the same work on deformations and none on the motions."""
+        if not self.motions.shape[1]:
+            return r.copy()
+        return np.asarray(r - self._diagonal * (self.motions @ self._ranks.sum(self.motions.T @ r)))
+
+
+class FloatingMotions(MotionProjections):
     """The rigid motions of the bodies of a problem and its rows, contacts first.
 
     All methods are collective but `with_rows`.
@@ -105,10 +124,8 @@ class FloatingMotions:
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
-        self._ranks = problem.ranks
+        super().__init__(problem.ranks, problem.metric, _motions(problem))
         self._contacts = problem.contacts
-        self._diagonal = problem.metric
-        self.motions = _motions(problem)
         self._set_rows(rows, compliance)
 
     def with_rows(self, rows: Rows, compliance: Vector) -> FloatingMotions:
@@ -183,7 +200,9 @@ class FloatingMotions:
         These motions would take an iterate anywhere, and other contacts with them.
         """
         loose = self.loose(closed) if self.count else np.zeros((0, 0))
-        return _ProjectionsWithMotions(self, rows, self.motions @ loose) if loose.shape[1] else rows
+        if not loose.shape[1]:
+            return rows
+        return _ProjectionsWithMotions(rows, MotionProjections(self._ranks, self._diagonal, self.motions @ loose))
 
     def at_rest(self, problem: DistributedProblem, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
         """Return the displacement of least norm within the gaps, and orthonormal motions (n_here, q) that are free."""
@@ -209,25 +228,6 @@ class FloatingMotions:
         work, size = self._ranks.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
         return np.where(abs(work) > BALANCED * size, work, 0.0)
 
-    def admit(self, z: Vector) -> None:
-        """Remove the rigid motions from a displacement, in the metric of D, in place."""
-        self.remove_motions(self.motions, z)
-
-    def balanced(self, r: Vector) -> Vector:
-        """Return a force that does the same work on deformations and none on the rigid motions."""
-        return self.without_work(self.motions, r)
-
-    def remove_motions(self, motions: Array, z: Vector) -> None:
-        """Remove some D-orthonormal motions from a displacement, in place."""
-        if motions.shape[1]:
-            z -= motions @ self._ranks.sum(motions.T @ (self._diagonal * z))
-
-    def without_work(self, motions: Array, r: Vector) -> Vector:
-        """Return a force changed so that it does no work on some D-orthonormal motions."""
-        if not motions.shape[1]:
-            return r.copy()
-        return np.asarray(r - self._diagonal * (motions @ self._ranks.sum(motions.T @ r)))
-
     def balance(self, residual: Vector, weight: Vector) -> Vector:
         """Return the forces l (a,), least in the metric of 1/weight, with Z'(r - E'l) = 0 for a residual r."""
         if not self.count:
@@ -239,18 +239,18 @@ class FloatingMotions:
 
 
 class _ProjectionsWithMotions:
-    """Projections of constrained rows, and of D-orthonormal motions that do not move these rows."""
+    """Projections of constrained rows, and of motions that do not move these rows."""
 
-    def __init__(self, floating: FloatingMotions, rows: ConstrainedRows, motions: Array) -> None:
-        self._floating, self._rows, self._motions = floating, rows, motions
+    def __init__(self, rows: ConstrainedRows, motions: MotionProjections) -> None:
+        self._rows, self._motions = rows, motions
         self.close, self.forces = rows.close, rows.forces
 
     def admit(self, z: Vector) -> None:
         self._rows.admit(z)
-        self._floating.remove_motions(self._motions, z)
+        self._motions.admit(z)
 
     def balanced(self, r: Vector) -> Vector:
-        return self._floating.without_work(self._motions, self._rows.balanced(r))
+        return self._motions.balanced(self._rows.balanced(r))
 
 
 def _motions(problem: DistributedProblem) -> Array:
@@ -291,10 +291,10 @@ def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> t
     """
     size = np.max(abs(moved), axis=1, initial=0.0)
     acting = size > 0
-    found = _program(work, moved[acting] / size[acting, None], limit[acting] / size[acting], contact[acting])
-    if found.status == _INFEASIBLE:
-        touching = np.where(contact, np.maximum(limit, 0.0), 0.0)
-        found = _program(work, moved[acting] / size[acting, None], touching[acting] / size[acting], contact[acting])
+    for reach in (limit, np.where(contact, np.maximum(limit, 0.0), 0.0)):
+        found = _program(work, moved[acting] / size[acting, None], reach[acting] / size[acting], contact[acting])
+        if found.status != _INFEASIBLE:
+            break
     if found.status == _UNBOUNDED:
         return _DRIVEN, limit
     if found.x is None:

@@ -19,8 +19,13 @@ import scipy.sparse as sp
 
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.friction_rows import Combination, FrictionalAnswer, FrictionRows, combination_of
-from contactqp.distributed.iteration import DistributedIteration
+from contactqp.distributed.iteration import (
+    Combination,
+    DistributedIteration,
+    FrictionalAnswer,
+    FrictionRows,
+    combination_of,
+)
 from contactqp.distributed.problem import Bodies, DistributedProblem, largest_over_ranks
 from contactqp.distributed.violations import outer_resultant, violations
 from contactqp.errors import NoEquilibrium, NotConverged

@@ -72,19 +72,15 @@ class DistributedHierarchy:
         levels = []
         for level, touched in zip(self._levels, self._touched, strict=False):
             levels.append(_HeldLevel(level, touched.with_entries(held @ touched.entries)))
-        on_coarsest = sp.csr_matrix(held @ self._touched[-1].entries)
-        return VCycle(levels, self._coarsest_solve(on_coarsest))
-
-    def _coarsest_solve(self, rows: sp.csr_matrix) -> Any:
-        size = len(self._columns)
-        moved = sp.csr_matrix((rows.data, self._place[rows.indices], rows.indptr), (rows.shape[0], size)).toarray()
-        stiffness = self._ranks.sum(moved.T @ moved)
-        factor = HeldCoarsestLevel(self._coarsest, stiffness)
+        rows = sp.csr_matrix(held @ self._touched[-1].entries)
+        shape = (rows.shape[0], len(self._columns))
+        moved = sp.csr_matrix((rows.data, self._place[rows.indices], rows.indptr), shape).toarray()
+        factor = HeldCoarsestLevel(self._coarsest, self._ranks.sum(moved.T @ moved))
 
         def solve(right: Vector) -> Vector:
             return factor.solve(self._ranks.gathered(right))[self._coarse_unknowns]
 
-        return solve
+        return VCycle(levels, solve)
 
 
 class _HeldLevel(HeldLevel):

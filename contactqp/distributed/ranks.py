@@ -116,16 +116,9 @@ class Ranks:
 
         The first counts[0] rows stay, the next counts[1] go to rank 1, ... Nothing is copied but the part of each rank.
         """
-        dtype, shape = self.broadcast(None if values is None else (values.dtype.str, values.shape[1:]))
-        out = np.empty((int(counts[self.rank]), *shape), dtype=dtype)
-        rows = None if values is None else np.ascontiguousarray(values)
-        starts = np.cumsum(counts) - counts
-        with _row_type(out) as row:
-            for first, last in _slices(_rounds(int(np.max(counts, initial=0)) * _row_bytes(out)), counts):
-                begin, end = first[self.rank], last[self.rank]
-                send = None if rows is None else [_bytes(rows), (last - first, starts + first), row]
-                self.comm.Scatterv(send, [_bytes(out[begin:end]), int(end - begin), row])
-        return out
+        dtype, shape = self.broadcast(None if values is None else (values.dtype, values.shape[1:]))
+        rows = np.empty((0, *shape), dtype=dtype) if values is None else values
+        return self.sent(np.zeros_like(counts) if values is None else counts, rows)[0]
 
     def broadcast(self, value: T) -> Any:
         """Return a small value of the first rank."""
@@ -136,23 +129,14 @@ class Ranks:
 
         A ContactQPError of it is raised on all ranks.
         """
-        failure: ContactQPError | None = None
-        found: T | None = None
-        if self.rank == 0:
-            try:
-                found = action()
-            except ContactQPError as error:
-                failure = error
-        shared = self.broadcast(failure)
-        if shared is not None:
-            raise shared from failure
-        return found
+        with self.raising_together(name_rank=False):
+            return action() if self.rank == 0 else None
 
     @contextmanager
-    def raising_together(self) -> Iterator[None]:
+    def raising_together(self, *, name_rank: bool = True) -> Iterator[None]:
         """Raise the ContactQPError of one rank on all; nothing collective may stand inside the context.
 
-        The message names the first rank that raised it, unless all did.
+        With `name_rank` the message names the first rank that raised it, unless all did.
         """
         failure: ContactQPError | None = None
         try:
@@ -162,7 +146,7 @@ class Ranks:
         failures = [(rank, other) for rank, other in enumerate(self.comm.allgather(failure)) if other is not None]
         if failures:
             rank, first = failures[0]
-            if len(failures) < self.size:
+            if name_rank and len(failures) < self.size:
                 first.args = (f"rank {rank}: {first}", *first.args[1:])
             raise first from failure
 

@@ -115,7 +115,7 @@ class StoredBlocks:
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
-    values: NDArray[np.float64]  # (stored, size, size)
+    values: NDArray[np.float64]  # (stored, rows of a block, columns of a block)
     columns: int  # the number of columns of blocks
 
     def rows(self, begin: int, end: int) -> sp.bsr_matrix:
@@ -129,9 +129,9 @@ class StoredBlocks:
         return self._matrix(entries, np.append(0, np.cumsum(counts)))
 
     def _matrix(self, entries: Any, indptr: NDArray[Any]) -> sp.bsr_matrix:
-        size = self.values.shape[1]
+        _, height, width = self.values.shape
         parts = np.array(self.values[entries], order="C"), self.indices[entries], indptr
-        return sp.bsr_matrix(parts, shape=((len(indptr) - 1) * size, self.columns * size))
+        return sp.bsr_matrix(parts, shape=((len(indptr) - 1) * height, self.columns * width))
 
 
 @dataclass(frozen=True, eq=False)

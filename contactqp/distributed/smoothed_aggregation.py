@@ -278,9 +278,11 @@ class _Blocks:
         size = prolong.blocksize[1]
         blocksize, away = (size, size), self._rows_of_others(prolong)
         product = sp.bsr_matrix((prolong.shape[1], prolong.shape[1]), blocksize=blocksize)
+        blocks = StoredBlocks(prolong.indptr, prolong.indices, prolong.data, prolong.shape[1] // size)
         for begin, here, beside in self._parts():
             moved = _product(here, prolong, beside, away)
-            product = product + sp.bsr_matrix(_cut(prolong, begin, here.shape[0]).T @ moved, blocksize=blocksize)
+            rows = blocks.rows(begin, begin + len(here.indptr) - 1)
+            product = product + sp.bsr_matrix(rows.T @ moved, blocksize=blocksize)
         owner = np.searchsorted(starts // size, (row := _rows_of_entries(product)), side="right") - 1
         row, column, values = self._ranks.exchanged(owner, row, product.indices, product.data)
         first, last = starts[self._ranks.rank], starts[self._ranks.rank + 1]
@@ -319,14 +321,6 @@ def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], s
     matrix = sp.bsr_matrix((values[order], column[order], indptr), shape=shape)
     matrix.sum_duplicates()
     return matrix
-
-
-def _cut(matrix: sp.bsr_matrix, begin: int, count: int) -> sp.bsr_matrix:
-    """Return `count` rows from a row of blocks on."""
-    indptr = matrix.indptr[begin : begin + count // matrix.blocksize[0] + 1]
-    entries = slice(indptr[0], indptr[-1])
-    parts = matrix.data[entries], matrix.indices[entries], indptr - indptr[0]
-    return sp.bsr_matrix(parts, shape=(count, matrix.shape[1]))
 
 
 def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:

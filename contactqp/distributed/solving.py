@@ -21,8 +21,7 @@ from contactqp.distributed.certificate import certify_distributed, contact_statu
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.environment import collect_garbage
 from contactqp.distributed.friction import solve_friction
-from contactqp.distributed.friction_rows import FrictionRows
-from contactqp.distributed.iteration import DistributedIteration
+from contactqp.distributed.iteration import DistributedIteration, FrictionRows
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
@@ -261,10 +260,9 @@ def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
     try:
         yield
     except (NotConverged, NotCertified) as error:
-        found: Any = error.solution
         carrier: Any = error
-        if isinstance(found, DistributedSolution):
-            carrier.solution = whole_solution(problem, found)
+        if isinstance(carrier.solution, DistributedSolution):
+            carrier.solution = whole_solution(problem, carrier.solution)
         raise
 
 

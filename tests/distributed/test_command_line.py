@@ -44,6 +44,8 @@ def is_that_of_one_process(found: dict, wanted: dict) -> None:
     assert found["engine"] == "petsc"
     assert found["certificate"]["passed"]
     assert found["certificate"]["failures"] == wanted["certificate"]["failures"] == []
+    assert len(wanted["displacement"]) > 0
+    assert len(wanted["expectations"]) > 0
     for part in PARTS:
         values, others = (np.array(list(outcome[part].values())) for outcome in (found, wanted))
         assert np.abs(values - others).max(initial=0) <= 1e-9 * np.abs(others).max(initial=1e-300)

@@ -54,7 +54,7 @@ INIT = SimpleNamespace(init=lambda _: None)
 
 def test_nothing_is_installed(monkeypatch):
     pretend(monkeypatch)
-    assert not environment.available()
+    assert environment.missing() == ["petsc4py", "mpi4py"]
     assert said() == "petsc4py and mpi4py not installed: "
 
 
@@ -91,10 +91,10 @@ def test_debians_petsc4py_is_found_on_the_python_that_it_was_built_for(monkeypat
     if importlib.util.find_spec("petsc4py") is not None:
         pytest.skip("a petsc4py of its own stands on this Python's path")
     monkeypatch.setattr(sys, "base_prefix", "/opt/another")
-    environment.available()
+    environment.missing()
     assert importlib.util.find_spec("petsc4py") is None
     monkeypatch.setattr(sys, "base_prefix", "/usr")
-    environment.available()
+    environment.missing()
     found = importlib.util.find_spec("petsc4py")
     assert found is not None
     assert found.origin == str(there / "petsc4py" / "__init__.py")
@@ -105,13 +105,13 @@ def test_a_petsc_that_petsc_dir_names_is_not_mixed_with_debians(monkeypatch, tmp
     monkeypatch.setenv("PETSC_DIR", "/opt/petsc")
     monkeypatch.setattr(sys, "base_prefix", "/usr")
     monkeypatch.setattr(sys, "path", list(sys.path))
-    environment.available()
+    environment.missing()
     assert str(tmp_path) not in sys.path
 
 
 def test_nothing_is_loaded_to_find_out():
     code = (
-        "import sys; from contactqp.distributed.environment import available; available(); "
+        "import sys; from contactqp.distributed.environment import missing; missing(); "
         "print([m for m in sys.modules if m.startswith(('petsc4py', 'mpi4py'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -30,13 +30,13 @@ def run(python_on_ranks, count, *arguments):
 
 @pytest.mark.parametrize("ranks", RANKS)
 def test_a_problem_of_the_first_rank_is_dealt_out(on_ranks, gallery, ranks):
-    said = on_ranks("dealt.py", ranks, *(gallery / name for name in NAMES))
+    said = on_ranks("problems_of_first_rank.py", ranks, *(gallery / name for name in NAMES))
     assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in NAMES]
 
 
 def test_a_part_that_is_wrong_is_seen(on_ranks, gallery):
     with pytest.raises(pytest.fail.Exception, match="AssertionError: load"):
-        on_ranks("dealt.py", 2, "--spoil", gallery / "tied-1")
+        on_ranks("problems_of_first_rank.py", 2, "--spoil", gallery / "tied-1")
 
 
 @pytest.mark.slow

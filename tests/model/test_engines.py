@@ -19,7 +19,7 @@ BAR = FOLDER / "bar_wall.toml"
 @pytest.fixture
 def _no_petsc(monkeypatch):
     environment.petsc.cache_clear()
-    monkeypatch.setattr(environment, "_missing", lambda: ["petsc4py", "mpi4py"])
+    monkeypatch.setattr(environment, "missing", lambda: ["petsc4py", "mpi4py"])
     yield
     environment.petsc.cache_clear()
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from contactqp.distributed.environment import block_type, petsc
-from contactqp.distributed.pieces.partition_mesh import PartitionedMesh
+from contactqp.distributed.pieces.partition_mesh import MeshPiece
 from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pairing import Pairing
@@ -74,11 +74,11 @@ class Nodes:
         return every
 
 
-def number_nodes(ranks: Ranks, meshes: Sequence[PartitionedMesh]) -> Nodes:
+def number_nodes(ranks: Ranks, meshes: Sequence[MeshPiece]) -> Nodes:
     """Number the nodes of meshes side by side. Collective."""
-    offsets = np.cumsum([0, *[part.mesh.total for part in meshes]])
-    numbers = np.concatenate([part.mesh.numbers + first for part, first in zip(meshes, offsets[:-1], strict=True)])
-    owners = np.concatenate([part.owners for part in meshes])
+    offsets = np.cumsum([0, *[mesh.total for mesh in meshes]])
+    numbers = np.concatenate([mesh.numbers + first for mesh, first in zip(meshes, offsets[:-1], strict=True)])
+    owners = np.concatenate([mesh.owners for mesh in meshes])
     own, ghosts = np.flatnonzero(owners == ranks.rank), np.flatnonzero(owners != ranks.rank)
     first, mine = ranks.offset(len(own)), numbers[own]
     place = np.empty(len(numbers), dtype=np.int64)

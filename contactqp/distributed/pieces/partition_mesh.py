@@ -10,7 +10,6 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -53,59 +52,31 @@ class Share:
         return self.nodes[:, list(self.kind.facets)].reshape(self.marks.size, len(self.kind.facets[0]))
 
 
-class Source(Protocol):
-    """A mesh of which this rank can get a share. Its methods are collective."""
+class LatticeSource:
+    """A shape, of which each rank makes a slab of each patch and nothing else.
 
-    @property
-    def sides(self) -> tuple[str, ...]: ...
+    As of a `FileSource`, all methods are collective.
 
-    @property
-    def node_sets(self) -> tuple[str, ...]: ...
+    Attributes
+    ----------
+    sides, node_sets : tuple of str
+        The names of the sides and of the node sets.
+    """
 
-    @property
-    def dimension(self) -> int: ...
+    def __init__(self, ranks: Ranks, lattice: Lattice) -> None:
+        self.ranks, self.lattice = ranks, lattice
+        self.sides, self.node_sets = tuple(lattice.sides), tuple(lattice.nearest)
 
     def shares(self) -> list[Share]:
         """Return an equal share of the elements, the same kinds in the same order on all ranks."""
-        ...
-
-    def marked(self, share: Share) -> Share:
-        """Return the share with the bits of the sides, once OUTSIDE is set."""
-        ...
-
-    def nodes(self, codes: Index) -> tuple[Array, Index]:
-        """Return coordinates (N, d) of nodes and the bits (N,) of their node sets, bit i of set i."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class LatticeSource:
-    """A shape, of which each rank makes a slab of each patch and nothing else."""
-
-    ranks: Ranks
-    lattice: Lattice
-
-    @property
-    def sides(self) -> tuple[str, ...]:
-        return tuple(self.lattice.sides)
-
-    @property
-    def node_sets(self) -> tuple[str, ...]:
-        return tuple(self.lattice.nearest)
-
-    @property
-    def dimension(self) -> int:
-        return self.lattice.reference.dimension
-
-    def shares(self) -> list[Share]:
         codes = self.lattice.elements(self.ranks.rank, self.ranks.size)
         marks = np.zeros((len(codes), len(self.lattice.reference.facets)), dtype=np.int64)
         return [Share(self.lattice.reference, codes, marks)]
 
     def marked(self, share: Share) -> Share:
+        """Return the share with the bits of the sides, once OUTSIDE is set."""
         marks = share.marks.copy()
-        outside = (marks & OUTSIDE) > 0
-        element, facet = np.nonzero(outside)
+        element, facet = np.nonzero(marks & OUTSIDE)
         nodes = np.take_along_axis(share.nodes[element], np.array(share.kind.facets)[facet], axis=1)
         for bit, name in enumerate(self.sides, start=1):
             inside = self.lattice.on_side(name, nodes.ravel()).reshape(nodes.shape).all(axis=1)
@@ -113,6 +84,7 @@ class LatticeSource:
         return Share(share.kind, share.nodes, marks)
 
     def nodes(self, codes: Index) -> tuple[Array, Index]:
+        """Return coordinates (N, d) of nodes and the bits (N,) of their node sets, bit i of set i."""
         points = np.asarray(self.lattice.position(self.lattice.keys(codes)))
         bits = np.zeros(len(codes), dtype=np.int64)
         for i, point in enumerate(self.lattice.nearest.values()):
@@ -171,9 +143,11 @@ class FileSource:
         return marks
 
     def marked(self, share: Share) -> Share:
+        """Return the share, which has all bits already."""
         return share
 
     def nodes(self, codes: Index) -> tuple[Array, Index]:
+        """Return coordinates (N, d) of nodes and the bits (N,) of their node sets; rank 0 drops the mesh."""
         mesh = self._mesh
         bits = np.zeros(0 if mesh is None else len(mesh.points), dtype=np.int64)
         if mesh is not None:
@@ -187,6 +161,8 @@ class FileSource:
         self._mesh = None  # all of it is distributed
         return points, members
 
+
+Source = LatticeSource | FileSource
 
 # Each rank shows so many of its codes, for the ranges of codes to become about equal.
 SAMPLES = 128
@@ -231,16 +207,7 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 
-@dataclass(frozen=True, eq=False)
-class Neighbours:
-    """The elements that share a facet with an element of this rank."""
-
-    shares: list[Share]  # with the marks of the boundary
-    here: Index  # (k,) numbers of elements of this rank
-    there: Index  # (k,) numbers of their neighbours, on any rank
-
-
-def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
+def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> tuple[list[Share], Index, Index]:
     """Find the elements that share a facet, on whatever ranks they are. Collective.
 
     Parameters
@@ -251,6 +218,13 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
         This rank's shares of one mesh.
     first : int
         The number of this rank's first element; they are numbered share after share.
+
+    Returns
+    -------
+    marked : list of Share
+        The shares with the marks of the boundary.
+    here, there : (k,) arrays of int
+        The numbers of elements of this rank, and of their neighbours on any rank.
 
     Raises
     ------
@@ -277,7 +251,7 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
         marked.append(Share(share.kind, share.nodes, np.where(outside, share.marks | OUTSIDE, share.marks)))
         at += share.marks.size
     shared = other >= 0
-    return Neighbours(marked, number[shared], other[shared])
+    return marked, number[shared], other[shared]
 
 
 def _match(keys: Index, element: Index, other: Index) -> None:
@@ -325,9 +299,11 @@ class MeshPiece(Mesh):
         Node sets that hold no whole facet, on any rank.
     numbers : (N,) array of int
         The numbers of the nodes in the whole mesh.
+    owners : (N,) array of int
+        The rank that owns each node.
     owned : int
         The number of nodes that this rank owns.
-    whole : int
+    total : int
         The number of nodes of the whole mesh.
     """
 
@@ -335,8 +311,9 @@ class MeshPiece(Mesh):
     own: Mapping[str, Index] = field(default_factory=dict)
     faceless: tuple[str, ...] = ()
     numbers: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    owners: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     owned: int = 0
-    whole: int = 0
+    total: int = 0
 
     def __post_init__(self) -> None:
         if self.elements:
@@ -346,11 +323,6 @@ class MeshPiece(Mesh):
     def boundary(self) -> Index:
         """The facets (p, 2) on this rank of the boundary of the whole mesh."""
         return self.outside
-
-    @property
-    def total(self) -> int:
-        """The number of nodes of the whole mesh."""
-        return self.whole
 
     def number(self, node: int) -> int:
         """Return the number of a node in the whole mesh."""
@@ -389,23 +361,7 @@ class MeshPiece(Mesh):
         return InvalidProblem(f"mesh: there is no set {name!r}; it has {names}")
 
 
-@dataclass(frozen=True, eq=False)
-class PartitionedMesh:
-    """One rank's piece of one mesh.
-
-    Attributes
-    ----------
-    mesh : MeshPiece
-        The elements of this rank.
-    owners : (N,) array of int
-        The rank that owns each of its nodes.
-    """
-
-    mesh: MeshPiece
-    owners: Index
-
-
-def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[PartitionedMesh]:
+def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[MeshPiece]:
     """Partition meshes together, so that all ranks have about as many elements, and return their pieces. Collective.
 
     Raises
@@ -418,10 +374,10 @@ def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[Partitione
     first = ranks.offset(sum(counts))
     here, there = [], []
     for i, some in enumerate(shares):
-        found = neighbours(ranks, some, first + sum(counts[:i]))
-        shares[i] = [sources[i].marked(share) for share in found.shares]
-        here.append(found.here - first)
-        there.append(found.there)
+        marked, element, other = neighbours(ranks, some, first + sum(counts[:i]))
+        shares[i] = [sources[i].marked(share) for share in marked]
+        here.append(element - first)
+        there.append(other)
     element, other = np.concatenate(here), np.concatenate(there)
     indptr = np.append(0, np.cumsum(np.bincount(element, minlength=sum(counts))))
     owner = partition_graph(ranks, indptr, other[np.argsort(element, kind="stable")]).astype(np.int64)
@@ -436,7 +392,7 @@ def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[Partitione
     return pieces
 
 
-def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> PartitionedMesh:
+def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> MeshPiece:
     flat = [np.zeros(0, dtype=np.int64), *[share.nodes.ravel() for share in shares]]
     codes, local = np.unique(np.concatenate(flat), return_inverse=True)
     numbers, owners, total = number_codes(ranks, codes)
@@ -462,10 +418,11 @@ def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> PartitionedMesh
             {name: pairs for name, pairs in sides.items() if len(pairs)},
             outside=_marked(marks, OUTSIDE),
             numbers=numbers[order],
+            owners=owners,
             owned=int(np.count_nonzero(owners == ranks.rank)),
-            whole=total,
+            total=total,
         )
-    return PartitionedMesh(_named(ranks, source, mesh, owners), owners)
+    return _named(ranks, source, mesh)
 
 
 def _marked(marks: Sequence[Index], bit: int) -> Index:
@@ -479,9 +436,9 @@ def _marked(marks: Sequence[Index], bit: int) -> Index:
     return np.concatenate(found)
 
 
-def _named(ranks: Ranks, source: Source, mesh: MeshPiece, owners: Index) -> MeshPiece:
+def _named(ranks: Ranks, source: Source, mesh: MeshPiece) -> MeshPiece:
     """Return the piece with its own nodes of all sets and sides, and the sets that hold no facet on any rank."""
-    numbers, owned = mesh.numbers, mesh.owned
+    numbers, owners, owned = mesh.numbers, mesh.owners, mesh.owned
     bits = np.zeros(len(numbers), dtype=np.int64)
     for bit, name in enumerate(source.sides):
         for block in mesh.facets_of(mesh.sides[name]) if name in mesh.sides else ():

@@ -12,8 +12,9 @@ import scipy.sparse as sp
 
 from contactqp.distributed.environment import Product, petsc
 from contactqp.distributed.pieces.nodes import ContactSurfaces, Nodes, assemble_stiffness, connected_parts, incidence
+from contactqp.distributed.pieces.partition_mesh import number_codes
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks, ask_ranks
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.elements.loads import Load
 from contactqp.elements.structure import EVERYTHING_HELD, FreeContacts, Structure, Support
@@ -63,7 +64,17 @@ class PieceSystem:
     @cached_property
     def parts(self) -> StiffnessParts:
         """K in the parts that the problem and its answers need; collective when they are first asked for."""
-        return _in_parts(self)
+        PETSc = petsc()
+        K = assemble_stiffness([self.structure.solid(body.name) for body in self.structure.bodies], self.nodes)
+        support_product = Product(K)(self.support_displacement)
+        constrained = np.flatnonzero(self.constrained)
+        constrained_rows = Rows.from_csr(chosen_rows(K, constrained), K)
+        diagonal = K.getDiagonal()
+        K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        K.zeroRowsColumns((K.getOwnershipRange()[0] + constrained).astype(PETSc.IntType), diag=1.0)
+        K.setDiagonal(diagonal)  # a support's own stiffness is of the size of its neighbours'
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        return StiffnessParts(K, support_product, constrained_rows)
 
     def forces(self, loads: Sequence[Load]) -> Vector:
         """Return the nodal forces (k d,) of loads on all own unknowns [force]. Collective."""
@@ -172,22 +183,11 @@ class PieceSystem:
 
     def _free_numbers(self) -> Index:
         """Return the number of each own unknown among the free ones as one process has them; -1 where constrained."""
-        ranks, nodes = self.ranks, self.nodes
-        free = ~self.constrained.reshape(-1, self.dimension)
-        count = free.sum(axis=1)
-        total = int(ranks.sum(len(nodes.own)))
-        numbers = nodes.numbers[nodes.own]
-
-        def first_numbers(asked: Index, _: Index) -> tuple[Index]:
-            order = np.argsort(asked[:, 0])
-            before = np.empty(len(order), dtype=np.int64)
-            before[order] = np.cumsum(asked[order, 1]) - asked[order, 1]
-            return (ranks.offset(int(asked[:, 1].sum())) + before,)
-
-        requests = np.column_stack([numbers, count])
-        (start,) = ask_ranks(ranks, numbers * ranks.size // max(total, 1), requests, first_numbers)
-        found = start[:, None] + np.cumsum(free, axis=1) - 1
-        return np.where(free, found, -1).ravel().astype(np.int64)
+        numbers = self.nodes.numbers[self.nodes.own]
+        unknowns = (self.dimension * numbers[:, None] + np.arange(self.dimension)).ravel()
+        found, free = np.full(len(unknowns), -1), ~self.constrained
+        found[free] = number_codes(self.ranks, unknowns[free])[0]
+        return found
 
     def _name(self, here: int) -> str:
         node, axis = divmod(int(here), self.dimension)
@@ -232,18 +232,3 @@ def prescribed_displacements(structure: Structure, nodes: Nodes, supports: Seque
     if not nodes.ranks.any(np.isnan(mine)):
         raise InvalidProblem(EVERYTHING_HELD)
     return mine
-
-
-def _in_parts(system: PieceSystem) -> StiffnessParts:
-    PETSc = petsc()
-    bodies = [system.structure.solid(body.name) for body in system.structure.bodies]
-    K = assemble_stiffness(bodies, system.nodes)
-    support_product = Product(K)(system.support_displacement)
-    constrained = np.flatnonzero(system.constrained)
-    constrained_rows = Rows.from_csr(chosen_rows(K, constrained), K)
-    diagonal = K.getDiagonal()
-    K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    K.zeroRowsColumns((K.getOwnershipRange()[0] + constrained).astype(PETSc.IntType), diag=1.0)
-    K.setDiagonal(diagonal)  # a support's own stiffness is of the size of its neighbours'
-    K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    return StiffnessParts(K, support_product, constrained_rows)

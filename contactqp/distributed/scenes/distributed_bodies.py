@@ -266,9 +266,9 @@ def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
         meshes = partition_meshes(ranks, sources)
         nodes = number_nodes(ranks, meshes)
     pieces: list[Part] = []
-    for i, (body, part) in enumerate(zip(scene.bodies, meshes, strict=True)):
+    for i, (body, mesh) in enumerate(zip(scene.bodies, meshes, strict=True)):
         with at_key(f"bodies[{i}] ({body.name!r})"), ranks.raising_together():
-            pieces.append(solid_body(scene, body, part.mesh))
+            pieces.append(solid_body(scene, body, mesh))
     with at_key("bodies"):
         structure = Structure(pieces)
     at = partial(node_at, ranks)

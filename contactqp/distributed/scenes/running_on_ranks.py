@@ -89,7 +89,11 @@ def _solved_from(
 
 
 def follow_with_friction(
-    problem: DistributedProblem, loads: Iterable[Vector], method: str, **options: Any
+    problem: DistributedProblem,
+    loads: Iterable[Vector],
+    method: str,
+    checkpoint: Checkpoint | None = None,
+    **options: Any,
 ) -> Iterator[DistributedSolution]:
     """Yield the solution with friction under each load (n_here,). Collective.
 
@@ -103,9 +107,18 @@ def follow_with_friction(
         The loads [force].
     method : str
         As in `solve_distributed`.
+    checkpoint : None
+        A checkpoint is refused.
     **options
         Options of `solve_distributed`.
+
+    Raises
+    ------
+    Unsupported
+        There is a checkpoint.
     """
+    if checkpoint is not None:
+        raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
     stepper = _Stepper(problem, method, options)
     origin = problem.gathered(_origin(problem), problem.contact_number)
     anchors, state = Anchors(origin, np.zeros(len(origin), dtype=bool)), None
@@ -199,14 +212,6 @@ class _Stepper:
         return self._problem.gathered(values, self._problem.contact_number)
 
 
-def changes_with_friction(
-    solutions: Sequence[DistributedSolution], times: Sequence[float], names: Sequence[str]
-) -> Iterator[Event]:
-    """Yield every change of a contact's state, at the first step that shows it. Collective."""
-    states = [(one.normal_force > 0, (one.normal_force > 0) & (one.contact_status == "slip")) for one in solutions]
-    return contact_changes(states, times, names.__getitem__)
-
-
 def energies_with_friction(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
     """Yield the energies of each step, as `contactqp.History.energies` has them with friction. Collective."""
     work = dissipated = 0.0
@@ -227,15 +232,6 @@ def _origin(problem: DistributedProblem) -> Array:
     if problem.slip_origin is None:
         raise ValueError("a path with friction of a problem without tangential rows")
     return problem.slip_origin
-
-
-def instants(corners: Sequence[Vector], steps: int) -> Iterator[tuple[float, Vector]]:
-    """Yield pseudo-time and load of the start, without a load, and of equal steps from corner to corner."""
-    rest = np.zeros_like(corners[0])
-    yield 0.0, rest
-    for leg, (start, end) in enumerate(pairwise([rest, *corners])):
-        for i in range(1, steps + 1):
-            yield leg + i / steps, end if i == steps else start + i / steps * (end - start)
 
 
 # The fields of a scene that change no answer of it.
@@ -270,39 +266,22 @@ def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None
         with ranks.raising_together():
             digest = digest_of(model.scene)
         steps = Checkpoint(checkpoint, digest, ranks)
+    friction = model.scene.path is not None and model.problem.frictional
+    follow = follow_with_friction if friction else follow_distributed
     at = list(_instants(model))
     times = [time for time, _ in at]
     if isinstance(model, DistributedBodyModel):
-        found = list(_followed(model, model.problem, (load for _, load in at), method, steps, chosen))
+        found = list(follow(model.problem, (load for _, load in at), method, steps, **chosen))
         solutions: Any = in_pieces(model, found)
-        compute = energies_with_friction if _path_has_friction(model) else energies
-        events = _events(model, solutions, times, solutions[0].problem.contact_name)
+        compute = energies_with_friction if friction else energies
+        events = _events(solutions, times, solutions[0].problem.contact_name, friction)
         return History(solutions, times, events, energies=lambda: compute(found))
     part = distribute(model.problem, ranks)
     with whole_in_errors(model.problem):
-        found = list(_followed(model, part, (load[part.dof_number] for _, load in at), method, steps, chosen))
+        found = list(follow(part, (load[part.dof_number] for _, load in at), method, steps, **chosen))
     problems = [_whole_problem(model.problem, load, solution) for (_, load), solution in zip(at, found, strict=True)]
     solutions = [whole_solution(problem, solution) for problem, solution in zip(problems, found, strict=True)]
-    return History(solutions, times, _events(model, solutions, times, model.problem.contact_name))
-
-
-def _path_has_friction(model: ModelOnRanks) -> bool:
-    return model.scene.path is not None and model.problem.frictional
-
-
-def _followed(
-    model: ModelOnRanks,
-    part: DistributedProblem,
-    loads: Iterator[Vector],
-    method: str,
-    checkpoint: Checkpoint | None,
-    options: dict[str, Any],
-) -> Iterator[DistributedSolution]:
-    if not _path_has_friction(model):
-        return follow_distributed(part, loads, method, checkpoint, **options)
-    if checkpoint is not None:
-        raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
-    return follow_with_friction(part, loads, method, **options)
+    return History(solutions, times, _events(solutions, times, model.problem.contact_name, friction))
 
 
 def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedSolution) -> ContactProblem:
@@ -314,12 +293,17 @@ def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedS
 
 
 def _events(
-    model: ModelOnRanks, solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str]
+    solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str], friction: bool
 ) -> Callable[[], Iterable[Event]]:
-    if not _path_has_friction(model):
+    """Return a function that finds every change of a contact's state, at the first step that shows it."""
+    if not friction:
         return lambda: changes(solutions, times)
-    names = [name(i) for i in range(len(solutions[0].normal_force))]
-    return lambda: changes_with_friction(solutions, times, names)
+
+    def with_friction() -> Iterable[Event]:
+        states = [(one.normal_force > 0, (one.normal_force > 0) & (one.contact_status == "slip")) for one in solutions]
+        return contact_changes(states, times, name)
+
+    return with_friction
 
 
 def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
@@ -371,11 +355,17 @@ def digest_of(scene: SceneData) -> str:
 
 
 def _instants(model: ModelOnRanks) -> Iterator[tuple[float, Vector]]:
+    """Yield pseudo-time and load of the start, without a load, and of equal steps from corner to corner of a path."""
     path = model.scene.path
     if path is None:
-        return iter([(1.0, model.problem.load)])
+        yield 1.0, model.problem.load
+        return
     corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
-    return instants(corners, path.steps or DEFAULT_STEPS)
+    rest, steps = np.zeros_like(corners[0]), path.steps or DEFAULT_STEPS
+    yield 0.0, rest
+    for leg, (start, end) in enumerate(pairwise([rest, *corners])):
+        for i in range(1, steps + 1):
+            yield leg + i / steps, end if i == steps else start + i / steps * (end - start)
 
 
 def _refuse(model: ModelOnRanks) -> None:

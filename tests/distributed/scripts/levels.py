@@ -118,10 +118,10 @@ def a_matrix_of_another_type_is_refused() -> None:
 def the_cycle_is_symmetric_and_its_spectrum_ends_at_one(problem, part: float) -> None:
     """Else conjugate gradients would not converge, and one would be no bound on the largest eigenvalue of M K."""
     many = distribute(problem, ranks)
-    way = iteration_of(many, "gamg")
-    assert len(way._precondition._hierarchy._levels) >= 1
+    iteration = iteration_of(many, "gamg")
+    assert len(iteration._precondition._hierarchy._levels) >= 1
     rows = np.flatnonzero(many.contact_number < part * problem.contacts)
-    M = dense(many, way._precondition.with_rows(way.rows.entries[rows]))
+    M = dense(many, iteration._precondition.with_rows(iteration.rows.entries[rows]))
     E = problem.normal.toarray()[: int(np.ceil(part * problem.contacts))]
     K = problem.stiffness.toarray()
     strength = 10.0 / np.sum(E**2 / np.diag(K), axis=1)

@@ -29,6 +29,7 @@ def compare(path, spoil):
     if spoil and ranks.rank == ranks.size - 1:
         d.load[np.flatnonzero(~d.constrained)[0]] += 1e-9 * np.abs(one.load).max()
     n, m = one.dimension, one.contacts
+    assert m > 0
     assert d.dimension == n
     assert int(ranks.sum(d.contacts)) == m
     assert np.array_equal(d.constrained, d.dof_number < 0)

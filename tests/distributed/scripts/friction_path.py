@@ -1,4 +1,4 @@
-"""Load paths with friction over the ranks are those of one process: rubbing_path.py STEPS NAME..."""
+"""Load paths with friction over the ranks are those of one process: friction_path.py STEPS NAME..."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the first rank alone has read is dealt out whole, and the answers are those of one process."""
+"""A problem that the first rank alone has read is distributed whole, and the answers are those of one process."""
 
 import sys
 from pathlib import Path
@@ -23,7 +23,7 @@ def close(found, wanted, what, tolerance=ROUNDING):
     assert np.max(np.abs(found - wanted), initial=0.0) <= tolerance * size, f"{what}: off"
 
 
-def dealt(path):
+def distributed(path):
     whole = rows_of_problem(cq.read_problem(path)) if ranks.rank == 0 else None
     return problem_from_share(ranks, share_from_first_rank(whole, ranks))
 
@@ -81,7 +81,7 @@ def compare_answers(d, one):
 
 spoiled = "--spoil" in sys.argv
 for path in sys.argv[1 + spoiled :]:
-    one, part = cq.read_problem(path), dealt(path)
+    one, part = cq.read_problem(path), distributed(path)
     if spoiled and ranks.rank == ranks.size - 1:
         part.load[:1] += 1e-9 * np.abs(one.load).max()
     compare(part, one)

@@ -1,6 +1,6 @@
-"""Answers with friction over the ranks are those of one process: rubbing.py SOLVER NAME...
+"""Answers with friction over the ranks are those of one process: friction_answers.py SOLVER NAME...
 
-A name is that of a shipped case, or of a body of rubbing_bodies.py with its coefficient, ``two blocks/0.3``. With
+A name is that of a shipped case, or of a body of friction_bodies.py with its coefficient, ``two blocks/0.3``. With
 ``--steps`` the fixed point goes alone, without Newton's method on combinations.
 """
 
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rubbing_bodies import BODIES
+from friction_bodies import BODIES
 
 import contactqp as cq
 from contactqp.distributed.distributing import distribute

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rubbing_bodies import pushed_in_plane
+from friction_bodies import pushed_in_plane
 
 import contactqp as cq
 from contactqp.distributed.distributing import distribute
