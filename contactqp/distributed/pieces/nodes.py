@@ -21,7 +21,7 @@ from contactqp.elements.solid import Body, pattern
 from contactqp.elements.structure import Part, Structure
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array, Index
+from contactqp.model.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def number_nodes(ranks: Ranks, meshes: Sequence[MeshPiece]) -> Nodes:
     return Nodes(ranks, numbers, owners, place, first)
 
 
-def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Index:
+def connected_parts(nodes: Nodes, meeting: Any, free: Mask) -> Index:
     """Return the number of the body, a connected part of K, that each own node belongs to. Collective.
 
     Bodies are numbered in the order of their lowest nodes; the number of nodes that are not free is 0.
@@ -175,24 +175,20 @@ class ContactSurfaces:
         revolved = part.model == "axisymmetric"
         return Surface(self.points, self.facets[body, side], unknowns, f"{body}.{side}", part.thickness, revolved)
 
-    def in_body(self, body: str, nodes: Index) -> Index:
-        """Return the numbers in a body of nodes of its surfaces."""
-        return np.asarray(self.numbers[nodes] - self.first(body))
-
     def first(self, body: str) -> int:
         """Return the number of a body's first node in the whole structure."""
         return int(self.firsts[[part.name for part in self.structure.bodies].index(body)])
 
-    def of_body(self, body: str) -> NDArray[np.bool_]:
+    def of_body(self, body: str) -> Mask:
         """Return flags (t,) of the nodes of a body."""
         first = self.first(body)
         total = self.structure.body(body).mesh.total
-        mask: NDArray[np.bool_] = (self.numbers >= first) & (self.numbers < first + total)
-        return mask
+        return np.asarray((self.numbers >= first) & (self.numbers < first + total))
 
     def named(self, body: str, pairing: Pairing) -> Pairing:
         """Return the pairing with its nodes as the body numbers them."""
-        return replace(pairing, nodes=self.in_body(body, pairing.nodes), unpaired=self.in_body(body, pairing.unpaired))
+        nodes, unpaired = (self.numbers[part] - self.first(body) for part in (pairing.nodes, pairing.unpaired))
+        return replace(pairing, nodes=nodes, unpaired=unpaired)
 
     def gathered(self, nodes: Nodes, values: NDArray[Any]) -> NDArray[Any]:
         """Return the values (t, ...) at these nodes on every rank, from those (k, ...) at own nodes. Collective."""

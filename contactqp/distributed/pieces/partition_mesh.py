@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -271,7 +270,7 @@ def _on_other_rank(ranks: Ranks, keys: Index, element: Index) -> Index:
     if ranks.size == 1:
         return np.full(len(element), -1)
     mixed = (keys.astype(np.uint64) + np.uint64(1)).sum(axis=1, dtype=np.uint64) * _SPREAD >> np.uint64(32)
-    whom = (mixed % np.uint64(ranks.size)).astype(np.int64)
+    owner = (mixed % np.uint64(ranks.size)).astype(np.int64)
 
     def matched(facets: Index, _: Index) -> tuple[Index]:
         other = np.full(len(facets), -1)
@@ -279,7 +278,7 @@ def _on_other_rank(ranks: Ranks, keys: Index, element: Index) -> Index:
             _match(facets[:, :-1], facets[:, -1], other)
         return (other,)
 
-    return ask_ranks(ranks, whom, np.column_stack([keys, element]), matched)[0]
+    return ask_ranks(ranks, owner, np.column_stack([keys, element]), matched)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +290,7 @@ class MeshPiece(Mesh):
 
     Attributes
     ----------
-    outside : (p, 2) array of int
+    boundary : (p, 2) array of int
         Pairs (element, local facet) on the boundary of the whole mesh.
     own : mapping of name to (k,) arrays of int
         The nodes that this rank owns of every set and side of the whole mesh, ascending.
@@ -307,7 +306,7 @@ class MeshPiece(Mesh):
         The number of nodes of the whole mesh.
     """
 
-    outside: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    boundary: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     own: Mapping[str, Index] = field(default_factory=dict)
     faceless: tuple[str, ...] = ()
     numbers: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -318,11 +317,6 @@ class MeshPiece(Mesh):
     def __post_init__(self) -> None:
         if self.elements:
             super().__post_init__()
-
-    @cached_property
-    def boundary(self) -> Index:
-        """The facets (p, 2) on this rank of the boundary of the whole mesh."""
-        return self.outside
 
     def number(self, node: int) -> int:
         """Return the number of a node in the whole mesh."""
@@ -385,9 +379,9 @@ def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[MeshPiece]
     for i, source in enumerate(sources):
         some, shares[i] = shares[i], []
         for place, share in enumerate(some):
-            whom = owner[at : at + len(share.nodes)]
+            destination = owner[at : at + len(share.nodes)]
             at += len(share.nodes)
-            some[place] = Share(share.kind, *ranks.exchanged(whom, share.nodes, share.marks))
+            some[place] = Share(share.kind, *ranks.exchanged(destination, share.nodes, share.marks))
         pieces.append(_piece(ranks, source, some))
     return pieces
 
@@ -416,7 +410,7 @@ def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> MeshPiece:
             tuple(blocks),
             {name: nodes for name, nodes in sets.items() if len(nodes)},
             {name: pairs for name, pairs in sides.items() if len(pairs)},
-            outside=_marked(marks, OUTSIDE),
+            boundary=_marked(marks, OUTSIDE),
             numbers=numbers[order],
             owners=owners,
             owned=int(np.count_nonzero(owners == ranks.rank)),

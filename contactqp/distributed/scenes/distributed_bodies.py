@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.analysis.history import Energies, History
 from contactqp.distributed.pieces.nodes import ContactSurfaces, gather_surfaces, number_nodes
@@ -26,7 +26,7 @@ from contactqp.elements.solid import stress_sums
 from contactqp.elements.structure import FreeContacts, Part, Structure, Support, free_contacts
 from contactqp.errors import Unsupported
 from contactqp.linalg.runtime import BUILD, stage
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import Units
 from contactqp.scene.body_geometry import lattice_of_shape, mesh_of_file, near_enough, nearest_to
 from contactqp.scene.body_model import (
@@ -96,7 +96,7 @@ class DistributedBodyModel(ContactEntries):
                 units=Units(length=self.scene.units.length, force=self.scene.units.force),
             )
 
-    def _slaves(self, body: str, pairing: Pairing) -> NDArray[np.int64]:
+    def _slaves(self, body: str, pairing: Pairing) -> Index:
         """Return the places in `surfaces` of the nodes of a pairing."""
         found = np.searchsorted(self.surfaces.numbers, self.surfaces.first(body) + pairing.nodes)
         return np.asarray(found, dtype=np.int64)
@@ -110,7 +110,7 @@ class DistributedBodyModel(ContactEntries):
         return free_contacts(pairings, prescribed, friction=self.row_friction, names=self.row_names)
 
     @property
-    def kept(self) -> NDArray[np.int64]:
+    def kept(self) -> Index:
         """The rows of all pairings that are contacts of the problem."""
         return self.free_contacts.kept
 
@@ -167,11 +167,11 @@ class DistributedBodyModel(ContactEntries):
         low, high = (self.ranks.max(np.max(sign * values, axis=0, initial=-np.inf)) for sign in (-1, 1))
         return np.stack([-low, high], axis=1)
 
-    def free_motions(self, solution: DistributedSolution) -> NDArray[np.float64]:
+    def free_motions(self, solution: DistributedSolution) -> Array:
         """Return the directions (q, k d) of the solution's free motions on own unknowns; supports stand still."""
         return solution.motions.T.copy()
 
-    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
+    def largest(self, rows: Array, i: int) -> tuple[Vector, int]:
         """Return the column (q,) of fields (q, k d) where field i is largest on any rank, and its number."""
         found = (0.0, -1, np.zeros(len(rows)))
         if rows.shape[1]:
@@ -229,7 +229,7 @@ def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:
     return near_enough(replace(best, smallest=smallest), what)
 
 
-def node_numbers_of(body: Part) -> NDArray[np.int64]:
+def node_numbers_of(body: Part) -> Index:
     """Return the number in the whole mesh of each node of a piece."""
     assert isinstance(body.mesh, MeshPiece)  # the bodies of a DistributedBodyModel are pieces
     return body.mesh.numbers
@@ -247,12 +247,16 @@ def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     Unsupported
         Membranes, motions, large deformations, a scene without bodies.
     """
-    others = ("membranes", scene.membranes), ("motions", scene.motion), ("large motions", scene.large)
-    for feature, present in (*others, ("a scene without bodies", not scene.bodies)):
-        if present:
-            raise Unsupported(
-                f"{feature}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"
-            )
+    features = {
+        "membranes": scene.membranes,
+        "motions": scene.motion,
+        "large motions": scene.large,
+        "a scene without bodies": not scene.bodies,
+    }
+    if found := [name for name, present in features.items() if present]:
+        raise Unsupported(
+            f"{found[0]}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"
+        )
     with stage(BUILD):
         return _model(scene, ranks)
 
@@ -350,7 +354,7 @@ class ProblemInPieces:
         return sp.csr_matrix((gathered(rows.data[free]), places), shape=(self.contacts, part.dimension))
 
     @cached_property
-    def load(self) -> NDArray[np.float64]:
+    def load(self) -> Array:
         """The load (n,), gathered on every rank [force]."""
         return self.part.gathered(self.part.load, self.part.dof_number)
 
