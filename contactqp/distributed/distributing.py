@@ -198,10 +198,10 @@ class _Sharing:
 
     def share(self, whole: ProblemRows | None) -> ProblemRows:
         sizes = None if whole is None else (len(whole.load), len(whole.gap), len(whole.tie_value))
-        n, m, k = self._known(sizes)
-        width = self._known(None if whole is None else whole.slip_origin.shape[1])
+        n, m, k = self._shared(sizes)
+        width = self._shared(None if whole is None else whole.slip_origin.shape[1])
         unknowns, contacts, ties = self._counts(n, _WHOLE_BLOCKS), self._counts(m), self._counts(k)
-        fields: dict[str, Any] = {name: self._known(getattr(whole, name, None)) for name in _FACTS}
+        fields: dict[str, Any] = {name: self._shared(getattr(whole, name, None)) for name in _FACTS}
         for names, counts in ((_OF_UNKNOWNS, unknowns), (_OF_CONTACTS, contacts), (("tie_value",), ties)):
             fields |= {name: self._rows(counts, getattr(whole, name, None)) for name in names}
         matrices = {"stiffness": unknowns, "normal": contacts, "tangent": width * contacts, "tie": ties}
@@ -209,7 +209,7 @@ class _Sharing:
             fields[name] = self._entries(counts, getattr(whole, name, None), n)
         return ProblemRows(**fields)
 
-    def _known(self, value: Any) -> Any:
+    def _shared(self, value: Any) -> Any:
         """Return a value that whoever has the whole problem knows."""
         return self._ranks.broadcast(value) if self._from_first else value
 
@@ -228,7 +228,7 @@ class _Sharing:
     def _entries(self, counts: Indices, rows: Any, columns: int) -> sp.csr_matrix:
         """Return this rank's rows of a CSR matrix."""
         ends = np.append(0, np.cumsum(counts))
-        stored = self._known(None if rows is None else np.diff(rows.indptr[ends]).astype(np.intp))
+        stored = self._shared(None if rows is None else np.diff(rows.indptr[ends]).astype(np.intp))
         lengths = self._rows(counts, None if rows is None else np.diff(rows.indptr))
         indices, data = (self._rows(stored, getattr(rows, name, None)) for name in ("indices", "data"))
         shape = (int(counts[self._ranks.rank]), columns)

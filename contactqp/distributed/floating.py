@@ -56,10 +56,10 @@ def _find_floating(problem: DistributedProblem, bodies: Bodies) -> FloatingBodie
     # What has no stiffness at all floats by itself, and any metric will do.
     metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
     forces = np.column_stack([problem.product(b) for b in B.T]) if width else B
-    sizes = np.zeros((2, len(bodies.number), width, width))
+    sizes = np.zeros((2, len(bodies.numbers), width, width))
     for i, j in np.ndindex(width, width):
         for k, other in enumerate((forces[:, j], metric * B[:, j])):
-            sizes[k, :, i, j] = np.bincount(bodies.of, B[:, i] * other, len(bodies.number))
+            sizes[k, :, i, j] = np.bincount(bodies.index, B[:, i] * other, len(bodies.numbers))
     energy, size = (bodies.sums(part) for part in sizes)
     mixed = np.zeros((bodies.count, width, width))
     for place in np.flatnonzero(np.trace(size, axis1=1, axis2=2) > 0):  # a body that is held everywhere has no motion
@@ -95,7 +95,7 @@ _DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
 
 
 class MotionProjections:
-    """Projections that remove D-orthonormal motions (n_here, r), of which K knows nothing. Both are collective."""
+    """Projections that remove D-orthonormal motions z (n_here, r) with K z = 0. Both are collective."""
 
     def __init__(self, ranks: Ranks, diagonal: Vector, motions: Array) -> None:
         self._ranks, self._diagonal, self.motions = ranks, diagonal, motions
@@ -259,7 +259,7 @@ def _motions(problem: DistributedProblem) -> Array:
     found = floating_bodies(problem, bodies)
     columns = [
         np.where(problem.body == body, motion, 0.0)
-        for body in np.unique(ranks.gathered(bodies.number[found.floats]))
+        for body in np.unique(ranks.gathered(bodies.numbers[found.floats]))
         for motion in found.motions.T
     ]
     acting = [z for z in columns if ranks.any(z != 0)]

@@ -170,27 +170,27 @@ class Bodies:
 
     Attributes
     ----------
-    number : (q,) array of int
+    numbers : (q,) array of int
         The bodies with unknowns on this rank.
-    of : (n_here,) array of int
-        The place in `number` of each unknown's body.
+    index : (n_here,) array of int
+        The place in `numbers` of each unknown's body.
     count : int
         The number of bodies that have their home here.
     """
 
     def __init__(self, ranks: Ranks, body: Index) -> None:
         self._ranks = ranks
-        self.number, self.of = np.unique(body, return_inverse=True)
-        self._order = np.argsort(self.of, kind="stable")
-        self._first = np.searchsorted(self.of[self._order], np.arange(len(self.number) + 1))
-        self._home = self.number % ranks.size
-        here = np.full(len(self.number), ranks.rank)
-        numbers, self._from = ranks.exchanged(self._home, self.number, here)
-        at_home, self._place = np.unique(numbers, return_inverse=True)
+        self.numbers, self.index = np.unique(body, return_inverse=True)
+        self._order = np.argsort(self.index, kind="stable")
+        self._first = np.searchsorted(self.index[self._order], np.arange(len(self.numbers) + 1))
+        self._home = self.numbers % ranks.size
+        here = np.full(len(self.numbers), ranks.rank)
+        received, self._from = ranks.exchanged(self._home, self.numbers, here)
+        at_home, self._place = np.unique(received, return_inverse=True)
         self.count = len(at_home)
 
     def members(self, place: int) -> Indices:
-        """Return the unknowns on this rank of the body at this place in `number`."""
+        """Return the unknowns on this rank of the body at this place in `numbers`."""
         return self._order[self._first[place] : self._first[place + 1]]
 
     def combined(self, columns: Array, weights: Array) -> Array:
@@ -203,7 +203,7 @@ class Bodies:
 
     def totals(self, values: Array) -> Array:
         """Return the sums (count, r) over the unknowns of all ranks, of values (n_here, r), at the homes."""
-        here = [np.bincount(self.of, column, len(self.number)) for column in values.T]
+        here = [np.bincount(self.index, column, len(self.numbers)) for column in values.T]
         return self.sums(np.column_stack(here))
 
     def at_homes(self, values: NDArray[Any]) -> tuple[NDArray[Any], Indices]:

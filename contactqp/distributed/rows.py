@@ -203,7 +203,7 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
         _call(f"MatMPI{kind}GetSeq{kind}", here, *map(ctypes.byref, (diagonal, beside, numbers)))
         columns = _integer()
         _call("MatGetSize", beside, None, ctypes.byref(columns))
-        others = _seen(numbers, columns.value // size, petsc().IntType)
+        others = _array_at(numbers, columns.value // size, petsc().IntType)
         own = _stored(stack, kind, diagonal, size, count)
         yield StoredRows(size, first // size, own, _stored(stack, kind, beside, size, len(others)), others)
 
@@ -235,14 +235,14 @@ def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, col
     get, restore = {"AIJ": ("GetArrayRead", "RestoreArrayRead"), "BAIJ": ("GetArray", "RestoreArray")}[kind]
     _call(f"MatSeq{kind}{get}", matrix, ctypes.byref(values))
     stack.callback(_call, f"MatSeq{kind}{restore}", matrix, ctypes.byref(values))
-    indptr = _seen(begins, rows.value + 1, PETSc.IntType)
+    indptr = _array_at(begins, rows.value + 1, PETSc.IntType)
     stored = int(indptr[-1])
-    blocks = _seen(values, stored * size**2, PETSc.ScalarType).reshape(stored, size, size)
+    blocks = _array_at(values, stored * size**2, PETSc.ScalarType).reshape(stored, size, size)
     # PETSc stores a block column by column.
-    return StoredBlocks(indptr, _seen(numbers, stored, PETSc.IntType), blocks.transpose(0, 2, 1), columns)
+    return StoredBlocks(indptr, _array_at(numbers, stored, PETSc.IntType), blocks.transpose(0, 2, 1), columns)
 
 
-def _seen(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
+def _array_at(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
     """Return an array at an address; it cannot be written to."""
     if not count:
         return np.zeros(0, dtype=dtype)
