@@ -53,6 +53,8 @@ SNAPPED = 1e-3
 TURNS = {1: 1, 2: 1, 3: 3}
 # Unknowns up to which motions are looked for that nobody stated.
 RECOGNISED_UP_TO = 20_000
+# Unknowns up to which all motions of a body are found by a dense eigenvalue problem.
+DENSE = 600
 # Motions of one body that are looked for; rigid ones are six at most, mechanisms may be more.
 MOST_MOTIONS = 12
 # What it costs to correct a turn, beside the rounding of the largest entries: next to nothing.
@@ -178,10 +180,12 @@ def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
 
     Translations come first and are exact.
     """
+    translations = _translations(body, weight, scale)
+    if not translations.shape[1] and body.shape[0] > DENSE:
+        return translations, 0  # hardly anything else is rigid, and to find out may cost more than to solve
     lowest = _lowest(body)
     if not lowest.shape[1]:
         return lowest, 0
-    translations = _translations(body, weight, scale)
     if not translations.shape[1] and lowest.shape[1] == 1:
         single = lowest * scale[:, None]
         single = single / np.max(abs(single))
@@ -215,7 +219,7 @@ def _translations(body: Any, weight: Any, scale: Array) -> Array:
 def _lowest(body: Any) -> Array:
     """Motions (p, q) of next to no energy, of either sign."""
     size = body.shape[0]
-    if size <= 600:
+    if size <= DENSE:
         values, vectors = np.linalg.eigh(body.toarray())
         return np.asarray(vectors[:, abs(values) <= SOFT][:, :MOST_MOTIONS])
     from scipy.sparse.linalg import ArpackNoConvergence, eigsh
