@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import io
 import math
+import re
 import struct
 import zipfile
 import zlib
@@ -22,6 +23,10 @@ from contactqp.errors import ContactQPError, Unsupported
 from contactqp.exchange.matrix_reader import COLUMNS, ROWS, MatrixFile, MatrixReader, StoredMatrix, matrix_of
 from contactqp.exchange.refusal import Ledger, Path, check_rows, file_size, one_line, wrong
 
+# The header of one pickled object.
+SINGLE_OBJECT = re.compile(
+    rb"^\x93NUMPY.{4,6}\{'descr': '\|O', 'fortran_order': (?:False|True), 'shape': \(\), \}", re.DOTALL
+)
 NAME = "NumPy's .npy or .npz"
 NUMPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 LONGEST_HEADER = 4096
@@ -85,19 +90,25 @@ def read_npy(path: Path) -> NDArray[Any]:
         return _array(path, "content", file, size)
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an archive, by name; texts come as arrays of bytes."""
+def read_npz(path: Path, none_for_objects: bool = False) -> dict[str, Any]:
+    """All arrays of an archive, by name; texts come as arrays of bytes.
+
+    `none_for_objects` takes single Python objects for None, which are told by their header and never unpickled.
+    """
     size = file_size(path, NAME)
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             _check_growth(path, members, size)
-            found: dict[str, NDArray[Any]] = {}
+            found: dict[str, Any] = {}
             for member in members:
                 name = member.filename.removesuffix(".npy")
                 if name in found:
                     raise wrong(path, name[:60], "every array once", "it twice")
                 data = archive.read(member)
+                if none_for_objects and SINGLE_OBJECT.search(data[:LONGEST_HEADER]):
+                    found[name] = None
+                    continue
                 found[name] = _array(path, name[:60], io.BytesIO(data), len(data))
             return found
     except ContactQPError:

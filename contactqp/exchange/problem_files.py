@@ -11,19 +11,20 @@ from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP
 from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder, tie_names
 from contactqp.exchange.problem_writing import PROBLEM_FILE
+from contactqp.exchange.quadratic_programs import MATLAB, QPS, is_quadratic_program, read_quadratic_program
 from contactqp.exchange.refusal import Ledger, Path, read_bytes, wrong
 from contactqp.exchange.siconos import read_siconos
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
-EXPECTED = "a folder or .npz of matrices, or a file of FCLIB (HDF5) or Siconos (text)"
+EXPECTED = "a folder or .npz of matrices, a file of FCLIB (HDF5) or Siconos (text), or a quadratic program"
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
 HDF5, TEXT, ARCHIVE = (".hdf5", ".h5"), (".dat",), (".npz",)
 
 
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """The problem in a folder or .npz of matrices, or in a file of FCLIB or Siconos.
+    """The problem in a folder or .npz of matrices, a quadratic program, or a file of FCLIB or Siconos.
 
     Parameters, and what is returned and raised, as `read_fclib`; matrices make a ContactProblem.
     """
@@ -34,6 +35,8 @@ def read_problem_with_ledger(
     path: Path, *, as_stored: bool = False
 ) -> tuple[ContactProblem | LocalProblem | GlobalProblem, Ledger]:
     """The same, with the ledger of what was read, converted, assumed and ignored."""
+    if is_quadratic_program(path):
+        return read_quadratic_program(path)
     if is_of_matrices(path):
         folder = _folder(path)
         if folder.is_dir() and not is_problem_folder(folder):
@@ -57,6 +60,8 @@ def is_of_matrices(path: Path) -> bool:
     file = FilePath(path)
     if file.is_dir():
         return True
+    if file.is_file() and is_quadratic_program(path):
+        return True
     if file.name == PROBLEM_FILE or file.suffix.lower() in ARCHIVE:
         return True
     return file.is_file() and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
@@ -73,7 +78,11 @@ def is_problem_file(path: Path) -> bool:
         return is_problem_folder(file)
     if suffix == ".toml":
         return False
-    if suffix in (*HDF5, *TEXT) or file.name == PROBLEM_FILE or suffix in (*ARCHIVE, *stiffness_suffixes()):
+    if (
+        suffix in (*HDF5, *TEXT, *QPS, *MATLAB)
+        or file.name == PROBLEM_FILE
+        or suffix in (*ARCHIVE, *stiffness_suffixes())
+    ):
         return True
     if not file.is_file():
         return False

@@ -38,6 +38,7 @@ from contactqp.model.problem_data import (
     refuse_extreme_rows,
     refuse_lost_compliances,
 )
+from contactqp.model.quadratic_program import QuadraticProgram, contact_data, quadratic_program
 
 # What reading a stiffness has found.
 MEASURED = ("asymmetry", "rigid_change")
@@ -62,6 +63,7 @@ class OfStiffness:
     sizes: Any = None  # |K|
     bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
+    convex: bool | None = None  # linalg.sparse_saddle: whether K was found to have no negative curvature
 
 
 @dataclass(eq=False)
@@ -79,6 +81,8 @@ class Computed:
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
     dependent_ties: Any = None  # linalg.saddle
+    constraints_are_many: bool | None = None  # linalg.sparse_saddle
+    equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration
@@ -211,6 +215,74 @@ class ContactProblem:
         refuse_extreme_rows("tie", A, self.tie_name)
         for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
             refuse_lost_compliances(kind, rows, self.diagonal, called)
+
+    @classmethod
+    def from_qp(
+        cls,
+        P: Any,
+        q: ArrayLike,
+        G: Any = None,
+        h: ArrayLike | None = None,
+        A: Any = None,
+        b: ArrayLike | None = None,
+        lb: ArrayLike | None = None,
+        ub: ArrayLike | None = None,
+        **ranges: Any,
+    ) -> ContactProblem:
+        """Return the problem that a quadratic program in the form and signs of qpsolvers is.
+
+        Minimise 1/2 x'P x + q'x subject to G x <= h, A x = b, lb <= x <= ub and, by the keywords C, l, u, to
+        l <= C x <= u. Contacts are in the order G, ranges, lower bounds, upper bounds and are called "row 3",
+        "range 4 upper", "lower 7"; infinite sides have none. Ranges and bounds whose sides are equal are ties after A.
+        z, y and z_box of qpsolvers are the forces of rows and ties, those of upper less those of lower bounds.
+
+        Parameters
+        ----------
+        P : (n, n) array or sparse matrix
+            Symmetric positive semidefinite.
+        q : (n,) array
+        G, h : (m, n) array or sparse matrix and (m,) array, optional
+        A, b : (k, n) array or sparse matrix and (k,) array, optional
+        lb, ub : (n,) arrays, optional
+            Infinite where there is no bound.
+        **ranges
+            C (p, n), l (p,), u (p,).
+
+        Raises
+        ------
+        InvalidProblem
+            As `ContactProblem`; a matrix without its limits; a lower side above its upper one.
+
+        Examples
+        --------
+        >>> problem = ContactProblem.from_qp(P=[[2.0, 0.0], [0.0, 2.0]], q=[-2.0, -6.0], ub=[4.0, 1.0])
+        >>> problem.contact_names
+        ('upper 0', 'upper 1')
+        """
+        unknown = set(ranges) - {"C", "l", "u"}
+        if unknown:
+            raise InvalidProblem(f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u")
+        return cls(**contact_data(P, q, G, h, A, b, lb, ub, **ranges))
+
+    def to_qp(self) -> QuadraticProgram:
+        """Return this frictionless problem with the arguments of `qpsolvers.Problem`.
+
+        Contacts that `from_qp` has made of bounds go back into lb and ub; all others, ranges included, are rows of G.
+
+        Raises
+        ------
+        Unsupported
+            Coulomb's friction is no quadratic program.
+
+        Examples
+        --------
+        >>> problem = ContactProblem.from_qp(P=[[2.0, 0.0], [0.0, 2.0]], q=[-2.0, -6.0], ub=[4.0, 1.0])
+        >>> problem.to_qp().ub
+        array([4., 1.])
+        """
+        if self.frictional:
+            raise Unsupported("to_qp: Coulomb's friction is no quadratic program; give friction=0 to leave it out")
+        return quadratic_program(self)
 
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
         """Set the fields of the problem, arrays read-only; `load_sum` and `tie_numbers` are None where not given."""

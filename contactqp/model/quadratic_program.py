@@ -1,0 +1,183 @@
+"""Quadratic programs in the form and signs of qpsolvers, and the contact problems that they are.
+
+    minimise    1/2 x'P x + q'x
+    subject to  G x <= h,   l <= C x <= u,   A x = b,   lb <= x <= ub
+
+is the contact problem with K = P, f = -q. Its contacts are, in this order, the rows of G, the finite sides of the
+ranges (upper before lower, range by range), the finite lower bounds and the finite upper bounds; its ties are the rows
+of A, the ranges with l = u and the bounds with lb = ub. A lower side is the contact -C_i x <= -l_i. The multipliers are
+the forces: z = l_N of the rows of G, y = nu of those of A, and z_box of qpsolvers is l_N of an upper bound less that of
+the lower one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
+from contactqp.model.problem_data import read_array
+
+Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
+Names = tuple[list[str], list[str]]  # of contacts and of ties
+# How the contacts and ties that stand for bounds are called, before the number of the unknown.
+LOWER, UPPER, FIXED = "lower", "upper", "fixed"
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticProgram:
+    """A quadratic program with the arguments of `qpsolvers.Problem`; what a problem does not have is None.
+
+    Attributes
+    ----------
+    P : (n, n) array or sparse matrix
+    q : (n,) array
+    G, h : (m, n) matrix and (m,) array, or None
+    A, b : (k, n) matrix and (k,) array, or None
+    lb, ub : (n,) arrays, or None
+        Infinite where an unknown has no bound.
+    """
+
+    P: Any
+    q: Vector
+    G: Any = None
+    h: Vector | None = None
+    A: Any = None
+    b: Vector | None = None
+    lb: Vector | None = None
+    ub: Vector | None = None
+
+
+def contact_data(
+    P: Any,
+    q: ArrayLike,
+    G: Any = None,
+    h: ArrayLike | None = None,
+    A: Any = None,
+    b: ArrayLike | None = None,
+    lb: ArrayLike | None = None,
+    ub: ArrayLike | None = None,
+    *,
+    C: Any = None,
+    l: ArrayLike | None = None,  # noqa: E741
+    u: ArrayLike | None = None,
+) -> dict[str, Any]:
+    """Return the arguments of `ContactProblem` for a quadratic program; see `ContactProblem.from_qp`.
+
+    Raises
+    ------
+    InvalidProblem
+        A matrix came without its right-hand side or the other way round, shapes differ, or a lower side is above the
+        upper one.
+    """
+    load = -read_array("q", q).ravel()
+    n = len(load)
+    contacts, ties = [_given("G", G, "h", h, n)], [_given("A", A, "b", b, n)]
+    names = [f"row {i}" for i in range(contacts[0][0].shape[0])], [f"tie {i}" for i in range(ties[0][0].shape[0])]
+    ranges = _given("C", C, "u" if l is None else "l", u if l is None else l, n)[0]
+    sides = _sides("l", l, "u", u, ranges.shape[0])
+    _add_ranges(ranges, *sides, contacts, ties, names)
+    _add_bounds(*_sides("lb", lb, "ub", ub, n), contacts, ties, names)
+    normal, gap = (sp.vstack([rows for rows, _ in contacts]), np.concatenate([limit for _, limit in contacts]))
+    tie, value = (sp.vstack([rows for rows, _ in ties]), np.concatenate([limit for _, limit in ties]))
+    return dict(stiffness=P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value, contact_names=names[0])
+
+
+def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int) -> tuple[Any, Vector]:
+    """Rows and their limits, none where neither came."""
+    if rows is None and limit is None:
+        return sp.csr_matrix((0, n)), np.zeros(0)
+    if rows is None or limit is None:
+        missing, there = (matrix, vector) if rows is None else (vector, matrix)
+        raise InvalidProblem(f"{missing}: expected beside {there}, got None")
+    read, values = sp.csr_matrix(rows if sp.issparse(rows) else np.atleast_2d(rows)), read_array(vector, limit).ravel()
+    if read.shape[1] != n:
+        raise InvalidProblem(f"{matrix}: expected {n} columns, one for each entry of q, got {read.shape[1]}")
+    if len(values) != read.shape[0]:
+        raise InvalidProblem(
+            f"{vector}: expected {read.shape[0]} entries, one for each row of {matrix}, got {len(values)}"
+        )
+    return read, values
+
+
+def _sides(lower: str, least: Any, upper: str, most: Any, count: int) -> tuple[Vector, Vector]:
+    """Lower and upper sides (count,), infinite where none came."""
+    sides = []
+    for name, values, none in ((lower, least, -np.inf), (upper, most, np.inf)):
+        read = np.full(count, none) if values is None else read_array(name, values).ravel()
+        if len(read) != count:
+            raise InvalidProblem(f"{name}: expected {count} entries, got {len(read)}")
+        if np.any(np.isnan(read)) or np.any(read == -none):
+            i = int(np.argmax(np.isnan(read) | (read == -none)))
+            raise InvalidProblem(f"{name}: expected a number or {none}, got {read[i]} at {i}")
+        sides.append(read)
+    if np.any(sides[0] > sides[1]):
+        i = int(np.argmax(sides[0] > sides[1]))
+        raise InvalidProblem(f"{lower}: expected at most {upper}, got {sides[0][i]:g} above {sides[1][i]:g} at {i}")
+    return sides[0], sides[1]
+
+
+def _add_ranges(rows: Any, least: Vector, most: Vector, contacts: Rows, ties: Rows, names: Names) -> None:
+    """Add ranges l <= C x <= u: ties where the sides are equal, contacts of their finite sides elsewhere."""
+    fixed = least == most
+    ties.append((rows[np.flatnonzero(fixed)], most[fixed]))
+    names[1].extend(f"range {i}" for i in np.flatnonzero(fixed))
+    number = np.repeat(np.arange(len(least)), 2)
+    sign = np.tile([1.0, -1.0], len(least))
+    limit = np.column_stack([most, -least]).ravel()
+    taken = np.isfinite(limit) & ~np.repeat(fixed, 2)
+    contacts.append((sp.diags(sign[taken]) @ rows[number[taken]], limit[taken]))
+    words = {1.0: UPPER, -1.0: LOWER}
+    names[0].extend(f"range {i} {words[s]}" for i, s in zip(number[taken], sign[taken], strict=True))
+
+
+def _add_bounds(least: Vector, most: Vector, contacts: Rows, ties: Rows, names: Names) -> None:
+    """Add bounds lb <= x <= ub: ties where they are equal, contacts elsewhere, the lower ones first."""
+    unit = sp.identity(len(least), format="csr")
+    fixed = least == most
+    ties.append((unit[np.flatnonzero(fixed)], most[fixed]))
+    names[1].extend(f"{FIXED} {j}" for j in np.flatnonzero(fixed))
+    for word, sign, values in ((LOWER, -1.0, least), (UPPER, 1.0, most)):
+        taken = np.flatnonzero(np.isfinite(values) & ~fixed)
+        contacts.append((sign * unit[taken], sign * values[taken]))
+        names[0].extend(f"{word} {j}" for j in taken)
+
+
+def quadratic_program(problem: Any) -> QuadraticProgram:
+    """Return the quadratic program that a frictionless problem is; see `ContactProblem.to_qp`."""
+    G, h = problem.normal, problem.gap
+    bound = _bounds_of(problem)
+    lb, ub = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
+    for i, (side, j) in bound.items():
+        (lb if side == LOWER else ub)[j] = -h[i] if side == LOWER else h[i]
+    rows = np.setdiff1d(np.arange(problem.contacts), np.array(sorted(bound), dtype=int))
+    return QuadraticProgram(
+        problem.stiffness,
+        -problem.load,
+        G[rows] if len(rows) else None,
+        h[rows] if len(rows) else None,
+        problem.tie if problem.ties else None,
+        problem.tie_value if problem.ties else None,
+        lb if np.any(np.isfinite(lb)) else None,
+        ub if np.any(np.isfinite(ub)) else None,
+    )
+
+
+def _bounds_of(problem: Any) -> dict[int, tuple[str, int]]:
+    """The contacts that stand for bounds, by their names and rows: the side and the unknown of each."""
+    found = {}
+    rows = problem.normal
+    for i, name in enumerate(problem.contact_names or ()):
+        side, _, number = name.partition(" ")
+        if side not in (LOWER, UPPER) or not number.isdecimal():
+            continue
+        start, end = rows.indptr[i], rows.indptr[i + 1]
+        sign = -1.0 if side == LOWER else 1.0
+        if end == start + 1 and rows.indices[start] == int(number) and rows.data[start] == sign:
+            found[i] = side, int(number)
+    return found
