@@ -26,6 +26,8 @@ EPS = 2.0**-104
 # Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
 # sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
 SHORT = 2**11
+# Rows with more entries are summed on their own, in pairs.
+LONG = 2**9
 _SPLITTER = 2.0**27 + 1.0
 
 
@@ -124,8 +126,13 @@ class SparseRows:
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
-        classes = np.unique(width_class[lengths > 0])
-        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & (lengths > 0))) for c in classes]
+        short = (lengths > 0) & (lengths <= LONG)
+        classes = np.unique(width_class[short])
+        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & short)) for c in classes]
+        self._long = [
+            (i, rows.data[rows.indptr[i] : rows.indptr[i + 1]], rows.indices[rows.indptr[i] : rows.indptr[i + 1]])
+            for i in np.flatnonzero(lengths > LONG)
+        ]
 
     def __matmul__(self, vector: Extended) -> Extended:
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
@@ -137,7 +144,21 @@ class SparseRows:
                 total, carried = two_sum(total, product)
                 rest += carried + (error if doubles else error + value * vector.lo[column])
             hi[block.members], lo[block.members] = two_sum(total, rest)
+        for i, value, column in self._long:
+            product, error = two_product(value, vector.hi[column])
+            hi[i], lo[i] = _summed(product, error + value * vector.lo[column])
         return Extended(hi, lo)
+
+
+def _summed(terms: Array, errors: Array) -> tuple[float, float]:
+    """The sum of terms and their errors, in pairs: as many steps as there are doublings."""
+    while len(terms) > 1:
+        if len(terms) % 2:
+            terms, errors = np.append(terms, 0.0), np.append(errors, 0.0)
+        terms, carried = two_sum(terms[::2], terms[1::2])
+        errors = errors[::2] + errors[1::2] + carried
+    total, rest = two_sum(terms, errors)
+    return float(total[0]), float(rest[0])
 
 
 def images(matrix: Any, columns: Array) -> Array:

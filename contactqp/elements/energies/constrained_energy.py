@@ -237,7 +237,7 @@ class ConstrainedEnergy:
     def constant(self) -> float:
         """Return the energy at u = 0: 1/2 k offset^2 of the prestressed parts."""
         squares = chain.from_iterable(added.squares for added in self._contributions.values())
-        return float(sum(square.stiffness * square.offset**2 / 2 for square in squares))
+        return float(sum(square.stiffness * square.offset * square.offset / 2 for square in squares))
 
     def _assembled(self) -> ContactProblem:
         own, places = len(self.names), {name: j for j, name in enumerate(self.all_unknowns)}
