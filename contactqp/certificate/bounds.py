@@ -64,7 +64,7 @@ from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import BOUNDS, FIGURES_ALONE, Answer
+from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
@@ -99,6 +99,10 @@ class Bounds:
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
     estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
+    energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer
+    energy_size: float = 0.0  # the larger of 1/2 u'Ku and |f'u|
+    determined: str = BY_DISPLACEMENT
+    by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 

@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate import subset_bounds
 from contactqp.certificate.bounds import Bounds, bounds
+from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.failures import (
     failed_bounds,
+    failed_energy,
     failed_figures,
     failed_law,
     not_finite_parts,
@@ -31,6 +33,7 @@ from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, stage
 from contactqp.linalg.saddle import dependent_ties
+from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
@@ -126,6 +129,7 @@ def _judged(
     failures += failed_law(problem, law, IMPLIED * tolerance)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
     failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
+    failures += failed_energy(known, tolerance, nothing * nothing)
     failures += state.failures
     grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
     dependent = () if condensation is None or problem.ties < 2 else dependent_ties(problem, condensation)
@@ -147,6 +151,8 @@ def _judged(
         passed=not failures,
         proven=known.proven,
         basis=state.basis,
+        energy_bounds=known.energy_bounds,
+        determined=known.determined,
         distance=state.distance,
         violations=found,
     )
@@ -164,11 +170,24 @@ def _residuals_and_bounds(
         known = bounds(problem, answer, left, iteration(problem))
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
     left = residuals(problem, answer)
+    if factorization is None and constraints_are_many(problem):
+        return left, energy_bounds(problem, answer), RigidMotions(np.zeros((problem.dimension, 0))), None
     many = factorization is None and problem.normal.nnz > subset_bounds.MANY
     if many and (candidates := believed_candidates(problem, answer)) is not None:
         return left, *bounds_among(problem, answer, left, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
-    return left, bounds(problem, answer, left, condensation), condensation.rigid, condensation
+    known = bounds(problem, answer, left, condensation)
+    if known.suspicious is not None or known.energy_error == np.inf:
+        known = _by_energy(problem, answer, known, condensation.rigid)
+    return left, known, condensation.rigid, condensation
+
+
+def _by_energy(problem: ContactProblem, answer: Answer, known: Bounds, rigid: RigidMotions) -> Bounds:
+    """The bounds from the solution nearest to an answer, where condensed systems prove nothing and nothing floats."""
+    if problem.frictional or rigid.count:
+        return known
+    found = energy_bounds(problem, answer)
+    return found if found.proven else known
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
@@ -184,7 +203,14 @@ def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, to
 
 
 def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
-    """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
+    """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
+
+    A contact is closed where its force acts and its gap, of either sign and as a part of the lengths that meet there,
+    is no larger than its force as a part of the forces that meet, or than `tolerance`; the sign of the force does not
+    count, which `tension` judges. A closed contact with friction slips where its slip is more than `tolerance` of the
+    lengths that meet. It is grazing where gap and force are both at most `tolerance`, and the force is nothing beside
+    the energy.
+    """
     grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
     return status_words(certificate, problem.friction, grazing)
 

@@ -131,13 +131,23 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     )
     for name, what, scale, absolute, forgiven in pairs:
         value = getattr(known, name)
-        if value is None:
-            continue
+        if value is None or (name == "energy_error" and known.by_energy):
+            continue  # `failed_energy` judges the energy itself
         limit, size = (tolerance, scale) if scale > 0 else (absolute, 1.0)
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
         if not value * size <= max(limit * size, known.rounding) + forgiven:
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+
+
+def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """What is said of the energy, where that is all that a problem determines; `nothing` [energy] is none."""
+    if known.energy_bounds is None or not known.by_energy:
+        return
+    lower, upper = known.energy_bounds
+    if not upper - lower <= max(tolerance * known.energy_size, nothing):
+        part = (upper - lower) / known.energy_size if known.energy_size > 0 else float("inf")
+        yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 
 
 def fails_force_bound(known: Bounds, tolerance: float) -> bool:

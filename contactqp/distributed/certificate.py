@@ -278,7 +278,9 @@ def certify_distributed(
     bodies = Bodies(ranks, problem.body)
     found = violations(problem, answer, bodies, ROUNDING_OF_ANSWERS * tolerance)
     names = [name for name in FIGURES if name != "balance"]
-    figures = dict(zip(names, largest_over_ranks(ranks, *(getattr(found, name) for name in names)), strict=True))
+    figures: dict[str, Any] = dict(
+        zip(names, largest_over_ranks(ranks, *(getattr(found, name) for name in names)), strict=True)
+    )
     figures["balance"] = balance(problem, answer, bodies)
     law = coulomb_residual(problem, answer, found)
     natural_map = None if law is None else largest_over_ranks(ranks, law)[0]

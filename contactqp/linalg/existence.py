@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, unknown_scale
+from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
@@ -215,7 +216,19 @@ def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
 
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
     """Raise if no displacement satisfies E u <= g, A u = b; the message names rows that conflict."""
-    found = conflict(problem, condensation)
+    _refuse(problem, conflict(problem, condensation))
+
+
+def refuse_sparse_conflict(problem: ContactProblem) -> None:
+    """Raise if no displacement satisfies E u <= g, A u = b, by sparse rows; the message names rows that conflict."""
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    twin, scaling = equilibrated(problem)
+    lengths = float(np.max(abs(np.concatenate([np.minimum(twin.gap, 0.0), twin.tie_value])), initial=0.0))
+    least = lengths * scaling.length * np.concatenate([scaling.contacts, scaling.ties])
+    _refuse(problem, _conflict(problem, rows, scaling.unknowns, least))
+
+
+def _refuse(problem: ContactProblem, found: Conflict | None) -> None:
     if found is None:
         return
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
@@ -228,40 +241,49 @@ def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None
 
 
 def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | None:
-    """Weights of constraints that conflict, if it is proven that some do beyond rounding of the data.
+    """Weights of constraints that conflict, if it is proven that some do beyond rounding of the data."""
+    rows = sp.csr_matrix(np.vstack([condensation.normal, condensation.tie]))
+    return _conflict(problem, rows, condensation.scale)
+
+
+def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector | None = None) -> Conflict | None:
+    """Weights of rows (m + k, q) that conflict, of unknowns with these scales (q,).
+
+    Where K gives rows no scale, `least` (m + k,) are the lengths whose rounding is forgiven in each.
 
     The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict,
     and its multipliers are Farkas' proof. A linear program has a tolerance: where it removes the excess of the last
     one up to that, another starts from there, and its excess counts as one (Gleixner, Steffy and Wolter 2016).
     """
-    rows = np.vstack([condensation.normal, condensation.tie])
     limit, m = np.concatenate([problem.gap, problem.tie_value]), problem.contacts
-    length = np.linalg.norm(rows * condensation.scale, axis=1)
-    u, extended = np.zeros(rows.shape[1]), SparseRows(rows)
+    scaled = sp.csr_matrix(rows @ sp.diags(scale))
+    length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
+    u, extended, sizes = np.zeros(rows.shape[1]), SparseRows(rows), abs(rows)
     for _ in range(PROGRAMS):
         left = (extend(limit) - extended @ extend(u)).double()
-        missing = np.where(np.arange(len(rows)) < m, np.maximum(-left, 0.0), abs(left))
-        if np.all(missing <= ROUNDING * (abs(rows) @ abs(u) + abs(limit))):
+        missing = np.where(np.arange(len(limit)) < m, np.maximum(-left, 0.0), abs(left))
+        if np.all(missing <= ROUNDING * (sizes @ abs(u) + abs(limit))):
             return None
         size = float(np.max(missing / length))
-        step, remaining, weight = _least_excess(rows * condensation.scale / length[:, None], left / length / size, m)
+        step, remaining, weight = _least_excess(sp.diags(1.0 / length) @ scaled, left / length / size, m)
         if step is None:
             return None
-        u = u + size * condensation.scale * step
+        u = u + size * scale * step
         if remaining > REMAINING:
-            return _proven_conflict(rows, limit, m, weight / length, u, condensation.scale)
+            sizes_of_rows = sizes @ abs(u) + abs(limit) + (0.0 if least is None else least)
+            return _proven_conflict(rows, limit, m, weight / length, sizes_of_rows, scale)
     return None
 
 
-def _least_excess(unit: Array, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
+def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
     """The step that leaves the least excess of unit rows, that excess, and the weights (m + k,) that prove it."""
     from scipy.optimize import linprog
 
-    count, q = unit.shape[1], len(unit)
-    rows = np.vstack([unit, -unit[m:]])
+    q, count = unit.shape
+    rows = sp.csr_matrix(sp.vstack([unit, -unit[m:]]))
     answer = linprog(
         np.append(np.zeros(count), 1.0),
-        A_ub=np.column_stack([rows, -np.ones(len(rows))]),
+        A_ub=sp.hstack([rows, -np.ones((rows.shape[0], 1))], format="csr"),
         b_ub=np.minimum(np.concatenate([left, -left[m:]]), FAR),
         bounds=[(None, None)] * count + [(0, None)],
         method="highs",
@@ -273,12 +295,65 @@ def _least_excess(unit: Array, left: Vector, m: int) -> tuple[Vector | None, flo
     return np.asarray(answer.x[:-1]), float(answer.x[-1]), np.concatenate([weight[:m], weight[m:q] - weight[q:]])
 
 
-def _proven_conflict(rows: Array, limit: Vector, m: int, weight: Vector, u: Vector, scale: Vector) -> Conflict | None:
+def refuse_sparse_drive(problem: ContactProblem) -> None:
+    """Raise if a load drives a motion that neither K nor a row resists, without condensing.
+
+    The motion z with K z = 0, E z <= 0, A z = 0 along which the load does most work, its entries at most one in scaled
+    unknowns, comes from a linear program; what it violates is formed anew in extended precision.
+    """
+    from scipy.optimize import linprog
+
+    twin, scaling = equilibrated(problem)
+    soft = np.flatnonzero(np.diff(twin.stiffness_rows.indptr) == 0)
+    held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
+    held = held[np.flatnonzero(np.diff(held.indptr))]
+    answer = linprog(
+        -twin.load,
+        A_ub=twin.normal if problem.contacts else None,
+        b_ub=np.zeros(problem.contacts) if problem.contacts else None,
+        A_eq=held if held.shape[0] else None,
+        b_eq=np.zeros(held.shape[0]) if held.shape[0] else None,
+        bounds=(-1.0, 1.0),
+        method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+    )
+    if answer.x is None or not soft.size:
+        return
+    found_motion: Vector = np.asarray(answer.x, dtype=float)
+    z: Vector = np.where(abs(found_motion) > DRIVEN, found_motion, 0.0)
+    whole: Vector = np.round(z)
+    z = whole if np.any(whole) and _unresisted_exactly(twin, held, whole) else z
+    work = float(extend(twin.load).dot(extend(z)))
+    rounding = ROUNDING * float(abs(twin.load) @ abs(z))
+    if not (_unresisted_exactly(twin, held, z) and work > max(rounding, DRIVEN * float(np.max(abs(twin.load))))):
+        return
+    motion = scaling.unknowns * z
+    found = DrivenMotion(motion / np.max(abs(motion)), work * scaling.force / float(np.max(abs(motion))), rounding)
+    raise NoEquilibrium(
+        f"the load drives a motion that nothing resists, and the energy falls for ever: "
+        f"{describe_motion(problem, found.motion)}",
+        found,
+    )
+
+
+def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> bool:
+    """Whether no row resists a motion beyond the rounding of its sums."""
+    for rows, signed in ((held, False), (problem.normal, True)):
+        moved = (SparseRows(rows) @ extend(motion)).double()
+        beyond = moved if signed else abs(moved)
+        if np.any(beyond > ROUNDING * (abs(rows) @ abs(motion))):
+            return False
+    return True
+
+
+def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Vector, scale: Vector) -> Conflict | None:
     """Farkas' proof on the rows that take part: weights in rational numbers, or where the rows cancel to rounding only,
-    the best in floats, whose sums are exact all the same."""
-    own = abs(weight) * np.linalg.norm(rows * scale, axis=1)
+    the best in floats, whose sums are exact all the same. `sizes` (m + k,) are the lengths that meet in each row."""
+    scaled = sp.csr_matrix(rows @ sp.diags(scale))
+    own = abs(weight) * np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
     members = np.flatnonzero(own > NO_PART * np.max(own))
-    part = rows[members]
+    touched = np.unique(rows[members].indices)
+    part, scale = rows[members][:, touched].toarray(), scale[touched]
     found = _cancelling(part) if len(members) <= MOST_EXACT else None
     exact = found is not None
     if found is None:
@@ -293,10 +368,10 @@ def _proven_conflict(rows: Array, limit: Vector, m: int, weight: Vector, u: Vect
     if not exact and not _cancel_to_rounding(part, found):
         return None
     excess = float(-sum(x * Fraction(float(limit[i])) for x, i in zip(found, members.tolist(), strict=True)))
-    rounding = ROUNDING * float(abs(y) @ (abs(limit[members]) + abs(part) @ abs(u)))
+    rounding = ROUNDING * float(abs(y) @ sizes[members])
     if not excess > rounding:
         return None
-    every = np.zeros(len(rows))
+    every = np.zeros(rows.shape[0])
     every[members] = y
     return Conflict(every[:m], every[m:], excess, rounding, exact)
 

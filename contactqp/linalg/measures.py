@@ -28,6 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.model.arrays import Array, Vector
@@ -189,6 +190,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
     `elastic` (n,) is the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most.
     """
+    if mostly_bare(problem):
+        return nothing_in_rows(problem, answer, part)
     u = abs(answer.displacement)
     D = scale_of_unknowns(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.model.arrays import Array
 
-POSITIVE_DEFINITE = 2
+POSITIVE_DEFINITE, INDEFINITE = 2, -2
 ANALYSE_AND_FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 12, 33, 331, 333, -1
 NOT_POSITIVE = -4
 # Places in iparm, counted from zero.
-DEFAULTS_OVERRIDDEN, ORDERING, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 34, 35, 55
+DEFAULTS_OVERRIDDEN, ORDERING, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 9, 34, 35, 55
 NESTED_DISSECTION, SCHUR_ONLY = 2, 1
+# Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
+LEAST_PIVOT = 13
 
 
 class NotPositive(Exception):
@@ -50,7 +52,7 @@ def _library() -> Any:
 
 
 class Pardiso:
-    """K = L L' up to the retained unknowns.
+    """K = L L' up to the retained unknowns; of an indefinite matrix L D L', pivots of size one and two.
 
     Raises
     ------
@@ -60,7 +62,7 @@ class Pardiso:
         There is no PARDISO, or it gave up (for want of memory, say).
     """
 
-    def __init__(self, matrix: Any, retained: NDArray[np.intp]) -> None:
+    def __init__(self, matrix: Any, retained: NDArray[np.intp], kind: int = POSITIVE_DEFINITE) -> None:
         upper = sp.triu(matrix, format="csr")
         upper.sort_indices()
         if upper.nnz > np.iinfo(np.int32).max:
@@ -74,12 +76,14 @@ class Pardiso:
         self._settings = np.zeros(64, dtype=np.int32)
         self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, NESTED_DISSECTION
         self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
+        self._settings[PERTURBATION] = LEAST_PIVOT
+        self._kind = kind
         if len(retained):
             self._settings[SCHUR] = SCHUR_ONLY
         self.schur = np.zeros((len(retained), len(retained)))
-        self._release = weakref.finalize(self, _release, self._handle, self._settings)
+        self._release = weakref.finalize(self, _release, self._handle, self._settings, kind)
         self._call(ANALYSE_AND_FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
-        self.smallest_pivot = self._smallest_pivot()
+        self.smallest_pivot = self._smallest_pivot() if kind == POSITIVE_DEFINITE else np.nan
 
     def solve_all(self, right: Array) -> Array:
         """K^-1 right, where no unknown is retained."""
@@ -100,7 +104,7 @@ class Pardiso:
 
     def _call(self, phase: int, right: Array, solution: Array) -> None:
         error = ctypes.c_int32(0)
-        one, kind = ctypes.c_int32(1), ctypes.c_int32(POSITIVE_DEFINITE)
+        one, kind = ctypes.c_int32(1), ctypes.c_int32(self._kind)
         count = ctypes.c_int32(right.shape[1] if right.ndim == 2 else 1)
         _library().pardiso(
             *(_pointer(self._handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind)),
@@ -131,10 +135,10 @@ def _pointer(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _release(handle: Any, settings: Any) -> None:
+def _release(handle: Any, settings: Any, matrix_kind: int) -> None:
     """Give the factors' memory back."""
     nothing, one = np.zeros(1), ctypes.c_int32(1)
-    size, kind, phase = ctypes.c_int32(1), ctypes.c_int32(POSITIVE_DEFINITE), ctypes.c_int32(RELEASE)
+    size, kind, phase = ctypes.c_int32(1), ctypes.c_int32(matrix_kind), ctypes.c_int32(RELEASE)
     _library().pardiso(
         *(_pointer(handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind), ctypes.byref(phase)),
         *(ctypes.byref(size), _pointer(nothing), _pointer(nothing), _pointer(nothing), _pointer(nothing)),

@@ -10,44 +10,15 @@ root of an energy) makes loads and gaps of order one; forces come back as l_i = 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.equilibration import Scaling
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
-
-
-@dataclass(frozen=True, eq=False)
-class Scaling:
-    """The way from a ContactProblem to its nondimensional twin and back."""
-
-    unknowns: Array  # (n,) D
-    contacts: Array  # (m,) r of the contacts
-    ties: Array  # (k,) r of the ties
-    length: float  # l
-
-    def unscale(self, candidate: Candidate) -> Candidate:
-        """A candidate of the twin as a candidate of the problem."""
-        return replace(
-            candidate,
-            displacement=self.length * self.unknowns * candidate.displacement,
-            normal_force=self.length * candidate.normal_force / self.contacts,
-            tie_force=self.length * candidate.tie_force / self.ties,
-        )
-
-    def scale(self, candidate: Candidate) -> Candidate:
-        """The inverse of `unscale`."""
-        return replace(
-            candidate,
-            displacement=candidate.displacement / (self.length * self.unknowns),
-            normal_force=candidate.normal_force * self.contacts / self.length,
-            tie_force=candidate.tie_force * self.ties / self.length,
-        )
 
 
 def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
@@ -62,7 +33,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     twin = problem.transformed(
         stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length
     )
-    return twin, Scaling(D, contacts, ties, length)
+    return twin, Scaling(D, contacts, ties, length, length)
 
 
 def _without_idle_part(problem: ContactProblem) -> Array:

@@ -14,6 +14,8 @@ from contactqp.model.problem_data import ReadOnly, read_only
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
+# What a problem determines: its displacement, or, where K does not see everything, its energy alone.
+BY_DISPLACEMENT, BY_ENERGY = "displacement", "energy"
 
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
@@ -86,6 +88,9 @@ class Certificate(ReadOnly):
     `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
     the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
     alone, because neither could be had; `notes` or `reasons` say why.
+
+    `determined` is "energy" where K does not see everything, as in a linear program: displacement and forces may be one
+    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart.
     """
 
     equilibrium: float  # componentwise backward error
@@ -113,6 +118,8 @@ class Certificate(ReadOnly):
     passed: bool
     proven: bool
     basis: str  # "bounds", "state" or "figures"
+    energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper [force * length], where they were formed
+    determined: str = BY_DISPLACEMENT  # "displacement" or "energy": what the problem determines at all
     distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
     violations: Violations | None = field(
         repr=False, default=None

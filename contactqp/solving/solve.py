@@ -1,4 +1,4 @@
-"""`solve`: condense, run a method, expand, polish, certify; or iterate and certify, where the bodies are too large.
+"""`solve`: condense, run a method, expand, polish, certify; or iterate, or stay sparse, and certify.
 
 A problem of very many contacts is solved on a subset of them that grows until no other contact is penetrated.
 """
@@ -30,13 +30,15 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage
+from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Raw, Solution, Work
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
-from contactqp.solving.runs import CondensedRun, EnforcedRun, IteratedRun, Run
+from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
+from contactqp.solving.sparse_run import SparseRun
 
 if TYPE_CHECKING:
     from contactqp.model.local_problem import LocalSolution
@@ -118,9 +120,11 @@ def _of_all(
 
 
 DEFAULT_METHOD = "active-set"
+# The active set on sparse systems, nothing being condensed.
+SPARSE = "sparse"
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
-# anchors for bodies that float, textbook systems in the numbers of the problem, and an interior point.
-ROUTES = ("lemke", "lagrange-multiplier", "clarabel")
+# anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems.
+ROUTES = ("lemke", "lagrange-multiplier", "clarabel", SPARSE)
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "enumeration")
 
@@ -161,7 +165,8 @@ def solve(
         Of the method, relative, on the nondimensional problem.
     condense : bool or "auto"
         Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is
-        smaller.
+        smaller, and stays with sparse systems of all unknowns where constraints are so many, or K so far from seeing
+        everything, that these are predicted to cost less. False makes "active-set" stay with these.
     polish : bool
         Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
         set corrected twice. `solution.raw` is the answer before it.
@@ -201,8 +206,8 @@ def solve(
     NotCertified
         The method promises the exact answer and the certificate refuses what it returned. Where that is the default
         method, unless `polish`, `max_iter` or `time_limit` speak against it, Lemke's, the Lagrange multipliers' and
-        Clarabel's answers were tried before, with friction other algorithms': the first that is certified is returned,
-        and `work.routes` says so.
+        Clarabel's answers and sparse systems were tried before, with friction other algorithms': the first that is
+        certified is returned, and `work.routes` says so.
     BackendMissing, Unsupported, InvalidProblem
         The method is not installed, cannot do this, or an argument is wrong.
 
@@ -235,7 +240,7 @@ def solve(
         elsewhere = engine_named(engine).function("solve")
         found: Solution = elsewhere(problem, method, warm_start=warm_start, **same)
         return found
-    many = problem.normal.nnz > subset_bounds.MANY and not iterated(problem)
+    many = problem.normal.nnz > subset_bounds.MANY and not iterated(problem) and not constraints_are_many(problem)
     if many and (candidates := first_candidates(problem)) is not None:
         with problem.lock, stage(METHOD):
             return solve_among(
@@ -246,6 +251,8 @@ def solve(
     except (NotCertified, NotConverged) as error:
         if method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
             raise
+        if constraints_are_many(problem):
+            raise  # the other routes condense
         # With friction the default has tried all algorithms where none converges.
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
@@ -268,7 +275,10 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     seconds = first.seconds if isinstance(first, Solution) else 0.0
     routes = FRICTIONAL_ROUTES if problem.frictional else ROUTES
     for route in routes:
-        changed = {"algorithm": route} if problem.frictional else {"method": route}
+        if problem.frictional:
+            changed: dict[str, Any] = {"algorithm": route}
+        else:
+            changed = {"condense": False} if route == SPARSE else {"method": route}
         try:
             found = begin(problem, **{**same, **changed}).finish()
         except (NotCertified, NotConverged, SeveralEquilibria, BackendFailed, BackendMissing, Unsupported) as other:
@@ -323,7 +333,7 @@ def begin(
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
-        way = next(way for way in WAYS if way.applies(problem, chosen))
+        way = next(way for way in WAYS if way.applies(problem, chosen, condense))
         run = way.run(problem, chosen, settings, condense, algorithm)
     run.polish, run.seconds = polish, time.perf_counter() - started
     return run
@@ -333,7 +343,7 @@ def begin(
 class Way:
     """One way to show a problem to a method."""
 
-    applies: Callable[[ContactProblem, Method], bool]
+    applies: Callable[[ContactProblem, Method, bool | str], bool]  # condense
     run: Callable[[ContactProblem, Method, Settings, bool | str, str | None], Run]  # condense, algorithm
 
 
@@ -343,19 +353,32 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
     return run_friction(problem, method, settings, algorithm)
 
 
+def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str) -> bool:
+    if method.kind not in (CONDENSES_ITSELF, "quadratic program") or not method.sparse:
+        return False
+    if condense == "auto":
+        return constraints_are_many(problem)
+    return condense is False and method.kind == CONDENSES_ITSELF
+
+
 # The first that applies is taken.
 WAYS = (
     # The method has systems of stick and slip of its own, in the problem's own unknowns.
     Way(
-        lambda problem, method: problem.frictional and method.solve_friction is not None,
+        lambda problem, method, _: problem.frictional and method.solve_friction is not None,
         lambda problem, method, settings, *_: EnforcedRun(problem, method, settings),
     ),
     # Coulomb's law is no minimisation: an algorithm takes it in steps, convex ones of the method or others.
-    Way(lambda problem, _: problem.frictional, _run_friction),
+    Way(lambda problem, *_: problem.frictional, _run_friction),
     # The body is too large to factorise.
     Way(
-        lambda problem, _: iterated(problem),
+        lambda problem, *_: iterated(problem),
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
+    ),
+    # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
+    Way(
+        lambda problem, method, condense: _stays_sparse(problem, method, condense),
+        lambda problem, method, settings, *_: SparseRun(problem, method, settings),
     ),
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
     Way(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,10 +196,15 @@ def test_another_exact_route_is_tried_before_the_user_is_told(monkeypatch: pytes
     assert solution.work.routes[-1] == "lemke: its answer is certified"
 
 
+def _not_converged(*_: Any) -> Any:
+    raise cq.NotConverged("no interior point led to closed contacts that hold")
+
+
 def test_where_all_routes_are_refused_the_user_is_told_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3])
     monkeypatch.setattr(solving, "find", _spoiling("active-set", *solving.ROUTES))
-    with pytest.raises(cq.NotCertified, match="lemke, lagrange-multiplier, clarabel were tried too") as caught:
+    monkeypatch.setattr(solving, "SparseRun", _not_converged)
+    with pytest.raises(cq.NotCertified, match="lemke, lagrange-multiplier, clarabel, sparse were tried too") as caught:
         cq.solve(problem)
     assert caught.value.solution.method == "active-set"
 

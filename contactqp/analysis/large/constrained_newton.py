@@ -46,6 +46,8 @@ CONTRACTION = 0.5
 MERIT_ROUNDING = 1e-13
 # Displacements beyond this, in any unit, are those of a body that nothing holds: of a bar that has torn.
 RUN_AWAY = 1e50
+# Condensed, the step that is returned is the least where nothing holds: where a cable hangs straight, say.
+LEAST_STEP = {"condense": True}
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +186,7 @@ def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, bef
     start = None if before is None or not settings.exact else before.solution
     asked = in_displacement(problem, now.displacement) if problem.frictional else problem
     try:
-        found = solve(asked, settings.method, warm_start=start, **settings.options)
+        found = solve(asked, settings.method, warm_start=start, **(LEAST_STEP | settings.options))
     except NotCertified as error:
         if not isinstance(error.solution, Solution):
             raise

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.model.arrays import Vector
@@ -47,6 +48,7 @@ class Backend:
     dense: bool = False
     semidefinite: bool = True
     needs_inequality: bool = False  # without inequality rows it, or qpsolvers in its place, does something else
+    bounds: bool = False  # takes bounds of one unknown apart from rows, and is faster for it
     warm_start: bool = False  # takes a displacement to start from
     fixed: tuple[tuple[str, Any], ...] = ()  # settings that are always made, each with its reason beside it
     status: tuple[str, ...] = ()  # where its own words are in Solution.extras
@@ -84,6 +86,7 @@ BACKENDS = (
         "pip install 'contactqp[backends]'",
         tolerances=("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
         dense=True,
+        bounds=True,
         status=("info", "status"),
         iterations=("info", "iter"),
     ),
@@ -224,7 +227,8 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
     from qpsolvers import solve_problem
 
     options = backend_options(backend, settings)
-    program, initial = _program(backend, problem), _initial(backend, settings)
+    bounds = _bounds(problem) if backend.bounds and problem.dimension > BOUNDS_PAY else None
+    program, initial = _program(backend, problem, bounds), _initial(backend, settings)
     with collected_words() as words:
         try:
             solution = solve_problem(program, solver=backend.name, initvals=initial, **options)
@@ -236,20 +240,71 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
             raise BackendFailed(f"{backend.name}: {type(error).__name__}: {error}") from error
     found = "solved" if solution.found else "not solved"
     status = "; ".join([f"{backend.name}: {_said(solution.extras, backend.status) or found}", *words])
+    if bounds is not None and solution.z_box is not None:
+        solution.z = bounds.forces(problem, solution)
     return _candidate(problem, solution, _iterations(solution.extras, backend), status)
 
 
-def _program(backend: Backend, problem: ContactProblem) -> Any:
+# Unknowns from which on bounds are handed over as bounds rather than as rows.
+BOUNDS_PAY = 200
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds:
+    """The contacts of one unknown alone, as the nearest lower and upper bound of each."""
+
+    contacts: NDArray[np.intp]  # those that are bounds
+    lower: Vector  # (n,), infinite where there is none
+    upper: Vector
+    of_lower: NDArray[np.intp]  # (n,) the contact of each bound, -1 where there is none
+    of_upper: NDArray[np.intp]
+
+    def forces(self, problem: ContactProblem, solution: Any) -> Vector:
+        """(m,) the contact forces of a solution with multipliers of rows and of bounds."""
+        force = np.zeros(problem.contacts)
+        if solution.z is not None and len(solution.z):
+            force[np.setdiff1d(np.arange(problem.contacts), self.contacts)] = solution.z
+        entry = np.zeros(problem.contacts)
+        entry[self.contacts] = abs(problem.normal.data[problem.normal.indptr[self.contacts]])
+        for contact, pushes in ((self.of_lower, -solution.z_box), (self.of_upper, solution.z_box)):
+            acting = np.flatnonzero((contact >= 0) & (pushes > 0))
+            force[contact[acting]] = pushes[acting] / entry[contact[acting]]
+        return force
+
+
+def _bounds(problem: ContactProblem) -> _Bounds | None:
+    rows, n = problem.normal, problem.dimension
+    contacts = np.flatnonzero(np.diff(rows.indptr) == 1)
+    if not contacts.size:
+        return None
+    unknown, entry = rows.indices[rows.indptr[contacts]], rows.data[rows.indptr[contacts]]
+    limit = problem.gap[contacts] / entry
+    sides = []
+    for taken, order in ((entry < 0, np.argsort(limit, kind="stable")), (entry > 0, np.argsort(-limit, kind="stable"))):
+        order = order[taken[order]]  # the nearest of several bounds is written last
+        value, contact = np.full(n, np.nan), np.full(n, -1)
+        value[unknown[order]], contact[unknown[order]] = limit[order], contacts[order]
+        sides.append((value, contact))
+    (lower, of_lower), (upper, of_upper) = sides
+    lower, upper = np.where(of_lower < 0, -np.inf, lower), np.where(of_upper < 0, np.inf, upper)
+    return None if np.any(lower > upper) else _Bounds(contacts, lower, upper, of_lower, of_upper)
+
+
+def _program(backend: Backend, problem: ContactProblem, bounds: _Bounds | None = None) -> Any:
     from qpsolvers import Problem
 
     # Copies: some backends scale in place, and refuse the problem's own read-only arrays.
     form = _dense if backend.dense and not (backend.sparse and sp.issparse(problem.stiffness)) else _sparse
     G, h = problem.normal, problem.gap.copy()
+    if bounds is not None:
+        others = np.setdiff1d(np.arange(problem.contacts), bounds.contacts)
+        G, h = G[others], h[others]
     if problem.contacts == 0 and backend.needs_inequality:
         G, h = sp.csr_array((1, problem.dimension)), np.ones(1)  # 0'u <= 1 holds always and does nothing
     rows = [form(G), h] if h.size else [None, None]
     ties = [form(problem.tie), problem.tie_value.copy()] if problem.ties else [None, None]
-    return Problem(form(problem.stiffness), -problem.load, *rows, *ties)
+    box = [None, None] if bounds is None else [bounds.lower, bounds.upper]
+    return Problem(form(problem.stiffness), -problem.load, *rows, *ties, *box)
 
 
 def _sparse(matrix: Any) -> Any:

@@ -1,0 +1,131 @@
+"""How far an answer is from the truth where constraints are many or K does not see everything.
+
+Let (U, L, N) be refined in extended precision from the answer until it meets every condition but for residuals
+r = f - K U - E'L - A'N, gaps c of contacts with force and ties t that rounding has left, and no contact is penetrated.
+For any v with E v <= g and A v = b
+
+    J(v) = J(U) - r'(v - U) + L'(E U - E v) + N'(A U - A v) + 1/2 |v - U|^2
+        >= J(U) - |L|'|c| - |N|'|t| - r'(v - U) + 1/2 |v - U|^2,
+
+so that, of all solutions within a distance R of U, unknown by unknown, J* and u* satisfy
+
+    J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 4 w,    w = |L|'|c| + |N|'|t| + |r|'R.
+
+R is REACH times the size of the answer: the residuals of extended precision are so small that w stays far beneath any
+tolerance all the same. An answer u is |u - U|_K + 2 sqrt(w) away from u* at most, in the part of it that K sees; and
+
+    J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w    up to what it penetrates or leaves of ties,
+
+which counts where K does not determine the displacement: a linear program's energy is right or wrong by it. Forces are
+compared with L and N, all in equilibrated units; where rows repeat, these are the nearest of many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
+from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, mostly_bare
+from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.interior_point import settled
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, refuse_indefinite, uniqueness
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
+
+# Solutions are looked for within so many times the size of the answer.
+REACH = 1e6
+# Closed rows that are met to this part of the largest length are met: that is beyond all rounding of doubles.
+FINE = 1e-20
+DECIDED = "what rounding of the data decides is not proven"
+# An answer that is so near to a solution up to such a conflict is believed.
+NEAR = 1e-6
+NO_SOLUTION = "no solution was found near the answer"
+
+
+def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
+    """Return the bounds of a frictionless answer from the solution nearest to it, nothing being condensed.
+
+    Raises
+    ------
+    InvalidProblem
+        K is indefinite.
+    """
+    refuse_indefinite(problem)
+    twin, scaling = equilibrated(problem)
+    if not in_range(twin):
+        return no_bounds("the numbers of the problem leave the range of doubles")
+    scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
+    start = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+    effort = Effort()
+    state = settled(twin, start, effort)
+    if not state.holds:
+        return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
+    return _from_solution(twin, start, state, scaling)
+
+
+def _from_solution(problem: ContactProblem, answer: Answer, state: ClosedState, scaling: Scaling) -> Bounds:
+    """Bounds in the units of the problem from an answer and a solution in those of its equilibrated twin."""
+    solution, unit = state.answer.double(), scaling.length * scaling.force
+    wide = _width(state)
+    moved = (extend(answer.displacement) - state.answer.displacement).double()
+    distance, strain = _strain(problem, moved), _strain(problem, solution.displacement)
+    energy, size = _energy(problem, state.answer)
+    scale = max(strain, float(np.sqrt(2 * size)))
+    change = (extend(answer.normal_force) - state.answer.normal_force).double()
+    turned = (extend(answer.tie_force) - state.answer.tie_force).double()
+    largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
+    missed = float(np.linalg.norm(np.concatenate([change, turned])))
+    unique = uniqueness(state)
+    gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
+    above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
+    sees = unique.displacement and not mostly_bare(problem)
+    error = distance + 2 * np.sqrt(wide) if sees else np.sqrt(2 * above)
+    one_by_one = unique.forces and largest > 0
+    if state.length_residual > FINE:
+        conflict = f"closed contacts and ties conflict by {state.length_residual:.2g} of the largest length: {DECIDED}"
+        near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
+        return replace(no_bounds(conflict), suspicious=None if near else f"{conflict}, and the answer is not near")
+    return Bounds(
+        energy_error=_relative(error, scale),
+        force_error=_relative(missed, largest),
+        force_bound=abs(change) * scaling.force / scaling.contacts if unique.forces else None,
+        relative_force_bound=abs(change) / largest if one_by_one else None,
+        energy_scale=scale * np.sqrt(unit),
+        force_scale=largest * np.sqrt(unit),
+        energy_bounds=((energy - wide) * unit, (energy - wide + above) * unit),
+        energy_size=size * unit,
+        by_energy=not sees,
+        determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
+        reasons=() if unique.forces else (f"force_bound: {REDUNDANT}",),
+    )
+
+
+def _width(state: ClosedState) -> float:
+    """w: what rounding leaves of the energy of the solution."""
+    answer = state.answer.double()
+    contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
+    ties = abs(answer.tie_force) @ abs(state.left.tie.double())
+    reach = REACH * (abs(answer.displacement) + np.max(abs(answer.displacement), initial=0.0))
+    force = abs(state.left.force.double()) @ reach
+    return float(contacts + ties + force)
+
+
+def _strain(problem: ContactProblem, displacement: Vector) -> float:
+    """|v|_K."""
+    return float(np.sqrt(max(displacement @ (problem.stiffness_rows @ displacement), 0.0)))
+
+
+def _energy(problem: ContactProblem, answer: ExtendedAnswer) -> tuple[float, float]:
+    """J, and the larger of its terms; where both vanish, that of the dual energy's."""
+    u, doubles = answer.displacement, answer.double()
+    elastic = 0.5 * u.dot(extended_rows(problem).stiffness @ u)
+    work = u.dot(extend(problem.load))
+    lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
+    return elastic - work, max(elastic, abs(work)) or float(lifted)
+
+
+def _relative(error: float, scale: float) -> float:
+    return error / scale if scale > 0 else error

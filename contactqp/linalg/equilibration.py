@@ -1,0 +1,150 @@
+"""Units in which all rows of a problem's matrices have entries near one, whatever K sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.model.arrays import Array
+from contactqp.model.problem import Computed, ContactProblem
+from contactqp.model.solution import Answer, Candidate, Nothing
+
+# Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.
+ROUNDS = 12
+# Unknowns without stiffness that the bodies of a contact problem may have; a quadratic program has more.
+MOST_BARE = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """The way from a ContactProblem to its nondimensional twin and back."""
+
+    unknowns: Array  # (n,) D
+    contacts: Array  # (m,) r of the contacts
+    ties: Array  # (k,) r of the ties
+    length: float  # l
+    force: float  # that of forces, which is l where K is the measure
+
+    def unscale(self, candidate: Candidate) -> Candidate:
+        """A candidate of the twin as a candidate of the problem."""
+        return replace(
+            candidate,
+            displacement=self.length * self.unknowns * candidate.displacement,
+            normal_force=self.force * candidate.normal_force / self.contacts,
+            tie_force=self.force * candidate.tie_force / self.ties,
+        )
+
+    def scale(self, candidate: Candidate) -> Candidate:
+        """The inverse of `unscale`."""
+        return replace(
+            candidate,
+            displacement=candidate.displacement / (self.length * self.unknowns),
+            normal_force=candidate.normal_force * self.contacts / self.force,
+            tie_force=candidate.tie_force * self.ties / self.force,
+        )
+
+
+def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
+    """Return a frictionless problem in units in which the largest entries of all rows of K, E_N and A are near one.
+
+    All factors are powers of two, so that the twin's data are those of the problem to the last bit (Ruiz 2001, in the
+    maximum norm). Where K is no measure of forces, as in a linear program, these have a unit apart from that of
+    lengths.
+    """
+    known = problem._computed.equilibrated
+    if known is None:
+        known = problem._computed.equilibrated = _equilibrated(problem)
+    twin, scaling = known
+    D, r, t = scaling.unknowns, scaling.contacts, scaling.ties
+    load, gap, value = D * problem.load, problem.gap / r, problem.tie_value / t
+    imposed = max(_size(np.minimum(gap, 0.0)), _size(value))
+    length = force = _near(max(imposed, _size(load)))
+    if mostly_bare(problem):
+        length = _near(imposed or _size(np.where(np.isfinite(gap), gap, 0.0)))
+        force = _near(max(_size(load), length * _size(twin.stiffness_rows.data)))
+        values = twin._values() | dict(stiffness=twin.stiffness * (length / force))
+        twin = ContactProblem._of_checked(values, Computed())
+    twin = twin.replace(gap=gap / length, tie_value=value / length)
+    twin = twin.with_load_sum(load / force, D * problem.load_size / force)
+    return twin, replace(scaling, length=length, force=force)
+
+
+def _size(values: Array) -> float:
+    return float(np.max(abs(values), initial=0.0))
+
+
+def _near(size: float) -> float:
+    """The power of two nearest to a size, one where that is zero."""
+    return float(_power_of_two(np.array(size or 1.0)))
+
+
+def in_range(twin: ContactProblem) -> bool:
+    """Whether all numbers of an equilibrated problem are finite; where gaps are infinite they are no rows of it."""
+    arrays = (twin.stiffness_rows.data, twin.normal.data, twin.tie.data, twin.load, twin.gap, twin.tie_value)
+    return all(bool(np.all(np.isfinite(array))) for array in arrays)
+
+
+def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
+    K = sp.csr_matrix(problem.stiffness_rows)
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    d, r = np.ones(problem.dimension), np.ones(rows.shape[0])
+    sizes_K, sizes = abs(K), abs(rows)
+    for _ in range(ROUNDS):
+        of_rows = sp.csr_matrix(sp.diags(r) @ sizes @ sp.diags(d))
+        columns = np.maximum(_largest(sp.diags(d) @ sizes_K @ sp.diags(d), 0), _largest(of_rows, 0))
+        d, r = d / _root(columns), r / _root(_largest(of_rows, 1))
+    d, r = _power_of_two(d), _power_of_two(r)
+    m = problem.contacts
+    scaled = sp.csr_array(sp.diags(r) @ rows @ sp.diags(d))
+    stiffness = sp.csc_array(sp.diags(d) @ K @ sp.diags(d))
+    nothing = np.zeros(problem.dimension)
+    twin = problem.transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], np.zeros(problem.ties))
+    return twin, Scaling(d, 1.0 / r[:m], 1.0 / r[m:], 1.0, 1.0)
+
+
+def _largest(matrix: Any, axis: int) -> Array:
+    """The largest entry of every column (axis 0) or row (axis 1) of a matrix of sizes."""
+    matrix = sp.csr_matrix(matrix)
+    if not matrix.shape[axis]:
+        return np.zeros(matrix.shape[1 - axis])
+    return np.asarray(matrix.max(axis=axis).todense()).ravel()
+
+
+def _root(sizes: Array) -> Array:
+    return np.asarray(np.sqrt(np.where(sizes > 0, sizes, 1.0)))
+
+
+def _power_of_two(values: Array) -> Array:
+    return np.asarray(2.0 ** np.round(np.log2(values)))
+
+
+def mostly_bare(problem: ContactProblem) -> bool:
+    """Whether K has no entry at many unknowns that a load drives or rows join, as in a linear program.
+
+    Bodies have a few such unknowns, and cables those that only hang.
+    """
+    bare = problem.diagonal == 0
+    if problem.frictional or np.sum(bare) <= MOST_BARE:
+        return False
+    acting = problem.load != 0
+    for rows in (problem.normal, problem.tie):
+        lengths = np.diff(rows.indptr)
+        acting[rows.indices[np.repeat(lengths > 1, lengths)]] = True
+    return int(np.sum(bare & acting)) > MOST_BARE
+
+
+def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Nothing:
+    """What is nothing where K gives no scale: this part of the largest force and length, in equilibrated units."""
+    _, scaling = equilibrated(problem)
+    u = abs(answer.displacement)
+    meeting = problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
+    meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force) + problem.load_size
+    lengths = (u / scaling.unknowns, abs(problem.tie_value) / scaling.ties)
+    length = part * max(float(np.max(sizes, initial=0.0)) for sizes in lengths)
+    # Where no force acts, those that would move the largest length.
+    stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
+    force = max(part * float(np.max(meeting * scaling.unknowns, initial=0.0)), stiffest * length)
+    return Nothing(force / scaling.unknowns, length * scaling.contacts, np.zeros(0), length * scaling.ties)

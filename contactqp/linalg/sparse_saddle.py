@@ -1,0 +1,419 @@
+"""Sparse saddle points: equilibrium with closed contacts and ties where these are too many to condense onto.
+
+    [ K    E_C'  A' ] [ u  ]   [ f   ]
+    [ E_C           ] [ l  ] = [ g_C ]
+    [ A             ] [ nu ]   [ b   ]
+
+The matrix is factorised with +d and -d added to its diagonal. That makes it quasi-definite: L D L' exists in any order
+of elimination (Vanderbei 1995), whatever K does not resist and however many rows repeat. Residuals in extended
+precision take the d back: every sweep is a step of the proximal method of multipliers (Rockafellar 1976), which comes
+to a solution wherever there is one. Where unknowns or multipliers are not unique it is the solution near to where the
+sweeps start, so that an interior point's multipliers, all positive, stay positive and no basis has to be chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.errors import BackendFailed, InvalidProblem
+from contactqp.linalg import pardiso
+from contactqp.linalg.equilibration import equilibrated, mostly_bare
+from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
+from contactqp.linalg.factorization import DENSE_SIZE, DIAGONAL_PIVOTS, MINIMUM_DEGREE, SuperLU
+from contactqp.linalg.measures import outer_forces, row_sizes
+from contactqp.linalg.schur import LARGE
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
+
+# What is added to the diagonal of the saddle point, whose entries are at most one: the largest first, which rounds
+# least. The next is taken where sweeps contract too slowly, as rows that nearly repeat make them.
+REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
+# Residuals at which no smaller one is tried, and the part of the residual that it must get below.
+FINE, WORTH_ANOTHER = 1e-22, 0.1
+# Forces of a linear program beneath this part of what they carry are none.
+CARRIES = 1e-9
+# A sweep that makes the larger residual grow by more than this has failed.
+GROWS = 4.0
+# Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
+SWEEPS, CONTRACTS = 20, 0.3
+# Residuals of this part of the forces and lengths that meet are nothing in extended precision.
+SOLVED = 2.0**-88
+# Rows that leave more than this part of the largest length are not met: nothing solves them together.
+MET = 1e-14
+# Forces and lengths beneath this part of the largest have no sign: they are known to some 1e-28 of it.
+SIGNED = 1e-20
+# Beneath this part of what it takes to move the lengths that meet there is no force.
+NO_FORCE = 1e-12
+# Predicted operations: twenty factorisations with a tenth of the operations a second that dense ones have; dense
+# systems of fewer operations are not worth looking at; entries a row from which on a body fills its factors as one in
+# space.
+SPARSE_STEPS, SMALLEST, IN_SPACE = 200, 1e7, 25
+# Motions and forces that answer one by this part of 1/d are taken for free.
+ALMOST_FREE = 1e-3
+# Negative curvature of this part of |z|'|K||z| is no rounding of the entries.
+CURVED = 1e-12
+NAMED = 6
+# Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
+WASTED = 3
+
+
+def constraints_are_many(problem: ContactProblem) -> bool:
+    """Whether a sparse interior point and sparse saddle points are predicted to cost less than condensing.
+
+    Condensed, the r unknowns that contacts and ties touch take r^3/3 operations each time that a dense matrix of theirs
+    is factorised. A sparse factorisation of p unknowns and rows with d entries each takes some 10 p^1.5 (d/5)^2 as for
+    a plane grid, more as 5 p^2 in space; there are some twenty of them, with a tenth of the operations a second. Where
+    K has no entry at more unknowns than a body has rigid motions, condensing would take each of these for a motion.
+    """
+    known = problem._computed.constraints_are_many
+    if known is None:
+        known = problem._computed.constraints_are_many = _constraints_are_many(problem)
+    return bool(known)
+
+
+def _constraints_are_many(problem: ContactProblem) -> bool:
+    if problem.frictional or not (problem.contacts or problem.ties):
+        return False
+    if mostly_bare(problem):
+        return True
+    touched = len(np.union1d(problem.normal.indices, problem.tie.indices))
+    dense = touched**3 / 3
+    if dense <= SMALLEST:
+        return False
+    lengths = np.concatenate([np.diff(rows.indptr) for rows in (problem.normal, problem.tie)])
+    size = problem.dimension + int(np.sum(lengths > 1))
+    entries = problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))
+    per_row = entries / size
+    plane, space = 10 * size**1.5 * (per_row / 5) ** 2, 5 * size**2
+    return bool(dense > SPARSE_STEPS * (plane if per_row <= IN_SPACE else max(plane, space)))
+
+
+class SparseSaddle:
+    """The factorised, regularised saddle point of closed contacts and all ties of an equilibrated problem.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Equilibrated: entries of K and the rows are at most about one.
+    closed : (c,) array of int
+        The closed contacts.
+    regularisation : float
+        d, added to the diagonal of K and subtracted from the zeros below it.
+    stiff : bool
+        False leaves K out and subtracts one below it: l and nu are then those of least size that carry a force.
+    """
+
+    def __init__(self, problem: ContactProblem, closed: Indices, regularisation: float, stiff: bool = True) -> None:
+        self._sizes = problem.dimension, len(closed), problem.ties
+        rows = sp.vstack([problem.normal[closed], problem.tie], format="csr")
+        added = regularisation * sp.identity(problem.dimension)
+        upper = sp.csr_matrix(problem.stiffness_rows + added if stiff else added)
+        lower = -(regularisation if stiff else 1.0) * sp.identity(rows.shape[0])
+        matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
+        self._factor = factorised(matrix)
+
+    def solve(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return u (n,), l (c,) and nu (k,) of the regularised system with this right-hand side."""
+        n, c, _ = self._sizes
+        found = self._factor(np.concatenate([force, gap, tie]))
+        return found[:n], found[n : n + c], found[n + c :]
+
+
+def factorised(matrix: Any) -> Callable[[Vector], Vector]:
+    """Return what solves with a quasi-definite matrix: PARDISO where it is installed and pays, else SuperLU."""
+    if matrix.shape[0] > LARGE and pardiso.available():
+        return pardiso.Pardiso(matrix, np.zeros(0, dtype=np.intp), pardiso.INDEFINITE).solve_all
+    from scipy.sparse.linalg import splu
+
+    try:
+        solve: Callable[[Vector], Vector] = splu(matrix, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS).solve
+    except (RuntimeError, ValueError) as error:
+        raise BackendFailed(f"superlu: {error}") from error
+    return solve
+
+
+@dataclass
+class Effort:
+    """What has been spent on saddle points."""
+
+    factorisations: int = 0
+    back_substitutions: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedState:
+    """An answer in which some contacts are held at their gap and the others have no force, and what it leaves.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+        The equilibrated problem, in whose units everything here is.
+    closed : (m,) array of bool
+        The contacts that are held.
+    answer : ExtendedAnswer
+        Displacement and forces.
+    left : Residuals
+        What the answer leaves of equilibrium, gaps and ties.
+    force, length : float
+        The largest force that meets at an unknown, the largest length.
+    force_residual, length_residual : float
+        The worst residual of equilibrium, and of closed contacts and ties, relative to these.
+    """
+
+    problem: ContactProblem
+    closed: Mask
+    answer: ExtendedAnswer
+    left: Residuals
+    force: float
+    length: float
+    force_residual: float
+    length_residual: float
+
+    @classmethod
+    def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
+        """Return the state of an answer, its forces on open contacts left out."""
+        force = answer.normal_force
+        force = Extended(np.where(closed, force.hi, 0.0), np.where(closed, force.lo, 0.0))
+        answer = ExtendedAnswer(answer.displacement, force, answer.tie_force)
+        left, doubles = residuals_of(extended_rows(problem), problem, answer), answer.double()
+        u = abs(doubles.displacement)
+        forces = problem.stiffness_sizes @ u + outer_forces(problem, doubles)
+        lengths = row_sizes(problem, problem.normal).size @ u + abs(problem.gap)
+        of_ties = row_sizes(problem, problem.tie).size @ u + abs(problem.tie_value)
+        longest = max(float(np.max(values, initial=0.0)) for values in (u, lengths[closed], of_ties))
+        # Where no force acts, those that would move the lengths that meet.
+        largest = max(float(np.max(forces, initial=0.0)), NO_FORCE * longest)
+        force_left, gap, open_tie = left.double(np.flatnonzero(closed))
+        unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
+        unbalanced = float(np.max(abs(force_left), initial=0.0))
+        parts = _part(unbalanced, largest), _part(unmet, longest)
+        return cls(problem, closed, answer, left, largest, longest, *parts)
+
+    @property
+    def residual(self) -> float:
+        """The larger of the two."""
+        return max(self.force_residual, self.length_residual)
+
+    def better_than(self, before: ClosedState, part: float = 1.0) -> bool:
+        """Whether one residual is less than a part of what it was, and the larger has not grown.
+
+        A sweep may mend one of them where rounding of the data keeps the other.
+        """
+        if self.residual < part * before.residual:
+            return True
+        product, last = (max(state.force_residual, FINE) * max(state.length_residual, FINE) for state in (self, before))
+        return bool(self.residual <= GROWS * before.residual and product < part * last)
+
+    @property
+    def solved(self) -> bool:
+        """Whether equilibrium, closed contacts and ties are met together."""
+        return self.residual <= MET
+
+    @property
+    def pulled(self) -> Mask:
+        """(m,) the closed contacts that are held in tension."""
+        return np.asarray(self.closed & (self.answer.normal_force.double() < -SIGNED * self.force))
+
+    @property
+    def penetrated(self) -> Mask:
+        """(m,) the open contacts that are penetrated."""
+        return np.asarray(~self.closed & (self.left.gap.double() < -SIGNED * self.length))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the answer solves the problem: it meets what it should, without tension and penetration."""
+        return self.solved and not (np.any(self.pulled) or np.any(self.penetrated))
+
+
+def _part(value: float, size: float) -> float:
+    return value / size if size > 0 else (np.inf if value > 0 else 0.0)
+
+
+def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
+    """Return the answer with these contacts closed that is nearest to a start; `solved` says whether there is one."""
+    state = ClosedState.of(problem, closed, start)
+    for regularisation in REGULARISATIONS:
+        try:
+            saddle = SparseSaddle(problem, np.flatnonzero(closed), regularisation)
+        except BackendFailed:  # too little was added for pivots on the diagonal
+            break
+        effort.factorisations += 1
+        after = _swept(state, saddle, effort)
+        # Rows that contradict each other by rounding are met no better: multipliers would only drift along them.
+        if regularisation < REGULARISATIONS[0] and state.solved and not after.better_than(state, WORTH_ANOTHER):
+            break
+        state = after
+        if state.residual <= FINE:
+            break
+    return state
+
+
+def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedState:
+    """Refine with one factorisation for as long as sweeps take a good part of the residual away."""
+    closed, slow = np.flatnonzero(state.closed), 0
+    for _ in range(SWEEPS):
+        if not state.residual > SOLVED:
+            break
+        effort.back_substitutions += 1
+        du, dl, dn = saddle.solve(*state.left.double(closed))
+        after = ClosedState.of(state.problem, state.closed, state.answer.corrected(du, closed, dl, dn))
+        if not after.better_than(state):
+            break
+        slow = 0 if after.better_than(state, CONTRACTS) else slow + 1
+        state = after
+        if slow == 2:
+            break
+    return state
+
+
+def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state with the least sum of forces that its closed contacts can have, none of them tension.
+
+    Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
+    without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
+    """
+    from scipy.optimize import linprog
+
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    resting = ExtendedAnswer(state.answer.displacement, *_no_forces(problem))
+    carried = residuals_of(extended_rows(problem), problem, resting).force.double()
+    size = float(np.max(abs(carried), initial=0.0)) or 1.0
+    count, ties = len(closed), problem.ties
+    found = linprog(
+        np.concatenate([np.ones(count), np.zeros(ties)]),
+        A_eq=sp.hstack([problem.normal[closed].T, problem.tie.T], format="csr"),
+        b_eq=carried / size,
+        bounds=[(0, None)] * count + [(None, None)] * ties,
+        method="highs",
+    )
+    if found.x is None:
+        return state
+    force, kept = np.zeros(problem.contacts), state.closed.copy()
+    force[closed] = size * found.x[:count]
+    kept[closed] = found.x[:count] > CARRIES
+    start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
+    least = solved_on(problem, kept, start, effort)
+    return least if least.holds else state
+
+
+def _no_forces(problem: ContactProblem) -> tuple[Extended, Extended]:
+    return extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
+
+
+def nearest_state(problem: ContactProblem, closed: Mask, start: Answer, effort: Effort) -> ClosedState:
+    """Return the state that changes of the closed contacts lead to; `holds` says whether it solves the problem.
+
+    Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
+    long as that makes them fewer.
+    """
+    state = solved_on(problem, closed, ExtendedAnswer.of(start), effort)
+    fewest, wasted = np.inf, 0
+    while state.solved and not state.holds:
+        pulled, penetrated = state.pulled, state.penetrated
+        wrong = int(np.sum(pulled) + np.sum(penetrated))
+        wasted = 0 if wrong < fewest else wasted + 1
+        if wasted > WASTED:
+            break
+        fewest = min(fewest, wrong)
+        state = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
+    return state
+
+
+def closed_in(problem: ContactProblem, answer: Answer) -> Mask:
+    """(m,) the contacts whose force, as a part of the largest, outweighs their gap as a part of the largest length."""
+    gap = problem.gap - problem.normal @ answer.displacement
+    forces = (answer.normal_force, answer.tie_force, problem.load)
+    force = max(float(np.max(abs(values), initial=0.0)) for values in forces)
+    length = float(np.max(abs(answer.displacement), initial=0.0))
+    return np.asarray(answer.normal_force * length > gap * force)
+
+
+@dataclass(frozen=True)
+class Uniqueness:
+    """Whether a state's displacement and its forces are the only ones of its closed contacts."""
+
+    displacement: bool
+    forces: bool
+
+
+def uniqueness(state: ClosedState) -> Uniqueness:
+    """Return which part of the answer on these closed contacts is unique.
+
+    The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
+    rows ask for differently, by 1/d times it. Forces and gaps at random do both.
+    """
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    saddle = SparseSaddle(problem, closed, REGULARISATIONS[0])
+    random = np.random.default_rng(0)
+    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in (problem.dimension, len(closed), problem.ties))
+    moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]
+    pushed = saddle.solve(force * 0.0, gap, tie)[1:]
+    most = ALMOST_FREE / REGULARISATIONS[0]
+    return Uniqueness(
+        float(np.max(abs(moved), initial=0.0)) < most,
+        float(max(np.max(abs(values), initial=0.0) for values in pushed)) < most,
+    )
+
+
+def refuse_indefinite(problem: ContactProblem) -> None:
+    """Raise InvalidProblem if K has negative curvature along a direction, which the message names; found out once."""
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.convex is None:
+        _refuse_indefinite(problem)
+        of_stiffness.convex = True
+
+
+def _refuse_indefinite(problem: ContactProblem) -> None:
+    twin, scaling = equilibrated(problem)
+    K = sp.csr_matrix(twin.stiffness_rows)
+    acting = np.flatnonzero(np.diff(K.indptr))
+    if K.nnz == len(acting) and np.array_equal(K.indices, acting):  # diagonal
+        lowest, direction = (
+            float(np.min(K.data, initial=0.0)),
+            np.eye(1, len(acting), int(np.argmin(K.data)))[0] if K.nnz else None,
+        )
+    else:
+        lowest, direction = _lowest(sp.csr_matrix(K[acting][:, acting]))
+    if direction is None or lowest >= 0:
+        return
+    z = np.zeros(problem.dimension)
+    z[acting] = direction / np.max(abs(direction))
+    curvature = extend(z).dot(extended_rows(twin).stiffness @ extend(z))
+    if curvature < -CURVED * float(abs(z) @ (twin.stiffness_sizes @ abs(z))):
+        z = scaling.unknowns * z
+        z = z / np.max(abs(z))
+        names = ", ".join(problem.dof_name(int(j)) for j in np.argsort(-abs(z))[:NAMED] if abs(z[j]) > CURVED)
+        size = float(z @ (problem.stiffness_rows @ z))
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got z'Kz = {size:.3g} along a direction z whose largest entry "
+            f"is one ({names}): the energy is not convex"
+        )
+
+
+def _lowest(matrix: Any) -> tuple[float, Vector | None]:
+    """The least eigenvalue and its vector, if a Cholesky factorisation finds a pivot that is not positive."""
+    lifted = sp.csc_matrix(matrix + CURVED * sp.identity(matrix.shape[0]))
+    if matrix.shape[0] <= DENSE_SIZE:
+        values, vectors = np.linalg.eigh(matrix.toarray())
+        return float(values[0]), vectors[:, 0]
+    try:
+        if matrix.shape[0] > LARGE and pardiso.available():
+            pardiso.Pardiso(lifted, np.zeros(0, dtype=np.intp))
+            return 0.0, None
+        if SuperLU(lifted).smallest_pivot > 0:
+            return 0.0, None
+    except (pardiso.NotPositive, InvalidProblem, BackendFailed):
+        pass
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    try:
+        values, vectors = eigsh(matrix, k=1, which="SA", v0=np.ones(matrix.shape[0]), tol=1e-8)
+    except ArpackNoConvergence:
+        return 0.0, None
+    return float(values[0]), vectors[:, 0]

@@ -1,0 +1,133 @@
+"""The active set without condensing: for as many constraints as unknowns, and for energies that K does not determine.
+
+An interior-point backend finds which contacts close; sparse saddle points of these, refined in extended precision, give
+the answer (`contactqp.linalg.sparse_saddle`). Where the backend stopped too early to tell, Newton's steps along the
+central path go on from its answer (`contactqp.linalg.interior_point`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
+from contactqp.linalg import pardiso
+from contactqp.linalg.equilibration import equilibrated, in_range
+from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
+from contactqp.linalg.interior_point import solved_from
+from contactqp.linalg.schur import LARGE
+from contactqp.linalg.sparse_saddle import ClosedState, Effort
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer, Candidate, Final, Work
+from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.runs import CONDENSES_ITSELF, Run
+
+# Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
+# whether it is shown the equilibrated problem. Clarabel scales best what it is given as it is, and its factors of rows
+# fill least; with bounds of single unknowns alone PIQP's are those of K.
+IDENTIFICATIONS = (("clarabel", 1e-9, False), ("piqp", 1e-11, True), ("clarabel", 1e-11, True), ("piqp", 1e-11, False))
+OF_BOUNDS = (("piqp", 1e-9, True), *IDENTIFICATIONS)
+
+
+class SparseRun(Run):
+    """The problem in all its unknowns and constraints, sparse.
+
+    Raises
+    ------
+    NoEquilibrium
+        The constraints conflict, or the energy falls for ever.
+    NotConverged
+        No backend's answer has led to a solution.
+    """
+
+    def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
+        super().__init__(problem, method)
+        self._effort = Effort()
+        self._twin, self._scaling = equilibrated(problem)
+        self._state: ClosedState | None = None
+        if not in_range(self._twin):
+            raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
+        if method.kind == CONDENSES_ITSELF:
+            self.candidate = self._identified(settings)
+        else:
+            self.candidate = method.solve(problem, settings)
+
+    def _identified(self, settings: Settings) -> Candidate:
+        """The answer of the first backend whose closed contacts lead to a solution."""
+        tried = []
+        if not self.problem.contacts:
+            return self._linear()
+        if settings.warm_start is not None and self._settle(settings.warm_start):
+            return replace(settings.warm_start, iterations=0)
+        bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
+        for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
+            method = find(name)
+            if not method.installed:
+                continue
+            try:
+                found = method.solve(
+                    self._twin if scaled else self.problem, Settings(tolerance, None, settings.time_limit, None, {})
+                )
+            except (BackendFailed, BackendMissing, Unsupported) as error:
+                tried.append(str(error))
+                continue
+            found = self._scaling.unscale(found) if scaled else found
+            if self._settle(found):
+                return found
+            tried.append(found.status)
+        self.refuse_conflict()
+        raise NotConverged(f"{self.name}: no interior point led to closed contacts that hold ({'; '.join(tried)})")
+
+    def _linear(self) -> Candidate:
+        """Without contacts there is one linear system and nothing to identify."""
+        u, normal, tie = (np.zeros(size) for size in (self.problem.dimension, 0, self.problem.ties))
+        state = solved_from(self._twin, Answer(u, normal, None, tie), self._effort)
+        if not state.holds:
+            self.refuse_conflict()
+            raise NotConverged(f"{self.name}: the linear system leaves {state.residual:.2g} of what meets")
+        self._state = state
+        return self._scaling.unscale(_candidate(state, "a linear system"))
+
+    def _settle(self, candidate: Candidate) -> bool:
+        """Whether a candidate leads to a solution, which is kept."""
+        scaled = self._scaling.scale(candidate)
+        answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+        state = solved_from(self._twin, answer, self._effort)
+        self._state = state if state.holds else None
+        return state.holds
+
+    def final(self) -> Final:
+        """The answer that is to be certified: settled, or as a backend left it."""
+        if self._state is None and self.polish and self.method.polish and self.candidate.finite:
+            self._settle(self.candidate)
+        if self._state is None:
+            found = self.candidate
+            return Final(found.displacement, found.normal_force, found.tie_force)
+        found = self._scaling.unscale(_candidate(self._state))
+        return Final(found.displacement, found.normal_force, found.tie_force, polished=True)
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far: factorisations of saddle points, those of the backend apart."""
+        return Work(
+            factorisations=self._effort.factorisations,
+            back_substitutions=self._effort.back_substitutions,
+            iterations=self.candidate.iterations,
+            retained=self.problem.dimension,
+            polish_corrections=corrections,
+            solver="pardiso" if self.problem.dimension > LARGE and pardiso.available() else "superlu",
+        )
+
+    def refuse_conflict(self) -> None:
+        """Raise NoEquilibrium if the constraints conflict or the energy falls for ever."""
+        if self._state is not None:
+            return  # it meets them all to rounding of the largest length
+        refuse_sparse_conflict(self.problem)
+        refuse_sparse_drive(self.problem)
+
+
+def _candidate(state: ClosedState, status: str = "") -> Candidate:
+    """The settled answer in doubles; forces that rounding has left of zero are zero."""
+    answer = state.answer.double()
+    force = answer.normal_force.clip(min=0.0)
+    return Candidate(answer.displacement, force, answer.tie_force, status=status)

@@ -1,0 +1,234 @@
+"""The active set on sparse systems: many constraints, linear programs, vertices where many rows meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+import contactqp as cq
+from contactqp.linalg.sparse_saddle import constraints_are_many
+
+
+def membrane(nodes: int, height: float) -> cq.ContactProblem:
+    """A square membrane under a pressure that pushes it against an obstacle at this height over every node."""
+    h = 1.0 / (nodes + 1)
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(nodes, nodes))
+    one = sp.identity(nodes)
+    K = sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one))
+    size = nodes * nodes
+    return cq.ContactProblem(K, np.full(size, h * h), sp.identity(size, format="csr"), np.full(size, height))
+
+
+def transport(seed: int, sources: int = 6, sinks: int = 7) -> cq.ContactProblem:
+    """Carry goods from sources to sinks for the least cost: K = 0, and degenerate as integers make it."""
+    rng = np.random.default_rng(seed)
+    supply, demand = np.full(sources, float(sinks)), np.full(sinks, float(sources))
+    rows = sp.vstack([sp.kron(sp.identity(sources), np.ones(sinks)), sp.kron(np.ones(sources), sp.identity(sinks))])
+    cost = rng.integers(1, 10, sources * sinks).astype(float)
+    size = sources * sinks
+    nothing = sp.csr_matrix((size, size))
+    return cq.ContactProblem.from_qp(nothing, cost, A=rows, b=np.r_[supply, demand], lb=np.zeros(size))
+
+
+def least_cost(problem: cq.ContactProblem) -> float:
+    program = problem.to_qp()
+    found = linprog(program.q, A_eq=program.A, b_eq=program.b, bounds=(0.0, None))
+    return float(found.fun)
+
+
+@pytest.mark.parametrize("height", [0.068, 0.03, 0.0025])
+def test_a_membrane_over_an_obstacle_is_solved_without_condensing(height: float) -> None:
+    problem = membrane(40, height)
+    assert constraints_are_many(problem)
+    sparse = cq.solve(problem)
+    assert sparse.certificate.proven
+    assert sparse.certificate.determined == "displacement"
+    assert sparse.work.retained == problem.dimension
+    condensed = cq.solve(problem, condense=True)
+    assert np.any(condensed.normal_force > 0)
+    assert sparse.displacement == pytest.approx(condensed.displacement, rel=1e-12, abs=1e-15)
+    assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-14)
+
+
+def test_few_contacts_on_a_body_are_condensed_as_ever() -> None:
+    problem = membrane(40, 0.03)
+    few = cq.ContactProblem(problem.stiffness, problem.load, problem.normal[::40], problem.gap[::40])
+    assert not constraints_are_many(few)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
+    problem = transport(seed)
+    solution = cq.solve(problem)
+    certificate = solution.certificate
+    assert certificate.passed, certificate
+    least = least_cost(problem)
+    assert solution.energy == pytest.approx(least, rel=1e-12)
+    assert certificate.energy_bounds is not None
+    lower, upper = certificate.energy_bounds
+    assert lower <= least * (1 + 1e-9)
+    assert upper >= least * (1 - 1e-9)
+    assert upper - lower <= 1e-9 * least
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_feasible_answer_that_costs_more_is_refused(seed: int) -> None:
+    """Moved along a cycle of four, everything stays met, and the multipliers are those of the truth."""
+    problem = transport(seed)
+    solution = cq.solve(problem)
+    u = solution.displacement.reshape(6, 7).copy()
+    carried = np.argwhere(u > 0.5)
+    first = carried[0]
+    second = next(other for other in carried if other[0] != first[0] and other[1] != first[1])
+    moved = 1e-3
+    u[tuple(first)] -= moved
+    u[tuple(second)] -= moved
+    u[first[0], second[1]] += moved
+    u[second[0], first[1]] += moved
+    cost = problem.energy(u.ravel()) - solution.energy
+    answer = dict(normal_force=solution.normal_force, tie_force=solution.tie_force)
+    assert cq.certify(problem, displacement=u.ravel(), **answer).passed == (abs(cost) < 1e-9)
+
+
+def test_multipliers_that_do_not_balance_are_refused() -> None:
+    problem = transport(3)
+    solution = cq.solve(problem)
+    tie = solution.tie_force.copy()
+    tie[2] += 1e-6
+    answer = dict(displacement=solution.displacement, normal_force=solution.normal_force, tie_force=tie)
+    assert not cq.certify(problem, **answer).passed
+
+
+@pytest.mark.parametrize("shift", [1e-6, -1e-6])
+def test_a_force_that_is_off_by_a_millionth_is_refused(shift: float) -> None:
+    problem = membrane(30, 0.03)
+    solution = cq.solve(problem, condense=False)
+    force = solution.normal_force.copy()
+    force[int(np.argmax(force))] *= 1 + shift
+    answer = dict(displacement=solution.displacement, normal_force=force)
+    assert cq.certify(problem, displacement=solution.displacement, normal_force=solution.normal_force).passed
+    assert not cq.certify(problem, **answer).passed
+
+
+def test_rows_that_repeat_and_a_vertex_where_many_meet() -> None:
+    """The corner of a box of 30 unknowns at which 90 rows meet, each side three times in other lengths."""
+    n, rng = 30, np.random.default_rng(4)
+    rows = np.vstack([np.eye(n), 3.0 * np.eye(n), np.eye(n) / 7.0])
+    limit = np.concatenate([np.ones(n), 3.0 * np.ones(n), np.ones(n) / 7.0])
+    problem = cq.ContactProblem.from_qp(np.zeros((n, n)), -rng.uniform(1, 2, n), G=rows, h=limit)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.displacement == pytest.approx(np.ones(n), rel=1e-14)
+    assert np.min(solution.normal_force) >= 0.0
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_banded_inequalities_agree_with_condensing(order: int) -> None:
+    """The nearest sequence whose differences of an order are not negative, as in LISWET."""
+    n, rng = 60, np.random.default_rng(order)
+    t = np.linspace(0.0, 1.0, n)
+    data = t**order + 0.1 * np.sin(9 * t) + 0.01 * rng.standard_normal(n)
+    differences = sp.identity(n, format="csr")
+    for _ in range(order):
+        differences = differences[1:] - differences[:-1]
+    problem = cq.ContactProblem.from_qp(sp.identity(n), -data, G=-differences, h=np.zeros(differences.shape[0]))
+    sparse, condensed = (cq.solve(problem, condense=condense) for condense in (False, True))
+    assert sparse.certificate.proven
+    assert sparse.displacement == pytest.approx(condensed.displacement, rel=1e-9)
+
+
+def test_optimal_control_agrees_with_condensing() -> None:
+    """x' = A x + B v in steps, as many equations as states, bounds on the control, no weight on the velocity."""
+    steps = 40
+    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([0.005, 0.1])
+    size = 3 * steps
+    rows, values = np.zeros((2 * steps, size)), np.zeros(2 * steps)
+    for k in range(steps):
+        rows[2 * k : 2 * k + 2, 3 * k : 3 * k + 2] = np.eye(2)
+        rows[2 * k : 2 * k + 2, 3 * k + 2] = -B
+        if k:
+            rows[2 * k : 2 * k + 2, 3 * k - 3 : 3 * k - 1] = -A
+    values[:2] = A @ [1.0, 0.0]
+    weight = np.tile([1.0, 0.0, 0.01], steps)
+    bound = np.tile([np.inf, np.inf, 0.8], steps)
+    problem = cq.ContactProblem.from_qp(np.diag(weight), np.zeros(size), A=rows, b=values, lb=-bound, ub=bound)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert np.sum(solution.normal_force > 0) > 3
+    theirs = cq.solve(problem, "clarabel")
+    assert solution.energy == pytest.approx(theirs.energy, rel=1e-12)
+    assert abs(solution.displacement[2::3]).max() <= 0.8 * (1 + 1e-12)
+
+
+def test_conflicts_are_proven_and_named() -> None:
+    n = 20
+    rows = np.vstack([np.ones((1, n)), -np.eye(n)])
+    problem = cq.ContactProblem.from_qp(np.zeros((n, n)), np.ones(n), G=rows, h=np.r_[1.0, -np.ones(n)])
+    with pytest.raises(cq.NoEquilibrium, match="row 0") as caught:
+        cq.solve(problem)
+    assert caught.value.proof.excess == pytest.approx(n - 1)
+
+
+def test_an_energy_that_falls_for_ever_is_told_with_the_direction() -> None:
+    n = 20
+    load = np.ones(n)
+    problem = cq.ContactProblem.from_qp(np.zeros((n, n)), load, ub=np.zeros(n))
+    with pytest.raises(cq.NoEquilibrium, match="falls for ever") as caught:
+        cq.solve(problem)
+    motion = caught.value.proof.motion
+    assert problem.load @ motion > 0
+    assert np.all(problem.normal @ motion <= 0)
+
+
+def test_an_indefinite_stiffness_is_refused_with_its_direction() -> None:
+    n = 1500
+    K = sp.diags([np.full(n, 2.0), np.full(n - 1, -1.2), np.full(n - 1, -1.2)], [0, -1, 1])
+    problem = cq.ContactProblem(sp.csr_matrix(K), np.ones(n), sp.identity(n, format="csr"), np.ones(n))
+    with pytest.raises(cq.InvalidProblem, match=r"z'Kz = -.*not convex"):
+        cq.solve(problem)
+
+
+def test_rows_that_contradict_by_rounding_are_believed_and_not_proven() -> None:
+    """x + y = 0.3 and x + y = 0.1 + 0.2 differ in the last place; nothing else is wrong with them."""
+    n = 16
+    rows = np.zeros((2, n))
+    rows[:, :2] = 1.0
+    problem = cq.ContactProblem.from_qp(
+        np.zeros((n, n)), np.arange(1.0, n + 1.0), A=rows, b=[0.3, 0.1 + 0.2], lb=np.zeros(n)
+    )
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert not solution.certificate.proven
+    assert "rounding of the data" in solution.certificate.reasons[0]
+    assert solution.displacement[0] == pytest.approx(0.3, rel=1e-12)
+
+
+@pytest.mark.parametrize("backend", ["clarabel", "piqp"])
+def test_backends_are_polished_on_sparse_systems(backend: str) -> None:
+    pytest.importorskip(backend)
+    problem = membrane(40, 0.03)
+    solution, default = cq.solve(problem, backend), cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.raw is not None
+    assert solution.displacement == pytest.approx(default.displacement, rel=1e-13)
+
+
+@pytest.mark.parametrize("factor", [2.0**-40, 2.0**40])
+def test_units_change_nothing(factor: float) -> None:
+    problem = transport(5)
+    other = cq.ContactProblem(
+        problem.stiffness,
+        problem.load * factor,
+        problem.normal,
+        problem.gap * factor**2,
+        None,
+        None,
+        None,
+        problem.tie,
+        problem.tie_value * factor**2,
+    )
+    first, second = cq.solve(problem), cq.solve(other)
+    assert second.certificate.passed
+    assert second.energy == pytest.approx(first.energy * factor**3, rel=1e-12)
