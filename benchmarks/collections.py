@@ -1,0 +1,166 @@
+"""Quadratic programs of other people: what is passed, how narrow the energy is enclosed, in what time.
+
+    python -m benchmarks.collections FOLDER                     # .mat of qpbenchmark, .npz of qpsolvers, .qps
+    python -m benchmarks.collections FOLDER --method clarabel   # another method of `solve`
+    python -m benchmarks.collections FOLDER --limit 60 --only QAFIRO HS118
+
+A row a problem: `cq.solve` with its certificate (`proven`, `passed`, or why not), what the problem determines, the
+width of the enclosed energy as a part of it, seconds; beside it PIQP and Clarabel as they are, at tolerances of 1e-9,
+by qpsolvers: whether they call it found, and seconds. Each problem is read and solved in a process of its own, after a
+small one that loads what is needed, one after another, with the threads of the environment (OMP_NUM_THREADS), and given
+up after the limit. At the end the counts, the shifted geometric means of the seconds (shift 1 s, the limit where
+nothing was found) over PIQP's, and how many problems were passed within 1, 2, 5, 10, ... times the time of the fastest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+import contactqp as cq
+
+BESIDE = {
+    "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
+    "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+}
+TOLERANCE, LIMIT, SHIFT = 1e-9, 60.0, 1.0
+FACTORS = (1, 2, 5, 10, 100, 1000)
+
+
+def solved(path: str, method: str) -> dict[str, Any]:
+    """What `cq.solve` makes of a file."""
+    problem = cq.read_problem(path)
+    for condense in (True, False):
+        cq.solve(cq.ContactProblem([[1.0]], [1.0], [[1.0]], [0.5]), condense=condense)
+    started = time.perf_counter()
+    row: dict[str, Any] = dict(unknowns=problem.dimension, rows=problem.contacts, ties=problem.ties)
+    try:
+        solution = cq.solve(problem, method)
+    except cq.ContactQPError as error:
+        return row | dict(verdict=type(error).__name__, why=str(error)[:200], seconds=time.perf_counter() - started)
+    certificate = solution.certificate
+    width = None
+    if certificate.energy_bounds is not None:
+        lower, upper = certificate.energy_bounds
+        width = (upper - lower) / max(abs(lower), np.finfo(float).tiny)
+    elif certificate.energy_error is not None:
+        width = certificate.energy_error**2
+    verdict = "proven" if certificate.proven else "passed" if certificate.passed else "refused"
+    row |= dict(verdict=verdict, determined=certificate.determined, width=width, energy=solution.energy)
+    return row | dict(seconds=time.perf_counter() - started)
+
+
+def as_it_is(path: str, backend: str) -> dict[str, Any]:
+    """A backend's own answer to the same arrays, and whether it passes."""
+    from qpsolvers import Problem, solve_problem
+
+    problem = cq.read_problem(path)
+    program = problem.to_qp()
+    arrays = {name: _own(value) for name, value in vars(program).items()}
+    options = dict.fromkeys(BESIDE[backend], TOLERANCE)
+    solve_problem(Problem(sp.identity(2, format="csc"), np.ones(2), lb=np.zeros(2)), backend, **options)
+    started = time.perf_counter()
+    try:
+        answer = solve_problem(Problem(**arrays), backend, **options)
+    except (ValueError, TypeError, RuntimeError, ArithmeticError, cq.ContactQPError) as error:
+        return dict(verdict=type(error).__name__, seconds=time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return dict(verdict="found" if answer.found else "not found", seconds=seconds)
+
+
+def _own(value: Any) -> Any:
+    """A copy that a backend may write to, sparse matrices by columns."""
+    if value is None:
+        return None
+    return sp.csc_matrix(value, copy=True) if np.ndim(value) == 2 or sp.issparse(value) else np.array(value)
+
+
+def _in_process(work: Callable[..., dict[str, Any]], arguments: tuple[Any, ...], pipe: Any) -> None:
+    pipe.send(json.dumps(work(*arguments)))
+
+
+def apart(work: Callable[..., dict[str, Any]], *arguments: Any, limit: float) -> dict[str, Any]:
+    """The outcome of a function in a process of its own, ended after the limit."""
+    here, there = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("spawn").Process(target=_in_process, args=(work, arguments, there))
+    process.start()
+    there.close()
+    try:
+        outcome: dict[str, Any] = json.loads(here.recv()) if here.poll(limit + 10) else dict(verdict="out of time")
+    except EOFError:
+        outcome = dict(verdict="out of memory")
+    process.kill()
+    process.join()
+    if outcome.get("seconds", 0.0) > limit:
+        outcome["verdict"] = "out of time"
+    return dict(seconds=limit) | outcome
+
+
+def geometric_mean(rows: list[dict[str, Any]], good: tuple[str, ...], limit: float) -> float:
+    """The shifted geometric mean of seconds, the limit where the verdict is not a good one."""
+    seconds = [row["seconds"] if row["verdict"] in good else limit for row in rows]
+    return float(np.exp(np.mean(np.log(np.array(seconds) + SHIFT))) - SHIFT)
+
+
+def profile(rows: list[dict[str, Any]], fastest: list[float], good: tuple[str, ...]) -> list[int]:
+    """How many are good within so many times the fastest."""
+    pairs = [(row, best) for row, best in zip(rows, fastest, strict=True) if row["verdict"] in good]
+    return [sum(row["seconds"] <= factor * max(best, 1e-3) for row, best in pairs) for factor in FACTORS]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--method", default="active-set")
+    parser.add_argument("--limit", type=float, default=LIMIT)
+    parser.add_argument("--only", nargs="*")
+    asked = parser.parse_args(arguments)
+    files = sorted(file for file in asked.folder.iterdir() if file.suffix in (".mat", ".npz", ".qps", ".mps"))
+    files = [file for file in files if not asked.only or file.stem in asked.only]
+    if not files:
+        parser.error(f"{asked.folder}: no quadratic programs")
+    print(f"# {asked.method}; {os.environ.get('OMP_NUM_THREADS', 'all')} threads; limit {asked.limit:g} s")
+    ours: list[dict[str, Any]] = []
+    others: dict[str, list[dict[str, Any]]] = {name: [] for name in BESIDE}
+    for file in files:
+        row = apart(solved, str(file), asked.method, limit=asked.limit)
+        ours.append(row)
+        for name, rows in others.items():
+            rows.append(apart(as_it_is, str(file), name, limit=asked.limit))
+        width = f"{row['width']:.0e}" if row.get("width") is not None else "-"
+        beside = "  ".join(f"{name} {rows[-1]['verdict']} {rows[-1]['seconds']:.2f}" for name, rows in others.items())
+        counts = f"{row.get('unknowns', 0):6d} {row.get('rows', 0):6d} {row.get('ties', 0):6d}"
+        said = f"{row['verdict']:13s} {row.get('determined', ''):12s} {width:6s} {row['seconds']:7.2f}"
+        print(f"{file.stem:12s} {counts}  {said}  {beside}  {row.get('why', '')[:90]}", flush=True)
+    _summary(ours, others, asked.limit)
+    return 0
+
+
+def _summary(ours: list[dict[str, Any]], others: dict[str, list[dict[str, Any]]], limit: float) -> None:
+    passed, good = ("proven", "passed"), ("found",)
+    narrow = sum(row["verdict"] == "proven" and (row.get("width") or 0.0) <= TOLERANCE for row in ours)
+    print(f"\npassed {sum(row['verdict'] in passed for row in ours)} of {len(ours)}, ", end="")
+    print(f"proven {sum(row['verdict'] == 'proven' for row in ours)}, energy enclosed to {TOLERANCE:g} {narrow}")
+    means = {"contactqp": geometric_mean(ours, passed, limit)}
+    means |= {name: geometric_mean(rows, good, limit) for name, rows in others.items()}
+    for name, mean in means.items():
+        print(f"  {name:10s} shifted geometric mean {mean:.3f} s, {mean / means['piqp']:.2f} of PIQP's")
+    every = [(ours, passed), *((rows, good) for rows in others.values())]
+    fastest = [min(rows[i]["seconds"] for rows, _ in every) for i in range(len(ours))]
+    print(f"  within {', '.join(map(str, FACTORS))} times the fastest:")
+    for name, (rows, verdicts) in zip(means, every, strict=True):
+        print(f"  {name:10s} {profile(rows, fastest, verdicts)}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
