@@ -30,7 +30,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
-from contactqp.linalg.measures import own_compliance, ratio
+from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, stage
 from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.sparse_saddle import constraints_are_many
@@ -42,6 +42,9 @@ from contactqp.model.solution import FIGURES, FIGURES_ALONE, Answer, Certificate
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
 ROUNDING_OF_ANSWERS = 1e-3
+# A relative error beyond which bounds are tried in another way where K is singular.
+FAR = 1e-6
+MOTIONS_OF_A_BODY = 6
 
 
 @own_floating_point
@@ -177,17 +180,28 @@ def _residuals_and_bounds(
         return left, *bounds_among(problem, answer, left, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
     known = bounds(problem, answer, left, condensation)
-    if known.suspicious is not None or known.energy_error == np.inf:
+    far = FAR if condensation.rigid.count else np.finfo(float).max
+    if known.suspicious is not None or (known.energy_error is not None and known.energy_error > far):
         known = _by_energy(problem, answer, known, condensation.rigid)
     return left, known, condensation.rigid, condensation
 
 
 def _by_energy(problem: ContactProblem, answer: Answer, known: Bounds, rigid: RigidMotions) -> Bounds:
-    """The bounds from the solution nearest to an answer, where condensed systems prove nothing and nothing floats."""
-    if problem.frictional or rigid.count:
+    """The bounds from the solution nearest to an answer, where condensed systems prove nothing and no body floats."""
+    if problem.frictional or _floats(problem, rigid):
         return known
     found = energy_bounds(problem, answer)
     return found if found.proven else known
+
+
+def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
+    """Whether bodies float: their stiffness, being rounded, resists rigid motions, and the energy would count that.
+
+    Unknowns without stiffness are no bodies, nor is what moves in more ways without energy than bodies do.
+    """
+    stiff = problem.diagonal > 0
+    motions = int(np.sum(np.any(rigid.motions[stiff] != 0, axis=0)))
+    return 0 < motions <= MOTIONS_OF_A_BODY * len(np.unique(bodies(problem)[stiff]))
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:

@@ -15,7 +15,9 @@ from contactqp.model.solution import Answer, Candidate, Nothing
 # Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.
 ROUNDS = 12
 # Unknowns without stiffness that the bodies of a contact problem may have; a quadratic program has more.
-MOST_BARE = 12
+MOST_BARE = 6
+# Where no length is imposed there is none beneath this part of the load.
+NO_LENGTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,16 @@ def _power_of_two(values: Array) -> Array:
     return np.asarray(2.0 ** np.round(np.log2(values)))
 
 
+def least_length(twin: ContactProblem) -> float:
+    """The length beneath which an equilibrated problem has none, where nothing imposes one.
+
+    K being one at most, what a load moves then is as large as the load, or nothing.
+    """
+    if np.any(twin.gap) or np.any(twin.tie_value):
+        return 0.0
+    return NO_LENGTH * _size(twin.load_size)
+
+
 def mostly_bare(problem: ContactProblem) -> bool:
     """Whether K has no entry at many unknowns that a load drives or rows join, as in a linear program.
 
@@ -138,12 +150,12 @@ def mostly_bare(problem: ContactProblem) -> bool:
 
 def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Nothing:
     """What is nothing where K gives no scale: this part of the largest force and length, in equilibrated units."""
-    _, scaling = equilibrated(problem)
+    twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)
     meeting = problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
     meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force) + problem.load_size
     lengths = (u / scaling.unknowns, abs(problem.tie_value) / scaling.ties)
-    length = part * max(float(np.max(sizes, initial=0.0)) for sizes in lengths)
+    length = part * max(least_length(twin) * scaling.length, *(_size(sizes) for sizes in lengths))
     # Where no force acts, those that would move the largest length.
     stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
     force = max(part * float(np.max(meeting * scaling.unknowns, initial=0.0)), stiffest * length)

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, unknown_scale
-from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.equilibration import Scaling, equilibrated
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
@@ -36,6 +36,8 @@ REMAINING = 1e-7
 PROGRAMS = 4
 # Slacks that are so many times the excess do not bound a program that removes the excess.
 FAR = 1e7
+# Projections of a motion onto what the rows leave free: the second takes away what the first has rounded.
+PROJECTIONS = 2
 # A multiplier or a displacement of this part of the largest takes no part in a conflict or a motion.
 NO_PART = 1e-9
 # Rounding of a length and of the sums behind it, relative to the lengths that meet; of a weighted sum of rows likewise.
@@ -321,19 +323,38 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
         return
     found_motion: Vector = np.asarray(answer.x, dtype=float)
     z: Vector = np.where(abs(found_motion) > DRIVEN, found_motion, 0.0)
-    whole: Vector = np.round(z)
-    z = whole if np.any(whole) and _unresisted_exactly(twin, held, whole) else z
-    work = float(extend(twin.load).dot(extend(z)))
-    rounding = ROUNDING * float(abs(twin.load) @ abs(z))
-    if not (_unresisted_exactly(twin, held, z) and work > max(rounding, DRIVEN * float(np.max(abs(twin.load))))):
-        return
-    motion = scaling.unknowns * z
-    found = DrivenMotion(motion / np.max(abs(motion)), work * scaling.force / float(np.max(abs(motion))), rounding)
+    z = _projected(twin, held, z)
+    least = DRIVEN * float(np.max(abs(twin.load)))
+    for motion in (np.round(z), z):  # whole numbers are exact, where they will do
+        work = float(extend(twin.load).dot(extend(motion)))
+        rounding = ROUNDING * float(abs(twin.load) @ abs(motion))
+        if work > max(rounding, least) and _unresisted_exactly(twin, held, motion):
+            _refuse_drive(problem, scaling, motion, work, rounding)
+
+
+def _refuse_drive(problem: ContactProblem, scaling: Scaling, motion: Vector, work: float, rounding: float) -> None:
+    moved = scaling.unknowns * motion
+    largest = float(np.max(abs(moved)))
+    found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
     raise NoEquilibrium(
         f"the load drives a motion that nothing resists, and the energy falls for ever: "
         f"{describe_motion(problem, found.motion)}",
         found,
     )
+
+
+def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
+    """A motion without what it moves of the rows that a linear program's tolerance took for unmoved."""
+    from scipy.sparse.linalg import lsqr
+
+    moved = problem.normal @ motion
+    resting = problem.normal[np.flatnonzero(abs(moved) <= DRIVEN * (abs(problem.normal) @ abs(motion)))]
+    rows = sp.csr_matrix(sp.vstack([held, resting]))
+    still = motion == 0
+    rows = rows @ sp.diags((~still).astype(float))
+    for _ in range(PROJECTIONS):
+        motion = np.where(still, 0.0, motion - lsqr(rows, rows @ motion, atol=1e-16, btol=1e-16)[0])
+    return motion
 
 
 def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> bool:

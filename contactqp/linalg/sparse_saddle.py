@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
-from contactqp.linalg.equilibration import equilibrated, mostly_bare
+from contactqp.linalg.equilibration import equilibrated, least_length, mostly_bare
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import DENSE_SIZE, DIAGONAL_PIVOTS, MINIMUM_DEGREE, SuperLU
 from contactqp.linalg.measures import outer_forces, row_sizes
@@ -46,6 +46,8 @@ SWEEPS, CONTRACTS = 20, 0.3
 SOLVED = 2.0**-88
 # Rows that leave more than this part of the largest length are not met: nothing solves them together.
 MET = 1e-14
+# The same beside what acts and what is imposed, which may be less than what meets.
+MET_BESIDE_IMPOSED = 1e-10
 # Forces and lengths beneath this part of the largest have no sign: they are known to some 1e-28 of it.
 SIGNED = 1e-20
 # Beneath this part of what it takes to move the lengths that meet there is no force.
@@ -164,6 +166,9 @@ class ClosedState:
         The largest force that meets at an unknown, the largest length.
     force_residual, length_residual : float
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
+    unmet : float
+        The larger of them relative to the forces that act, those of load and stiffness, and to the lengths that are
+        imposed: forces that press against each other and unknowns that run away hide nothing.
     """
 
     problem: ContactProblem
@@ -174,6 +179,7 @@ class ClosedState:
     length: float
     force_residual: float
     length_residual: float
+    unmet: float
 
     @classmethod
     def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
@@ -183,16 +189,23 @@ class ClosedState:
         answer = ExtendedAnswer(answer.displacement, force, answer.tie_force)
         left, doubles = residuals_of(extended_rows(problem), problem, answer), answer.double()
         u = abs(doubles.displacement)
-        forces = problem.stiffness_sizes @ u + outer_forces(problem, doubles)
+        strain = problem.stiffness_sizes @ u
+        forces = strain + outer_forces(problem, doubles)
         lengths = row_sizes(problem, problem.normal).size @ u + abs(problem.gap)
         of_ties = row_sizes(problem, problem.tie).size @ u + abs(problem.tie_value)
         longest = max(float(np.max(values, initial=0.0)) for values in (u, lengths[closed], of_ties))
+        loaded = float(np.max(problem.load_size, initial=0.0))
+        longest = max(longest, least_length(problem))
         # Where no force acts, those that would move the lengths that meet.
         largest = max(float(np.max(forces, initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
         unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
         unbalanced = float(np.max(abs(force_left), initial=0.0))
-        parts = _part(unbalanced, largest), _part(unmet, longest)
+        acting = max(float(np.max(strain, initial=0.0)), loaded)
+        limits = np.concatenate([abs(problem.gap[closed]), abs(problem.tie_value)])
+        imposed = float(np.max(limits, initial=0.0)) or longest
+        hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))
+        parts = _part(unbalanced, largest), _part(unmet, longest), hidden
         return cls(problem, closed, answer, left, largest, longest, *parts)
 
     @property
@@ -213,7 +226,7 @@ class ClosedState:
     @property
     def solved(self) -> bool:
         """Whether equilibrium, closed contacts and ties are met together."""
-        return self.residual <= MET
+        return self.residual <= MET and self.unmet <= MET_BESIDE_IMPOSED
 
     @property
     def pulled(self) -> Mask:

@@ -1,19 +1,13 @@
 """The hard bodies, smaller: both sparse solvers give one certified answer on each."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import contactqp as cq
+from benchmarks import hard_bodies
 from contactqp.linalg import schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.pardiso import available
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import hard_bodies
 
 
 @pytest.mark.sampled(3)
