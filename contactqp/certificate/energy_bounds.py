@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
-from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, mostly_bare
+from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.interior_point import settled
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, refuse_indefinite, uniqueness
@@ -124,7 +124,8 @@ def _energy(problem: ContactProblem, answer: ExtendedAnswer) -> tuple[float, flo
     elastic = 0.5 * u.dot(extended_rows(problem).stiffness @ u)
     work = u.dot(extend(problem.load))
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
-    return elastic - work, max(elastic, abs(work)) or float(lifted)
+    least = least_length(problem) * float(np.max(problem.load_size, initial=0.0))
+    return elastic - work, max(elastic, abs(work), least) or float(lifted)
 
 
 def _relative(error: float, scale: float) -> float:
