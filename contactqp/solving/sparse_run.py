@@ -62,11 +62,8 @@ class SparseRun(Run):
             return replace(settings.warm_start, iterations=0)
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
-            method = find(name)
-            if not method.installed:
-                continue
             try:
-                found = method.solve(
+                found = find(name).solve(
                     self._twin if scaled else self.problem, Settings(tolerance, None, settings.time_limit, None, {})
                 )
             except (BackendFailed, BackendMissing, Unsupported) as error:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -213,6 +216,17 @@ def test_backends_are_polished_on_sparse_systems(backend: str) -> None:
     assert solution.certificate.proven
     assert solution.raw is not None
     assert solution.displacement == pytest.approx(default.displacement, rel=1e-13)
+
+
+def test_what_the_package_depends_on_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_all = [cq.solve(problem) for problem in (membrane(20, 0.03), transport(3))]
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "piqp" else find(name, *a))
+    monkeypatch.setitem(sys.modules, "piqp", None)
+    for problem, known in zip((membrane(20, 0.03), transport(3)), with_all, strict=True):
+        found = cq.solve(problem)
+        assert found.certificate.proven
+        assert found.energy == pytest.approx(known.energy, rel=1e-12)
 
 
 @pytest.mark.parametrize("factor", [2.0**-40, 2.0**40])
