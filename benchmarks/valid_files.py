@@ -68,10 +68,60 @@ def seeds(root: Path) -> list[Seed]:
     _add_answers(add)
     add_printed(add, _whole)
     _add_local(add)
+    _add_quadratic_programs(add)
     _add_ansys(add)
     for kind in ("inp", "msh22", "msh41", "vtu"):
         add(f"mesh-{kind}", lambda folder, kind=kind: _write_mesh(folder, kind), _read_mesh)
     return found
+
+
+QPS = """NAME SMALL
+ROWS
+ N  cost
+ L  wall
+ E  tied
+COLUMNS
+ x  cost  -2.0  wall  1.0
+ x  tied  1.0
+ y  cost  -1.0  tied  -1.0
+RHS
+ RHS  wall  0.1  tied  0.01
+BOUNDS
+ UP BND  y  0.5
+QUADOBJ
+ x  x  4.0
+ x  y  -1.0
+ y  y  5.0
+ENDATA
+"""
+
+
+def _add_quadratic_programs(add: Add) -> None:
+    """The same energy and constraints in each form that is not a contact problem's own."""
+    program = problem().to_qp()
+    rows = sp.vstack([program.G, program.A, sp.identity(3)])
+    bounds = {
+        "l": np.concatenate([[-1e20, -1e20], program.b, np.full(3, -1e20)]),
+        "u": np.concatenate([program.h, program.b, np.full(3, 1e20)]),
+    }
+    arrays = {name: getattr(program, name) for name in ("q", "h", "b")}
+    matrices = {name: getattr(program, name).toarray() for name in ("P", "G", "A")}
+
+    def matlab(file: Path) -> None:
+        scipy.io.savemat(file, {"P": program.P, "q": program.q, "A": rows, **bounds, "r": 0.0})
+
+    formats: dict[str, Callable[[Path], object]] = {
+        "program.mat": matlab,
+        "program.npz": lambda file: np.savez(file, **arrays, **matrices, lb=np.full(3, -9.0), ub=np.full(3, 9.0)),
+        "program.qps": lambda file: file.write_text(QPS),
+    }
+    for name, write in formats.items():
+
+        def fill(folder: Path, name: str = name, write: Callable[[Path], object] = write) -> str:
+            write(folder / name)
+            return name
+
+        add(f"quadratic-{name}", fill, lambda folder, name=name: cq.solve(cq.read_problem(folder / name)))
 
 
 Add = Callable[[str, Callable[[Path], str], Callable[[Path], object]], None]

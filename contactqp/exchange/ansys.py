@@ -7,11 +7,6 @@ stiffness. Contact results of a .rst file are not read: forces are recovered fro
 from __future__ import annotations
 
 import importlib.util
-import os
-import subprocess
-import sys
-import tempfile
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -20,7 +15,8 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, places
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.numpy_files import read_npz, sparse_matrix
+from contactqp.exchange.numpy_files import sparse_matrix
+from contactqp.exchange.own_process import read_in_own_process
 from contactqp.exchange.refusal import Ledger, Path, file_size, read_bytes, wrong
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -30,7 +26,6 @@ WORDS, KIND, LENGTH = 100, 2, 28
 FULL, RESULT = 4, 12
 NAMES = {FULL: "Ansys .full", RESULT: "Ansys .rst"}
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
-SECONDS = 120
 
 
 def read_full(path: Path) -> MatrixFile:
@@ -100,34 +95,13 @@ def _label(node: Any, axis: Any) -> str:
 
 def _read(path: Path, kind: int) -> dict[str, NDArray[Any]]:
     """What the process that reads it has found."""
-    size = _check_head(path, kind)
+    _check_head(path, kind)
     _refuse_missing()
-    home = str(FilePath(__file__).absolute().parents[2])
-    paths = os.pathsep.join([home, *filter(None, [os.environ.get("PYTHONPATH")])])
-    name = NAMES[kind].rpartition(".")[2]
-    with tempfile.TemporaryDirectory() as folder:
-        output = FilePath(folder, "found.npz")
-        command = [sys.executable, "-P", "-m", "contactqp.exchange.ansys_process", name, os.path.abspath(path)]
-        try:
-            ended = subprocess.run(
-                [*command, str(output), str(size)],
-                env=os.environ | {"PYTHONPATH": paths},
-                capture_output=True,
-                timeout=SECONDS,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise wrong(path, "content", NAMES[kind], f"one that is not read within {SECONDS} s") from None
-        if ended.returncode < 0:
-            raise wrong(path, "content", NAMES[kind], f"a damaged one (its reader ended by signal {-ended.returncode})")
-        if ended.returncode or not output.is_file():
-            said = ended.stderr.decode("utf-8", errors="replace").strip().splitlines()
-            raise wrong(path, "content", NAMES[kind], f"a damaged one ({said[-1] if said else 'no reason'!s:.200})")
-        return read_npz(output)
+    return read_in_own_process(path, NAMES[kind].rpartition(".")[2], NAMES[kind])
 
 
-def _check_head(path: Path, kind: int) -> int:
-    """The size of a file whose header is that of this kind."""
+def _check_head(path: Path, kind: int) -> None:
+    """Refuse a file whose header is not that of this kind."""
     size = file_size(path, NAMES[kind])
     head = read_bytes(path, NAMES[kind], 4 * (WORDS + 2))
     if len(head) < 4 * (WORDS + 2):
@@ -139,7 +113,6 @@ def _check_head(path: Path, kind: int) -> int:
         raise wrong(path, "content", NAMES[kind], "something else")
     if 4 * int(words[LENGTH]) > size:
         raise wrong(path, "content", f"{4 * int(words[LENGTH])} bytes, as its header says", size)
-    return size
 
 
 def _refuse_missing() -> None:

@@ -90,6 +90,15 @@ def read_npy(path: Path) -> NDArray[Any]:
         return _array(path, "content", file, size)
 
 
+def names_in_npz(path: Path) -> set[str]:
+    """The names of the arrays of an archive; none where the file is no archive or is damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except DAMAGED:
+        return set()
+
+
 def read_npz(path: Path, none_for_objects: bool = False) -> dict[str, Any]:
     """All arrays of an archive, by name; texts come as arrays of bytes.
 

@@ -6,9 +6,7 @@ says: it moves nothing.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import zipfile
+import importlib.util
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -16,7 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing
-from contactqp.exchange.numpy_files import read_npz
+from contactqp.exchange.numpy_files import names_in_npz, read_npz, sparse_matrix
+from contactqp.exchange.own_process import read_in_own_process
 from contactqp.exchange.refusal import Ledger, Path, check_finite, wrong
 from contactqp.model.problem import ContactProblem
 
@@ -32,10 +31,7 @@ def is_quadratic_program(path: Path) -> bool:
     suffix = FilePath(path).suffix.lower()
     if suffix in (*QPS, *MATLAB):
         return True
-    if suffix != ".npz" or not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        names = {name.removesuffix(".npy") for name in archive.namelist()}
+    names = names_in_npz(path) if suffix == ".npz" else set()
     return {"P", "q"} <= names <= set(PARTS)
 
 
@@ -64,20 +60,12 @@ def _read_archive(path: Path) -> tuple[ContactProblem, Ledger]:
 
 def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
     """minimise 1/2 x'P x + q'x + r subject to l <= A x <= u; the last n rows of A are the identity."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        found: dict[str, Any] = loadmat(path, appendmat=False)
-    except OSError:
-        raise
-    except (MatReadError, ValueError, TypeError, KeyError, NotImplementedError, EOFError, IndexError) as error:
-        raise wrong(path, "content", "a .mat file of qpbenchmark", f"{type(error).__name__}: {error}") from None
+    found = _matrices(path, read_in_own_process(path, "mat", "a .mat file of qpbenchmark"))
     missing = [name for name in ("P", "q", "A", "l", "u") if name not in found]
     if missing:
         raise wrong(path, "content", "P, q, A, l and u of qpbenchmark", f"none called {', '.join(missing)}")
     q, lower, upper = (_vector(path, name, found[name]) for name in ("q", "l", "u"))
-    A, n = sp.csr_matrix(found["A"]), len(q)
+    A, n = sp.csr_matrix(_real(path, "A", found["A"])), len(q)
     count = A.shape[0] - n
     if count < 0 or A.shape[1] != n or len(lower) != A.shape[0] or len(upper) != A.shape[0]:
         shapes = f"A {A.shape}, q ({n},), l ({len(lower)},), u ({len(upper)},)"
@@ -87,51 +75,29 @@ def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
     lower, upper = np.where(lower <= -INFINITE, -np.inf, lower), np.where(upper >= INFINITE, np.inf, upper)
     sides = dict(lb=lower[count:], ub=upper[count:], C=A[:count], l=lower[:count], u=upper[:count])
     problem = ContactProblem.from_qp(_real(path, "P", found["P"]), q, **sides)
-    return problem, _ledger(path, problem, "qpbenchmark", float(np.ravel(found.get("r", 0.0))[0]))
+    constant = _vector(path, "r", found["r"]) if "r" in found else np.zeros(1)
+    return problem, _ledger(path, problem, "qpbenchmark", float(constant[0]) if len(constant) else 0.0)
 
 
 def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
-    """By HiGHS; `-sense` maximise turns the signs of the energy."""
-    try:
-        import highspy
-    except ImportError:
-        raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy") from None
-    if not FilePath(path).is_file():
-        raise FileNotFoundError(2, "No such file", str(path))
-    reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]
-    reader.silent()
-    with tempfile.TemporaryDirectory() as folder:
-        copy = FilePath(folder, "program.mps")  # HiGHS goes by the suffix, and knows none for QPS
-        shutil.copyfile(path, copy)
-        status = reader.readModel(str(copy))
-    if status == highspy.HighsStatus.kError:
-        raise wrong(path, "content", "a quadratic program in QPS form", "what HiGHS cannot read")
-    model = reader.getModel()
-    linear, hessian = model.lp_, model.hessian_
-    n, m = linear.num_col_, linear.num_row_
-    if any(kind != highspy.HighsVarType.kContinuous for kind in linear.integrality_):
-        raise wrong(path, "content", "continuous unknowns", "integers among them")
-    sign = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    P = sp.csc_matrix((n, n))
-    if hessian.dim_:
-        lower = sp.csc_matrix((hessian.value_, hessian.index_, hessian.start_), shape=(n, n))
-        P = lower + sp.tril(lower, -1).T
-    entries = (linear.a_matrix_.value_, linear.a_matrix_.index_, linear.a_matrix_.start_)
-    by_columns = linear.a_matrix_.format_ == highspy.MatrixFormat.kColwise
-    C = (sp.csc_matrix if by_columns else sp.csr_matrix)(entries, shape=(m, n))
-    sides = {
-        name: np.array(values, dtype=float)
-        for name, values in (
-            ("l", linear.row_lower_),
-            ("u", linear.row_upper_),
-            ("lb", linear.col_lower_),
-            ("ub", linear.col_upper_),
-        )
-    }
-    problem = ContactProblem.from_qp(sign * P, sign * np.array(linear.col_cost_), C=sp.csr_matrix(C), **sides)
-    if linear.col_names_ and len(set(linear.col_names_)) == n:
-        problem = problem.replace(dof_names=list(linear.col_names_))
-    return problem, _ledger(path, problem, "QPS", float(linear.offset_))
+    """By HiGHS, which turns the signs of an energy that is to be maximised."""
+    if importlib.util.find_spec("highspy") is None:
+        raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
+    found = _matrices(path, read_in_own_process(path, "qps", "a quadratic program in QPS form"))
+    sides = {name: found[name] for name in ("C", "l", "u", "lb", "ub")}
+    problem = ContactProblem.from_qp(found["P"], found["q"], **sides)
+    names = [name.decode("utf-8", errors="replace") for name in found["names"].ravel().tolist()]
+    if len(set(names)) == problem.dimension:
+        problem = problem.replace(dof_names=names)
+    return problem, _ledger(path, problem, "QPS", float(found["offset"]))
+
+
+def _matrices(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
+    """The arrays that were read, sparse matrices put together again."""
+    sparse = {name.removesuffix("_indptr") for name in arrays if name.endswith("_indptr")}
+    parts = {f"{name}_{part}" for name in sparse for part in ("data", "indices", "indptr", "shape")}
+    found = {name: array for name, array in arrays.items() if name not in parts}
+    return found | {name: sparse_matrix(path, arrays, f"{name}_") for name in sparse}
 
 
 def _vector(path: Path, name: str, values: Any) -> Any:

@@ -1,0 +1,179 @@
+"""Files that compiled libraries read, each in a process of its own.
+
+These libraries have no bounds on what a damaged file may point at: they can end their interpreter, or hang. Here that
+ends a process which writes what it has read to a .npz file: ansys-mapdl-reader for .full and .rst, SciPy for .mat and
+HiGHS for .qps.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.exchange.numpy_files import read_npz
+from contactqp.exchange.refusal import Path, file_size, wrong
+
+# Address space beyond what the file itself may take up: one reader brings a graphics library with it.
+MEMORY, TIMES = 2**33, 64
+SECONDS = 120
+# The parts of a quadratic program in qpbenchmark's .mat files.
+MATLAB = ("P", "q", "A", "l", "u", "r")
+
+
+def read_in_own_process(path: Path, kind: str, name: str) -> dict[str, Any]:
+    """Return the arrays that a reader finds in a file; `kind` is the key of the reader, `name` that of the format.
+
+    A sparse matrix M comes as M_data, M_indices, M_indptr and M_shape of its rows.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no such file, it is damaged, or it is not read within two minutes.
+    """
+    size = file_size(path, name)
+    home = str(FilePath(__file__).absolute().parents[2])
+    paths = os.pathsep.join([home, *filter(None, [os.environ.get("PYTHONPATH")])])
+    with tempfile.TemporaryDirectory() as folder:
+        output = FilePath(folder, "found.npz")
+        command = [sys.executable, "-P", "-m", __name__, kind, os.path.abspath(path), str(output), str(size)]
+        try:
+            ended = subprocess.run(
+                command, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, timeout=SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise wrong(path, "content", name, f"one that is not read within {SECONDS} s") from None
+        if ended.returncode < 0:
+            raise wrong(path, "content", name, f"a damaged one (its reader ended by signal {-ended.returncode})")
+        if ended.returncode or not output.is_file():
+            said = ended.stderr.decode("utf-8", errors="replace").strip().splitlines()
+            raise wrong(path, "content", name, f"a damaged one ({said[-1] if said else 'no reason'!s:.200})")
+        return read_npz(output)
+
+
+def main(arguments: list[str]) -> int:
+    """``KIND FILE OUTPUT BYTES``: read a file of so many bytes; what goes wrong is one line on stderr."""
+    kind, source, output, size = arguments
+    _limit_memory(MEMORY + TIMES * int(size))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = READERS[kind](source)
+        np.savez(output, **found)
+    # A reader that is not ours raises whatever it stumbles over in a damaged file.
+    except Exception as error:  # noqa: BLE001
+        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def full(source: str) -> dict[str, Any]:
+    """Stiffness (as `scipy.sparse.save_npz` stores it), load, nodes and directions of the free unknowns."""
+    from ansys.mapdl.reader.full import FullFile
+
+    file = FullFile(source)
+    unknowns, K, _ = file.load_km(sort=False)
+    if K is None:
+        raise ValueError("no stiffness matrix in it")
+    held = {(int(node), int(axis)) for node, axis in file.const}
+    free = np.array([(int(node), int(axis)) not in held for node, axis in unknowns], dtype=bool)
+    half = sp.csr_matrix(K)[free][:, free]
+    upper = sp.triu(half + half.T) - sp.diags(half.diagonal())  # one half is stored, on either side of the diagonal
+    whole = sp.csr_matrix(upper + sp.triu(upper, 1).T)
+    return _parts("stiffness", whole) | {
+        "load": np.asarray(file.load_vector, dtype=float)[free],
+        "node": np.asarray(unknowns)[free, 0],
+        "axis": np.asarray(unknowns)[free, 1],
+        "held": np.array(len(held)),
+        "equations": np.array(int(file._header["ncefull"])),
+    }
+
+
+def result(source: str) -> dict[str, Any]:
+    """Displacements of the last set, along the axes of the nodes."""
+    from ansys.mapdl.reader.rst import Result
+
+    file = Result(source, read_mesh=False)
+    node, values = file.nodal_solution(file.n_results - 1, in_nodal_coord_sys=True)
+    return {
+        "node": np.asarray(node),
+        "values": np.asarray(values, dtype=float),
+        "axes": np.array([str(name) for name in file.result_dof(file.n_results - 1)]),
+        "sets": np.array(int(file.n_results)),
+    }
+
+
+def matlab(source: str) -> dict[str, Any]:
+    """The parts of a quadratic program in a .mat file, sparse or dense."""
+    from scipy.io import loadmat
+
+    found: dict[str, Any] = {}
+    for name, value in loadmat(source, appendmat=False, variable_names=list(MATLAB)).items():
+        if name in MATLAB:
+            found |= _parts(name, value) if sp.issparse(value) else {name: np.asarray(value)}
+    return found
+
+
+def qps(source: str) -> dict[str, Any]:
+    """P, q, l <= C x <= u, lb <= x <= ub, the constant and the names of unknowns, by HiGHS."""
+    import highspy
+
+    reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]
+    reader.silent()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = FilePath(folder, "program.mps")  # HiGHS goes by the suffix, and knows none for QPS
+        copy.symlink_to(source)
+        status = reader.readModel(str(copy))
+    if status == highspy.HighsStatus.kError:
+        raise ValueError("HiGHS cannot read it")
+    model = reader.getModel()
+    linear, hessian = model.lp_, model.hessian_
+    n, m = linear.num_col_, linear.num_row_
+    if any(kind != highspy.HighsVarType.kContinuous for kind in linear.integrality_):
+        raise ValueError("integers among its unknowns")
+    sign = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
+    P: Any = sp.csc_matrix((n, n))
+    if hessian.dim_:
+        lower = sp.csc_matrix((hessian.value_, hessian.index_, hessian.start_), shape=(n, n))
+        P = lower + sp.tril(lower, -1).T
+    entries = (linear.a_matrix_.value_, linear.a_matrix_.index_, linear.a_matrix_.start_)
+    by_columns = linear.a_matrix_.format_ == highspy.MatrixFormat.kColwise
+    C = (sp.csc_matrix if by_columns else sp.csr_matrix)(entries, shape=(m, n))
+    sides = {"l": linear.row_lower_, "u": linear.row_upper_, "lb": linear.col_lower_, "ub": linear.col_upper_}
+    found = _parts("P", sign * P) | _parts("C", C) | {name: np.array(side, float) for name, side in sides.items()}
+    names = [str(name).encode() for name in linear.col_names_]
+    return found | {
+        "q": sign * np.array(linear.col_cost_),
+        "offset": float(linear.offset_),
+        "names": np.array(names, "S"),
+    }
+
+
+def _parts(name: str, matrix: Any) -> dict[str, Any]:
+    """A sparse matrix as arrays, once its indices are within it."""
+    matrix.check_format(full_check=True)
+    rows = matrix.tocsr()
+    return {f"{name}_{part}": np.asarray(getattr(rows, part)) for part in ("data", "indices", "indptr", "shape")}
+
+
+READERS = {"full": full, "rst": result, "mat": matlab, "qps": qps}
+
+
+def _limit_memory(most: int) -> None:
+    try:
+        import resource
+    except ImportError:  # not on every system
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (most if hard < 0 else min(most, hard), hard))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
