@@ -7,12 +7,14 @@ For any v with E v <= g and A v = b
     J(v) = J(U) - r'(v - U) + L'(E U - E v) + N'(A U - A v) + 1/2 |v - U|^2
         >= J(U) - |L|'|c| - |N|'|t| - r'(v - U) + 1/2 |v - U|^2,
 
-so that, of all solutions within a distance R of U, unknown by unknown, J* and u* satisfy
+and where K_jj exceeds the sum of the other |K_ji| by d_j > 0, r_j (v - U)_j <= r_j^2 / d_j + 1/4 d_j (v - U)_j^2, of
+which all the last together are 1/4 |v - U|^2 at most. So, of all solutions within a distance R of U, unknown by
+unknown, J* and u* satisfy
 
-    J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 4 w,    w = |L|'|c| + |N|'|t| + |r|'R.
+    J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 8 w,    w = |L|'|c| + |N|'|t| + sum_j min(|r_j| R_j, r_j^2 / d_j).
 
 R is REACH times the size of the answer: the residuals of extended precision are so small that w stays far beneath any
-tolerance all the same. An answer u is |u - U|_K + 2 sqrt(w) away from u* at most, in the part of it that K sees; and
+tolerance all the same. An answer u is |u - U|_K + sqrt(8 w) away from u* at most, in the part of it that K sees; and
 
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w    up to what it penetrates or leaves of ties,
 
@@ -27,6 +29,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
+from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.interior_point import settled
@@ -37,8 +40,10 @@ from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candida
 
 # Solutions are looked for within so many times the size of the answer.
 REACH = 1e6
-# Closed rows that are met to this part of the largest length are met: that is beyond all rounding of doubles.
-FINE = 1e-20
+# Diagonals exceed the sum of the other entries where they do so by more than rounding.
+DOMINANT = 1e-12
+# An energy that lengths rounded to this part of themselves would have is none.
+ROUNDED = 1e-26
 DECIDED = "what rounding of the data decides is not proven"
 # An answer that is so near to a solution up to such a conflict is believed.
 NEAR = 1e-6
@@ -66,25 +71,31 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     return _from_solution(twin, start, state, scaling)
 
 
-def _from_solution(problem: ContactProblem, answer: Answer, state: ClosedState, scaling: Scaling) -> Bounds:
-    """Bounds in the units of the problem from an answer and a solution in those of its equilibrated twin."""
+def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling) -> Bounds:
+    """Bounds in the units of the problem from an answer and a solution in those of its equilibrated twin.
+
+    Where the contacts that it holds closed conflict by rounding, a vertex solves what is left; that the contacts which
+    only touch there have no force is a matter of rounding, so forces are compared with those of all that are held.
+    """
+    state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
     wide = _width(state)
     moved = (extend(answer.displacement) - state.answer.displacement).double()
     distance, strain = _strain(problem, moved), _strain(problem, solution.displacement)
     energy, size = _energy(problem, state.answer)
     scale = max(strain, float(np.sqrt(2 * size)))
-    change = (extend(answer.normal_force) - state.answer.normal_force).double()
-    turned = (extend(answer.tie_force) - state.answer.tie_force).double()
+    scale = scale if scale > ROUNDED * state.length else 0.0
+    change = (extend(answer.normal_force) - held.answer.normal_force).double()
+    turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    unique = uniqueness(state)
+    unique = uniqueness(held)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     sees = unique.displacement and not mostly_bare(problem)
-    error = distance + 2 * np.sqrt(wide) if sees else np.sqrt(2 * above)
+    error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
-    if state.length_residual > FINE:
+    if state.length_residual > MET_TOGETHER:
         conflict = f"closed contacts and ties conflict by {state.length_residual:.2g} of the largest length: {DECIDED}"
         near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
         return replace(no_bounds(conflict), suspicious=None if near else f"{conflict}, and the answer is not near")
@@ -109,8 +120,12 @@ def _width(state: ClosedState) -> float:
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
     reach = REACH * (abs(answer.displacement) + np.max(abs(answer.displacement), initial=0.0))
-    force = abs(state.left.force.double()) @ reach
-    return float(contacts + ties + force)
+    problem, residual = state.problem, abs(state.left.force.double())
+    dominant = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
+    resisted = np.divide(
+        residual, dominant, out=np.full(len(reach), np.inf), where=dominant > DOMINANT * problem.diagonal
+    )
+    return float(contacts + ties + residual @ np.minimum(reach, resisted))
 
 
 def _strain(problem: ContactProblem, displacement: Vector) -> float:

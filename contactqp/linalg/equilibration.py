@@ -65,8 +65,10 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     imposed = max(_size(np.minimum(gap, 0.0)), _size(value))
     length = force = _near(max(imposed, _size(load)))
     if mostly_bare(problem):
-        length = _near(imposed or _size(np.where(np.isfinite(gap), gap, 0.0)))
-        force = _near(max(_size(load), length * _size(twin.stiffness_rows.data)))
+        stiffest = _size(twin.stiffness_rows.data)
+        moved = NO_LENGTH * _size(load) / stiffest if stiffest > 0 else 0.0  # what is imposed may be rounding of zero
+        length = _near(max(imposed, moved) or _size(np.where(np.isfinite(gap), gap, 0.0)))
+        force = _near(max(_size(load), length * stiffest))
         values = twin._values() | dict(stiffness=twin.stiffness * (length / force))
         twin = ContactProblem._of_checked(values, Computed())
     twin = twin.replace(gap=gap / length, tie_value=value / length)

@@ -19,11 +19,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, closed_in, factorised, nearest_state, with_least_forces
+from contactqp.linalg.crossover import vertex_near, with_least_forces, without_conflict
+from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, closed_in, factorised, nearest_state
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
+# A backend's displacement is taken to be off by this part of its size.
+BACKEND_IS_OFF = 1e-9
 # Added to the diagonal of the matrix of a step; refinement in double precision takes it back.
 REGULARISATION, REFINEMENTS = 1e-8, 2
 STEPS = 25
@@ -70,18 +74,29 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort) -> ClosedSt
     """Return the solution of an equilibrated problem that is nearest to an answer; `holds` says whether it is one.
 
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
-    steps along the central path come to from there.
+    steps along the central path come to from there; then those of the vertex near the answer.
     """
-    state = nearest_state(problem, closed_in(problem, answer), answer, effort)
+    start = ExtendedAnswer.of(answer)
+    state = nearest_state(problem, closed_in(problem, answer), start, effort)
     if state.holds or not problem.contacts:
         return state
     point = sharpened(problem, answer, effort)
-    return nearest_state(problem, point.closed, point.answer, effort)
+    state = nearest_state(problem, point.closed, ExtendedAnswer.of(point.answer), effort)
+    vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
+    return state if vertex is None else vertex
+
+
+def _off(problem: ContactProblem, answer: Answer) -> float:
+    """A length by which the displacement of an answer may be off: what it penetrates and leaves of ties."""
+    gap = problem.gap - problem.normal @ answer.displacement
+    open_ties = problem.tie_value - problem.tie @ answer.displacement
+    least = BACKEND_IS_OFF * float(np.max(abs(answer.displacement), initial=0.0))
+    return max(float(np.max(-gap, initial=0.0)), float(np.max(abs(open_ties), initial=0.0)), least)
 
 
 def solved_from(problem: ContactProblem, answer: Answer, effort: Effort) -> ClosedState:
-    """Return `settled`, with the least forces where those of the answer press against each other."""
-    state = settled(problem, answer, effort)
+    """Return `settled`, at a vertex where closed contacts conflict, with least forces where they press each other."""
+    state = without_conflict(settled(problem, answer, effort), effort)
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     acting = max(acting, float(np.max(problem.load_size, initial=0.0)))
     if state.holds and state.force > PRESSED * acting:

@@ -36,8 +36,6 @@ from contactqp.model.solution import Answer
 REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
 # Residuals at which no smaller one is tried, and the part of the residual that it must get below.
 FINE, WORTH_ANOTHER = 1e-22, 0.1
-# Forces of a linear program beneath this part of what they carry are none.
-CARRIES = 1e-9
 # A sweep that makes the larger residual grow by more than this has failed.
 GROWS = 4.0
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
@@ -62,7 +60,7 @@ ALMOST_FREE = 1e-3
 CURVED = 1e-12
 NAMED = 6
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
-WASTED = 3
+WASTED = 25
 
 
 def constraints_are_many(problem: ContactProblem) -> bool:
@@ -285,47 +283,13 @@ def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedSt
     return state
 
 
-def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state with the least sum of forces that its closed contacts can have, none of them tension.
-
-    Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
-    without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
-    """
-    from scipy.optimize import linprog
-
-    problem, closed = state.problem, np.flatnonzero(state.closed)
-    resting = ExtendedAnswer(state.answer.displacement, *_no_forces(problem))
-    carried = residuals_of(extended_rows(problem), problem, resting).force.double()
-    size = float(np.max(abs(carried), initial=0.0)) or 1.0
-    count, ties = len(closed), problem.ties
-    found = linprog(
-        np.concatenate([np.ones(count), np.zeros(ties)]),
-        A_eq=sp.hstack([problem.normal[closed].T, problem.tie.T], format="csr"),
-        b_eq=carried / size,
-        bounds=[(0, None)] * count + [(None, None)] * ties,
-        method="highs",
-    )
-    if found.x is None:
-        return state
-    force, kept = np.zeros(problem.contacts), state.closed.copy()
-    force[closed] = size * found.x[:count]
-    kept[closed] = found.x[:count] > CARRIES
-    start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
-    least = solved_on(problem, kept, start, effort)
-    return least if least.holds else state
-
-
-def _no_forces(problem: ContactProblem) -> tuple[Extended, Extended]:
-    return extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
-
-
-def nearest_state(problem: ContactProblem, closed: Mask, start: Answer, effort: Effort) -> ClosedState:
+def nearest_state(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
     """Return the state that changes of the closed contacts lead to; `holds` says whether it solves the problem.
 
     Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
     long as that makes them fewer.
     """
-    state = solved_on(problem, closed, ExtendedAnswer.of(start), effort)
+    state = solved_on(problem, closed, start, effort)
     fewest, wasted = np.inf, 0
     while state.solved and not state.holds:
         pulled, penetrated = state.pulled, state.penetrated

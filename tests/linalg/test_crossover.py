@@ -1,0 +1,114 @@
+"""Vertices where more contacts meet than unknowns can tell apart, held against exact rationals."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import combinations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
+from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.sparse_saddle import Effort, nearest_state
+from contactqp.model.solution import Candidate
+
+UNKNOWNS, ROWS, IDLE = 3, 9, 8
+
+
+def corner(seed: int) -> tuple[cq.ContactProblem, np.ndarray, np.ndarray]:
+    """A load that presses a point into the corner of nine planes, whose gaps are rounded; the point and the forces.
+
+    Eight unknowns in walls of their own make it a linear program rather than a body.
+    """
+    random = np.random.default_rng(seed)
+    planes, point = random.uniform(-1, 1, (ROWS, UNKNOWNS)), random.uniform(0.1, 1, UNKNOWNS)
+    planes[:, 0] = abs(planes[:, 0]) + 0.1  # all on one side: they leave room however they are rounded
+    forces = random.uniform(0.1, 1, ROWS)
+    rows = sp.block_diag([planes, sp.identity(IDLE)], format="csr")
+    load = np.concatenate([planes.T @ forces, np.ones(IDLE)])
+    gap = np.concatenate([planes @ point, np.zeros(IDLE)])
+    size = UNKNOWNS + IDLE
+    problem = cq.ContactProblem(sp.csr_matrix((size, size)), load, rows, gap)
+    return problem, np.concatenate([point, np.zeros(IDLE)]), np.concatenate([forces, np.ones(IDLE)])
+
+
+def exact_energy(problem: cq.ContactProblem) -> Fraction:
+    """The least energy by all sets of three planes, in rationals of the data."""
+    planes = [[Fraction(x) for x in row] for row in problem.normal.toarray()[:ROWS, :UNKNOWNS]]
+    gap, load = ([Fraction(x) for x in values] for values in (problem.gap[:ROWS], problem.load[:UNKNOWNS]))
+    found = []
+    for three in combinations(range(ROWS), UNKNOWNS):
+        u = solved([[*planes[i], gap[i]] for i in three])
+        force = solved([[planes[i][j] for i in three] + [load[j]] for j in range(UNKNOWNS)])
+        inside = all(sum(a * x for a, x in zip(row, u, strict=True)) <= g for row, g in zip(planes, gap, strict=True))
+        if inside and min(force) >= 0:
+            found.append(-sum(f * x for f, x in zip(load, u, strict=True)))
+    assert len(set(found)) == 1
+    return Fraction(found[0])
+
+
+def solved(rows: list[list[Fraction]]) -> list[Fraction]:
+    """Gauss and Jordan."""
+    for k in range(len(rows)):
+        pivot = next(i for i in range(k, len(rows)) if rows[i][k])
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        rows = [
+            row if i == k else [a - row[k] * b for a, b in zip(row, rows[k], strict=True)] for i, row in enumerate(rows)
+        ]
+    return [row[-1] for row in rows]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_energy_of_a_rounded_corner_is_enclosed(seed: int) -> None:
+    problem, _, _ = corner(seed)
+    solution = cq.solve(problem)
+    certificate = solution.certificate
+    assert certificate.proven
+    assert certificate.energy_bounds is not None
+    lower, upper = (Fraction(bound) for bound in certificate.energy_bounds)
+    exact, rounding = exact_energy(problem), Fraction(2) ** -52 * Fraction(abs(solution.energy))
+    assert lower - rounding <= exact <= upper + rounding
+    assert upper - lower <= Fraction(1, 10**12) * abs(exact)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_planes_that_conflict_are_told_apart(seed: int) -> None:
+    problem, point, forces = corner(seed)
+    twin, scaling = equilibrated(problem)
+    scaled = scaling.scale(Candidate(point, forces, np.zeros(0)))
+    start = cq.model.solution.Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+    held = nearest_state(twin, np.ones(problem.contacts, dtype=bool), ExtendedAnswer.of(start), Effort())
+    assert held.holds
+    assert held.length_residual > MET_TOGETHER
+    vertex = without_conflict(held, Effort())
+    assert vertex.holds
+    assert vertex.length_residual <= MET_TOGETHER
+    assert np.sum(vertex.closed[:ROWS]) == UNKNOWNS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_forces_on_all_planes_and_on_three_of_them_both_pass(seed: int) -> None:
+    problem, point, forces = corner(seed)
+    assert cq.certify(problem, point, forces).passed
+    three = cq.solve(problem).normal_force
+    assert cq.certify(problem, point, three).passed
+    assert not cq.certify(problem, point, forces * (1 + 1e-7 * (np.arange(len(forces)) == 1))).passed
+    assert not cq.certify(problem, point * (1 + 1e-6), forces).passed
+
+
+def test_planes_that_contradict_each_other_stay_as_they_are() -> None:
+    """x + y = 0.3 and x + y = 0.1 + 0.2 cannot both be met, and no vertex does."""
+    rows = np.zeros((2, 16))
+    rows[:, :2] = 1.0
+    problem = cq.ContactProblem.from_qp(
+        np.zeros((16, 16)), np.arange(1.0, 17.0), A=rows, b=[0.3, 0.1 + 0.2], lb=np.zeros(16)
+    )
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert not certificate.proven
+    assert "conflict" in " ".join(certificate.reasons)
