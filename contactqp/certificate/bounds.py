@@ -101,6 +101,7 @@ class Bounds:
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer
     energy_size: float = 0.0  # the larger of 1/2 u'Ku and |f'u|
+    energy_rounding: float = 0.0  # the work of contact forces on gaps, as doubles round these
     determined: str = BY_DISPLACEMENT
     by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer

@@ -29,17 +29,19 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
+from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.interior_point import settled
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, refuse_indefinite, uniqueness
+from contactqp.linalg.measures import row_sizes
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, uniqueness
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
 
 # Solutions are looked for within so many times the size of the answer.
-REACH = 1e6
+REACH = 1e3
 # Diagonals exceed the sum of the other entries where they do so by more than rounding.
 DOMINANT = 1e-12
 # An energy that lengths rounded to this part of themselves would have is none.
@@ -93,13 +95,11 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     sees = unique.displacement and not mostly_bare(problem)
+    lengths = row_sizes(problem, problem.normal).size @ abs(answer.displacement) + abs(problem.gap)
+    rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
-    if state.length_residual > MET_TOGETHER:
-        conflict = f"closed contacts and ties conflict by {state.length_residual:.2g} of the largest length: {DECIDED}"
-        near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
-        return replace(no_bounds(conflict), suspicious=None if near else f"{conflict}, and the answer is not near")
-    return Bounds(
+    found = Bounds(
         energy_error=_relative(error, scale),
         force_error=_relative(missed, largest),
         force_bound=abs(change) * scaling.force / scaling.contacts if unique.forces else None,
@@ -108,9 +108,29 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
         force_scale=largest * np.sqrt(unit),
         energy_bounds=((energy - wide) * unit, (energy - wide + above) * unit),
         energy_size=size * unit,
+        energy_rounding=rounded * unit,
         by_energy=not sees,
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
         reasons=() if unique.forces else (f"force_bound: {REDUNDANT}",),
+    )
+    if state.length_residual <= MET_TOGETHER:
+        return found
+    near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
+    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
+
+
+def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
+    """The bounds that are left where closed contacts and ties cannot be met together: those of a problem beside it."""
+    said = f"closed contacts and ties conflict by {conflict}: {DECIDED}"
+    beside = f"energy_bounds: those of the problem whose gaps and tie values are moved by {conflict}"
+    none = no_bounds(said)
+    return replace(
+        none,
+        suspicious=None if near else f"{said}, and the answer is not near",
+        energy_bounds=found.energy_bounds,
+        energy_size=found.energy_size,
+        determined=found.determined,
+        reasons=(*none.reasons, beside),
     )
 
 

@@ -122,21 +122,24 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
     # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none,
-    # unless the contact forces say how little that is.
+    # in the truth as in the error, unless the contact forces say how little that is.
     beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
     strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
     pairs = (
-        ("energy_error", "displacement", known.energy_scale, strain, known.free_distance),
-        ("force_error", "contact forces", known.force_scale, pushed, known.force_rounding),
+        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, known.free_distance),
+        ("force_error", "contact forces", known.force_scale, 0.0, pushed, known.force_rounding),
     )
-    for name, what, scale, absolute, forgiven in pairs:
+    for name, what, scale, none, absolute, forgiven in pairs:
         value = getattr(known, name)
         if value is None or (name == "energy_error" and known.by_energy):
             continue  # `failed_energy` judges the energy itself
-        limit, size = (tolerance, scale) if scale > 0 else (absolute, 1.0)
+        if scale > none:
+            kind, limit, size = "of their size", tolerance, scale
+        else:
+            value = value * (scale or 1.0)
+            kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
         if not value * size <= max(limit * size, known.rounding) + forgiven:
-            kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
 
 
@@ -145,7 +148,7 @@ def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     if known.energy_bounds is None or not known.by_energy:
         return
     lower, upper = known.energy_bounds
-    if not upper - lower <= max(tolerance * known.energy_size, nothing):
+    if not upper - lower <= max(tolerance * known.energy_size, nothing, known.energy_rounding):
         part = (upper - lower) / known.energy_size if known.energy_size > 0 else float("inf")
         yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
@@ -86,7 +87,7 @@ class Condensation:
         self._eliminate_if_regular(np.union1d(touched, fixing), self.unknown_scale)
         if stated.count and self._floats_no_further(stated):
             self.rigid = stated
-        elif self._may_be_singular():
+        elif self._may_be_singular(problem):
             self._find_rigid_motions(problem, touched)
         if self.rigid.softest < LOST * problem.rigid_change:
             raise InvalidProblem(
@@ -148,12 +149,12 @@ class Condensation:
         alive = left > NOTHING_LEFT * before
         return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
 
-    def _may_be_singular(self) -> bool:
+    def _may_be_singular(self, problem: ContactProblem) -> bool:
         """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""
         interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
-        return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
+        return self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     def _find_rigid_motions(self, problem: ContactProblem, touched: NDArray[np.intp]) -> None:
         """Find the rigid motions; where the interior floats some nodes far apart are retained, so that S has them all.
@@ -165,7 +166,7 @@ class Condensation:
             self._spent += self._elimination.half_substitutions
             self._eliminate(np.union1d(self.retained, unknowns_far_apart(self._sparse)), scale)
         if large and self._elimination.smallest_pivot >= SUSPICIOUS_PIVOT:
-            if self._may_be_singular():
+            if self._may_be_singular(problem):
                 self.rigid = condensed_null_space(self._sparse, self.retained, self._elimination, self.scale)
             return
         self.rigid = null_space(self._sparse)
@@ -194,9 +195,10 @@ class Condensation:
         left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
-    def _schur_smallest_pivot(self) -> float:
+    def _schur_smallest_pivot(self, problem: ContactProblem) -> float:
         lowest = self.schur_factor().smallest_pivot if len(self.schur) else 1.0
         if lowest < -CONDENSED_ROUNDING:
+            refuse_indefinite(problem)
             raise InvalidProblem(
                 f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {lowest:.3g} on the "
                 "contact unknowns, after scaling its diagonal to one)"

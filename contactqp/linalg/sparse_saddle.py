@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed, InvalidProblem
+from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
-from contactqp.linalg.equilibration import equilibrated, least_length, mostly_bare
-from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import DENSE_SIZE, DIAGONAL_PIVOTS, MINIMUM_DEGREE, SuperLU
+from contactqp.linalg.equilibration import least_length, mostly_bare
+from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
+from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Indices, Mask, Vector
@@ -56,9 +56,6 @@ NO_FORCE = 1e-12
 SPARSE_STEPS, SMALLEST, IN_SPACE = 200, 1e7, 25
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
-# Negative curvature of this part of |z|'|K||z| is no rounding of the entries.
-CURVED = 1e-12
-NAMED = 6
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
 WASTED = 25
 
@@ -336,61 +333,3 @@ def uniqueness(state: ClosedState) -> Uniqueness:
         float(np.max(abs(moved), initial=0.0)) < most,
         float(max(np.max(abs(values), initial=0.0) for values in pushed)) < most,
     )
-
-
-def refuse_indefinite(problem: ContactProblem) -> None:
-    """Raise InvalidProblem if K has negative curvature along a direction, which the message names; found out once."""
-    of_stiffness = problem._computed.of_stiffness
-    if of_stiffness.convex is None:
-        _refuse_indefinite(problem)
-        of_stiffness.convex = True
-
-
-def _refuse_indefinite(problem: ContactProblem) -> None:
-    twin, scaling = equilibrated(problem)
-    K = sp.csr_matrix(twin.stiffness_rows)
-    acting = np.flatnonzero(np.diff(K.indptr))
-    if K.nnz == len(acting) and np.array_equal(K.indices, acting):  # diagonal
-        lowest, direction = (
-            float(np.min(K.data, initial=0.0)),
-            np.eye(1, len(acting), int(np.argmin(K.data)))[0] if K.nnz else None,
-        )
-    else:
-        lowest, direction = _lowest(sp.csr_matrix(K[acting][:, acting]))
-    if direction is None or lowest >= 0:
-        return
-    z = np.zeros(problem.dimension)
-    z[acting] = direction / np.max(abs(direction))
-    curvature = extend(z).dot(extended_rows(twin).stiffness @ extend(z))
-    if curvature < -CURVED * float(abs(z) @ (twin.stiffness_sizes @ abs(z))):
-        z = scaling.unknowns * z
-        z = z / np.max(abs(z))
-        names = ", ".join(problem.dof_name(int(j)) for j in np.argsort(-abs(z))[:NAMED] if abs(z[j]) > CURVED)
-        size = float(z @ (problem.stiffness_rows @ z))
-        raise InvalidProblem(
-            f"stiffness: expected positive semidefinite, got z'Kz = {size:.3g} along a direction z whose largest entry "
-            f"is one ({names}): the energy is not convex"
-        )
-
-
-def _lowest(matrix: Any) -> tuple[float, Vector | None]:
-    """The least eigenvalue and its vector, if a Cholesky factorisation finds a pivot that is not positive."""
-    lifted = sp.csc_matrix(matrix + CURVED * sp.identity(matrix.shape[0]))
-    if matrix.shape[0] <= DENSE_SIZE:
-        values, vectors = np.linalg.eigh(matrix.toarray())
-        return float(values[0]), vectors[:, 0]
-    try:
-        if matrix.shape[0] > LARGE and pardiso.available():
-            pardiso.Pardiso(lifted, np.zeros(0, dtype=np.intp))
-            return 0.0, None
-        if SuperLU(lifted).smallest_pivot > 0:
-            return 0.0, None
-    except (pardiso.NotPositive, InvalidProblem, BackendFailed):
-        pass
-    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
-
-    try:
-        values, vectors = eigsh(matrix, k=1, which="SA", v0=np.ones(matrix.shape[0]), tol=1e-8)
-    except ArpackNoConvergence:
-        return 0.0, None
-    return float(values[0]), vectors[:, 0]

@@ -63,7 +63,7 @@ class OfStiffness:
     sizes: Any = None  # |K|
     bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
-    convex: bool | None = None  # linalg.sparse_saddle: whether K was found to have no negative curvature
+    convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
 
 
 @dataclass(eq=False)

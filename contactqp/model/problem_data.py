@@ -5,6 +5,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
+from fractions import Fraction
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
@@ -28,6 +29,8 @@ LARGEST_ENTRY = 1e150
 LEAST_COMPLIANCE = 1e-250
 # Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
+# Entries of a direction of negative curvature that a message gives.
+CURVED_NAMED = 4
 
 
 T = TypeVar("T")
@@ -278,14 +281,27 @@ def _symmetric(K: Any) -> bool:
 
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:
     scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
-    eigenvalues = np.linalg.eigvalsh(K / np.outer(scale, scale))
+    scaled = K / np.outer(scale, scale)
+    eigenvalues = np.linalg.eigvalsh(scaled)
     # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
     # SYMMETRY_TOLERANCE.
     if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
+        direction = np.linalg.eigh(scaled)[1][:, 0] / scale
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
-            f"after scaling its diagonal to one){_of_lost_digits(eigenvalues[0])}"
+            f"after scaling its diagonal to one){_curved(K, direction)}{_of_lost_digits(eigenvalues[0])}"
         )
+
+
+def _curved(K: NDArray[np.float64], direction: NDArray[np.float64]) -> str:
+    """What a direction of negative curvature is, once its curvature is negative in rationals."""
+    z = direction / np.max(abs(direction))
+    parts = [(int(j), Fraction(float(z[j]))) for j in np.flatnonzero(z)]
+    curvature = sum(a * b * Fraction(float(K[i, j])) for i, a in parts for j, b in parts)
+    if curvature >= 0:
+        return ""
+    named = ", ".join(f"{z[j]:.3g} at unknown {j}" for j in np.argsort(-abs(z), kind="stable")[:CURVED_NAMED] if z[j])
+    return f": z'Kz = {float(curvature):.3g} for z = {named}{', ...' if len(parts) > CURVED_NAMED else ''}"
 
 
 def _of_lost_digits(eigenvalue: float) -> str:

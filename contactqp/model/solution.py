@@ -90,7 +90,9 @@ class Certificate(ReadOnly):
     alone, because neither could be had; `notes` or `reasons` say why.
 
     `determined` is "energy" where K does not see everything, as in a linear program: displacement and forces may be one
-    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart.
+    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart. Where
+    closed contacts and ties contradict each other by rounding of the data, nothing is `proven`, and `energy_bounds` are
+    those of a problem whose gaps are moved by as much, which `reasons` says.
     """
 
     equilibrium: float  # componentwise backward error

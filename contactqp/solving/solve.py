@@ -123,7 +123,8 @@ DEFAULT_METHOD = "active-set"
 # The active set on sparse systems, nothing being condensed.
 SPARSE = "sparse"
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
-# anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems.
+# anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems;
+# the last first where there are more constraints than unknowns, among which pivots may go a long way.
 ROUTES = ("lemke", "lagrange-multiplier", "clarabel", SPARSE)
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "enumeration")
@@ -259,6 +260,15 @@ def solve(
         return _by_another_route(problem, error, same)
 
 
+def _routes(problem: ContactProblem) -> tuple[str, ...]:
+    """The routes in their order."""
+    if problem.frictional:
+        return FRICTIONAL_ROUTES
+    if problem.contacts + problem.ties > problem.dimension:
+        return SPARSE, *(route for route in ROUTES if route != SPARSE)
+    return ROUTES
+
+
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
     """The answer of the first of the other exact routes that is certified; `Work.routes` says what was tried.
 
@@ -273,8 +283,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     spent = first.work if isinstance(first, Solution) else Work()
     tried = [str(error)]
     seconds = first.seconds if isinstance(first, Solution) else 0.0
-    routes = FRICTIONAL_ROUTES if problem.frictional else ROUTES
-    for route in routes:
+    for route in _routes(problem):
         if problem.frictional:
             changed: dict[str, Any] = {"algorithm": route}
         else:
@@ -287,7 +296,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(routes)} were tried too, and no answer is certified",)
+    error.args = (f"{error}; {', '.join(_routes(problem))} were tried too, and no answer is certified",)
     raise error
 
 

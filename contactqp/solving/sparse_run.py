@@ -7,6 +7,7 @@ central path go on from its answer (`contactqp.linalg.interior_point`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,10 @@ from contactqp.solving.runs import CONDENSES_ITSELF, Run
 # fill least; with bounds of single unknowns alone PIQP's are those of K.
 IDENTIFICATIONS = (("clarabel", 1e-9, False), ("piqp", 1e-11, True), ("clarabel", 1e-11, True), ("piqp", 1e-11, False))
 OF_BOUNDS = (("piqp", 1e-9, True), *IDENTIFICATIONS)
+# HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
+LAST, LONGEST = "highs", 20.0
+# Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
+BALANCED = 1e-20
 
 
 class SparseRun(Run):
@@ -54,27 +59,47 @@ class SparseRun(Run):
             self.candidate = method.solve(problem, settings)
 
     def _identified(self, settings: Settings) -> Candidate:
-        """The answer of the first backend whose closed contacts lead to a solution."""
-        tried = []
+        """The answer of the first backend whose closed contacts lead to a solution in the last digits.
+
+        Where none does, that of the backend whose solution leaves least.
+        """
+        tried: list[str] = []
         if not self.problem.contacts:
             return self._linear()
-        if settings.warm_start is not None and self._settle(settings.warm_start):
-            return replace(settings.warm_start, iterations=0)
+        best: Candidate | None = None
+        for found in self._candidates(settings, tried):
+            before = self._state
+            state = self._settle(found)
+            if state.holds and (before is None or state.residual < before.residual):
+                best = found
+            else:
+                self._state = before
+                tried.append(found.status)
+            if self._state is not None and self._state.force_residual <= BALANCED:
+                break
+        if best is None:
+            self.refuse_conflict()
+            raise NotConverged(f"{self.name}: no backend led to closed contacts that hold ({'; '.join(tried)})")
+        return best
+
+    def _candidates(self, settings: Settings, tried: list[str]) -> Iterator[Candidate]:
+        """A start, if one is given, and the answers of backends, as long as they are asked for."""
+        if settings.warm_start is not None:
+            yield replace(settings.warm_start, iterations=0)
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
+            given = Settings(tolerance, None, settings.time_limit, None, {})
             try:
-                found = find(name).solve(
-                    self._twin if scaled else self.problem, Settings(tolerance, None, settings.time_limit, None, {})
-                )
+                found = find(name).solve(self._twin if scaled else self.problem, given)
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
-                continue
-            found = self._scaling.unscale(found) if scaled else found
-            if self._settle(found):
-                return found
-            tried.append(found.status)
-        self.refuse_conflict()
-        raise NotConverged(f"{self.name}: no interior point led to closed contacts that hold ({'; '.join(tried)})")
+            else:
+                yield self._scaling.unscale(found) if scaled else found
+        if self._state is None:
+            try:
+                yield find(LAST).solve(self.problem, Settings(1e-9, None, settings.time_limit or LONGEST, None, {}))
+            except (BackendFailed, BackendMissing, Unsupported) as error:
+                tried.append(str(error))
 
     def _linear(self) -> Candidate:
         """Without contacts there is one linear system and nothing to identify."""
@@ -86,13 +111,13 @@ class SparseRun(Run):
         self._state = state
         return self._scaling.unscale(_candidate(state, "a linear system"))
 
-    def _settle(self, candidate: Candidate) -> bool:
-        """Whether a candidate leads to a solution, which is kept."""
+    def _settle(self, candidate: Candidate) -> ClosedState:
+        """What a candidate leads to, which is kept if it is a solution."""
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
         state = solved_from(self._twin, answer, self._effort)
         self._state = state if state.holds else None
-        return state.holds
+        return state
 
     def final(self) -> Final:
         """The answer that is to be certified: settled, or as a backend left it."""

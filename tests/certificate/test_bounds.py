@@ -89,6 +89,17 @@ def test_a_displacement_that_doubles_cannot_hold_is_refused():
     assert not certificate.passed
 
 
+def test_no_strain_but_that_of_rounding_is_no_error():
+    """A spring whose ends a tie moves together has no energy in truth; its printed stiffness has 1e-34 of it."""
+    K = [[2e-4, -0.2], [-0.2, 200.0]]
+    problem = cq.ContactProblem(K, [0.0, 0.0], -np.eye(2)[::-1], [0.0, 0.0], tie=[[0.01, 10.0]], tie_value=[0.1])
+    solution = cq.solve(problem)
+    assert solution.displacement == pytest.approx([5.0, 0.005], rel=1e-12)
+    assert solution.certificate.passed
+    strained = solution.displacement + np.array([1e-4, -1e-7])
+    assert not cq.certify(problem, strained, solution.normal_force, tie_force=solution.tie_force).passed
+
+
 def test_a_floating_body_is_found_behind_a_stiffness_that_rounding_hides():
     """Condensed onto its ends, a chain of springs 1e9 around one of 14 keeps 14 to eight digits: a pivot of 3e-8."""
     springs = np.array([4.6875e5, 9.63e6, 9.65e8, 8.25e6, 7.59e8, 13.625, 3.6875e6])

@@ -108,7 +108,10 @@ def test_planes_that_contradict_each_other_stay_as_they_are() -> None:
     problem = cq.ContactProblem.from_qp(
         np.zeros((16, 16)), np.arange(1.0, 17.0), A=rows, b=[0.3, 0.1 + 0.2], lb=np.zeros(16)
     )
-    certificate = cq.solve(problem).certificate
+    solution = cq.solve(problem)
+    certificate = solution.certificate
     assert certificate.passed
     assert not certificate.proven
     assert "conflict" in " ".join(certificate.reasons)
+    assert certificate.energy_bounds == pytest.approx((0.3, 0.3), rel=1e-12)
+    assert "energy_bounds: those of the problem whose gaps and tie values are moved" in " ".join(certificate.reasons)

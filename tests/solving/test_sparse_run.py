@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 
 import contactqp as cq
 from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.solving.solve import _routes
 
 
 def membrane(nodes: int, height: float) -> cq.ContactProblem:
@@ -190,6 +191,25 @@ def test_an_indefinite_stiffness_is_refused_with_its_direction() -> None:
     K = sp.diags([np.full(n, 2.0), np.full(n - 1, -1.2), np.full(n - 1, -1.2)], [0, -1, 1])
     problem = cq.ContactProblem(sp.csr_matrix(K), np.ones(n), sp.identity(n, format="csr"), np.ones(n))
     with pytest.raises(cq.InvalidProblem, match=r"z'Kz = -.*not convex"):
+        cq.solve(problem)
+
+
+def test_sparse_systems_are_the_first_route_where_constraints_outnumber_the_unknowns() -> None:
+    inner = np.eye(3)
+    few = cq.ContactProblem(np.eye(3), np.ones(3), inner[:1], np.ones(1))
+    many = cq.ContactProblem(np.eye(3), np.ones(3), np.vstack([inner, -inner]), np.ones(6))
+    assert _routes(few)[-1] == "sparse"
+    assert _routes(many)[0] == "sparse"
+    assert sorted(_routes(few)) == sorted(_routes(many))
+
+
+def test_an_indefinite_stiffness_of_a_few_contacts_is_refused_with_its_direction() -> None:
+    """Of 300 unknowns, too many for eigenvalues at the door; the contacts are on the first two."""
+    K = sp.identity(300, format="lil")
+    K[0, 1] = K[1, 0] = 0.9
+    K[1, 2] = K[2, 1] = 0.9
+    problem = cq.ContactProblem(sp.csr_matrix(K), np.ones(300), sp.identity(300, format="csr")[:3], np.ones(3))
+    with pytest.raises(cq.InvalidProblem, match=r"z'Kz = -0\.5.*\(unknown 1, "):
         cq.solve(problem)
 
 
