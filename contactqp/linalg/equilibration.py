@@ -160,5 +160,6 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Not
     length = part * max(least_length(twin) * scaling.length, *(_size(sizes) for sizes in lengths))
     # Where no force acts, those that would move the largest length.
     stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
-    force = max(part * float(np.max(meeting * scaling.unknowns, initial=0.0)), stiffest * length)
+    acting = float(np.max(meeting * scaling.unknowns, initial=0.0))
+    force = part * acting if acting > stiffest * length else stiffest * length
     return Nothing(force / scaling.unknowns, length * scaling.contacts, np.zeros(0), length * scaling.ties)

@@ -105,6 +105,21 @@ def test_multipliers_that_do_not_balance_are_refused() -> None:
     assert not cq.certify(problem, **answer).passed
 
 
+def test_a_far_unknown_on_a_soft_spring_hides_no_residual_elsewhere() -> None:
+    """One unknown goes 4e4 on a spring of 1e-8, another has a spring of one; forces elsewhere are some 1e-4."""
+    n = 20
+    stiffness = np.zeros(n)
+    stiffness[:2] = 1e-8, 1.0
+    row = np.r_[np.zeros(2), np.ones(n - 2)]
+    cost = np.r_[-4e-4, 0.0, np.linspace(1e-4, 3e-4, n - 2)]
+    problem = cq.ContactProblem.from_qp(np.diag(stiffness), cost, A=[row], b=[1.0], lb=np.zeros(n))
+    solution = cq.solve(problem)
+    assert solution.displacement[0] == pytest.approx(4e4, rel=1e-12)
+    assert solution.certificate.proven
+    off = solution.tie_force * (1 + 1e-6)
+    assert not cq.certify(problem, solution.displacement, solution.normal_force, tie_force=off).passed
+
+
 @pytest.mark.parametrize("shift", [1e-6, -1e-6])
 def test_a_force_that_is_off_by_a_millionth_is_refused(shift: float) -> None:
     problem = membrane(30, 0.03)
