@@ -18,6 +18,7 @@ from contactqp.exchange import matrix_files, numpy_files, text_matrix
 from contactqp.exchange.answer_reader import (
     AnswerFile,
     AnswerReader,
+    answer_of_names,
     axis_called,
     names_of,
     part_called,
@@ -125,7 +126,7 @@ READER = AnswerReader(NAME, (".csv",), read_table_answer, known=lambda head: beg
 EXPECTED = "displacement or normal_force"
 
 
-def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:  # noqa: ARG001
+def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """The arrays of an archive that are parts of an answer.
 
     Raises
@@ -133,9 +134,13 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:  # noqa:
     InvalidProblem
         A damaged archive, none of the names, arrays of anything but numbers.
     """
+    arrays = numpy_files.read_npz(path, none_for_objects=True)
+    of_program = answer_of_names(path, problem, arrays)
+    if of_program is not None:
+        return of_program
     ledger = Ledger(str(path))
     parts: dict[str, NDArray[np.float64]] = {}
-    for name, values in numpy_files.read_npz(path).items():
+    for name, values in arrays.items():
         part = part_called(name)
         if part is None:
             refuse_unit(path, name)

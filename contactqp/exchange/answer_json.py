@@ -3,7 +3,8 @@
     {"displacement": {"tip.x": 1e-3}, "normal_force": [142.5], "friction_force": [[0.5, 0.0]], "tie_force": [2.0]}
 
 What `contactqp run CASE --method M --json` prints is one, alone in a list; its friction_force is along the axes of the
-case, and its friction_components, along the rows of E_T, are what is read. null is NaN.
+case, and its friction_components, along the rows of E_T, are what is read. null is NaN. The answer to a quadratic
+program may come as x, y, z and z_box, with qpsolvers' signs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.exchange.answer_reader import (
     AnswerFile,
     AnswerReader,
+    answer_of_names,
     names_of,
     part_called,
     places,
@@ -47,6 +49,9 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         data = data[0]
     if not isinstance(data, dict):
         raise wrong(path, "content", EXPECTED, type(data).__name__)
+    of_program = answer_of_names(path, problem, data)
+    if of_program is not None:
+        return of_program
     ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
     for key, values in data.items():
         part = part_called(key) if key != COMPONENTS else "friction_force"

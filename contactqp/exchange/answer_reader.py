@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.refusal import Ledger, Path, one_line, wrong
 from contactqp.model.problem import ContactProblem
+from contactqp.model.quadratic_program import answer_of_program
 
 # What unknowns are called: 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys, and which of them are the same.
 #
@@ -98,6 +100,34 @@ def part_called(name: str) -> str | None:
     plain = name.strip().lower().replace(" ", "_")
     found = ALIASES.get(plain, plain)
     return found if found in PARTS else None
+
+
+OF_PROGRAMS = ("x", "y", "z", "z_box")
+
+
+def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any]) -> AnswerFile | None:
+    """The answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
+
+    Raises
+    ------
+    InvalidProblem
+        A vector is none, or has another length than the problem asks for.
+    """
+    if "x" not in given or any(part_called(name) for name in given):
+        return None
+    ledger, found = Ledger(str(path)), {}
+    for name, values in given.items():
+        if name not in OF_PROGRAMS:
+            ledger.ignored.append(f"{name:.60}")
+        elif values is not None:
+            found[name] = vector(path, name, real_array(path, name, values))
+            ledger.read.append(f"{name}: {len(found[name])} values in order")
+    try:
+        parts = answer_of_program(problem, **found)
+    except InvalidProblem as error:
+        raise wrong(path, "content", "the answer to this quadratic program", one_line(error)) from None
+    ledger.converted.append("x, y, z and z_box, in qpsolvers' signs, to displacement and forces")
+    return AnswerFile(parts, ledger)
 
 
 UNIT = re.compile(r"(.*?)(?:[\s_]*[\[({/<].*|[\s_]+(?:[kmcu\u00b5]?m|[km]n|[kmg]?pa|in|ft|lbf|psi))", re.DOTALL)

@@ -168,6 +168,62 @@ def quadratic_program(problem: Any) -> QuadraticProgram:
     )
 
 
+def answer_of_program(
+    problem: Any, x: Vector, y: Vector | None = None, z: Vector | None = None, z_box: Vector | None = None
+) -> dict[str, Vector]:
+    """Return displacement, normal_force and tie_force of an answer in the form and signs of qpsolvers.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        As `from_qp` makes it.
+    x : (n,) array
+    y : (k,) array, optional
+        Of the ties; those of fixed bounds at the end may be left out where `z_box` holds them.
+    z : (m,) array, optional
+        Of the contacts that are no bounds, in their order.
+    z_box : (n,) array, optional
+        Of the bounds: positive of an upper, negative of a lower one. What stands where there is no such bound has no
+        place in the answer, whose balance then misses it.
+
+    Raises
+    ------
+    InvalidProblem
+        A vector has another length.
+    """
+    bound = _bounds_of(problem)
+    rows = np.setdiff1d(np.arange(problem.contacts), np.array(sorted(bound), dtype=int))
+    fixed = _fixed_at_the_end(problem)
+    counts = {"x": (x, [problem.dimension]), "y": (y, [problem.ties, problem.ties - len(fixed)])}
+    counts |= {"z": (z, [len(rows)]), "z_box": (z_box, [problem.dimension])}
+    for name, (values, lengths) in counts.items():
+        if values is not None and len(values) not in lengths:
+            raise InvalidProblem(f"{name}: expected {' or '.join(map(str, lengths))} values, got {len(values)}")
+    answer = {"displacement": x}
+    if z is not None or z_box is not None:
+        force = answer["normal_force"] = np.zeros(problem.contacts)
+        force[rows] = 0.0 if z is None else z
+        for i, (side, j) in bound.items():
+            pushed = 0.0 if z_box is None else float(z_box[j])
+            force[i] = max(pushed if side == UPPER else -pushed, 0.0)
+    if y is not None or fixed:
+        of_bounds = np.zeros(problem.dimension) if z_box is None else z_box
+        given = np.zeros(problem.ties - len(fixed)) if y is None else y
+        answer["tie_force"] = given if len(given) == problem.ties else np.concatenate([given, of_bounds[fixed]])
+    return answer
+
+
+def _fixed_at_the_end(problem: Any) -> list[int]:
+    """The unknowns of the ties at the end that hold one unknown each, as bounds with lb = ub do."""
+    rows, found = problem.tie, []
+    for k in range(problem.ties - 1, -1, -1):
+        start, end = rows.indptr[k], rows.indptr[k + 1]
+        if end != start + 1 or rows.data[start] != 1.0:
+            break
+        found.append(int(rows.indices[start]))
+    return found[::-1]
+
+
 def _bounds_of(problem: Any) -> dict[int, tuple[str, int]]:
     """The contacts that stand for bounds, by their names and rows: the side and the unknown of each."""
     found = {}

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import qpsolvers
 import scipy.sparse as sp
 from scipy.io import savemat
 
 import contactqp as cq
+from contactqp.cli import main
+from contactqp.model.quadratic_program import answer_of_program
 
 P, Q = np.diag([2.0, 4.0]), np.array([-2.0, 4.0])
 A = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -54,8 +58,6 @@ def test_what_is_no_matlab_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_qpsolvers_archives_are_read_and_nothing_is_unpickled(tmp_path: Path) -> None:
-    import qpsolvers
-
     path = tmp_path / "program.npz"
     qpsolvers.Problem(P, Q, A, np.array([1.0, 3.0]), lb=np.array([0.0, -np.inf])).save(str(path))
     problem = cq.read_problem(path)
@@ -106,3 +108,46 @@ def test_what_is_no_qps_is_refused(tmp_path: Path) -> None:
     path.write_text("nothing of the kind")
     with pytest.raises(cq.InvalidProblem, match="QPS"):
         cq.read_problem(path)
+
+
+def other_peoples_answer(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """A program of every part, one unknown fixed by its bounds, and Clarabel's answer by qpsolvers."""
+    P, A, G = np.diag([2.0, 1.0, 4.0, 1.0]), np.array([[1.0, 0.0, 1.0, 1.0]]), np.eye(2, 4, 0) + np.eye(2, 4, 1)
+    parts = dict(q=np.array([-2.0, -6.0, 1.0, 0.5]), h=np.array([2.0, 4.0]), b=np.array([1.0]))
+    parts |= dict(lb=np.array([0.0, -np.inf, 0.0, 0.25]), ub=np.array([np.inf, 1.5, np.inf, 0.25]))
+    qpsolvers.Problem(P=P, G=G, A=A, **parts).save(str(folder / "program.npz"))
+    sparse = qpsolvers.Problem(P=sp.csc_matrix(P), G=sp.csc_matrix(G), A=sp.csc_matrix(A), **parts)
+    found = qpsolvers.solve_problem(sparse, "clarabel", tol_gap_abs=1e-13, tol_gap_rel=1e-13, tol_feas=1e-13)
+    return folder / "program.npz", {name: np.asarray(getattr(found, name)) for name in ("x", "y", "z", "z_box")}
+
+
+@pytest.mark.parametrize("form", ["json", "npz"])
+def test_answers_in_the_names_and_signs_of_qpsolvers_are_checked(form: str, tmp_path: Path) -> None:
+    program, answer = other_peoples_answer(tmp_path)
+    file = tmp_path / f"answer.{form}"
+
+    def check(**changed: Any) -> int:
+        given = answer | changed
+        if form == "npz":
+            np.savez(file, **given)
+        else:
+            file.write_text(json.dumps({name: np.asarray(values).tolist() for name, values in given.items()}))
+        with pytest.raises(SystemExit) as ended:
+            main(["check", str(program), str(file), "--tolerance", "1e-7"])
+        return int(ended.value.code or 0)
+
+    assert np.count_nonzero(abs(answer["z_box"]) > 1e-3) >= 2
+    assert check() == 0
+    assert check(z=-answer["z"]) == 1
+    assert check(z_box=-answer["z_box"]) == 1
+    assert check(y=answer["y"] + 1e-3) == 1
+    assert check(z=answer["z"][:1]) == 2
+
+
+def test_backends_answers_become_those_of_the_contact_problem() -> None:
+    problem = cq.ContactProblem.from_qp(
+        np.eye(3), [-3.0, 2.0, -1.0], lb=np.array([-1.0, -1.0, 0.5]), ub=np.array([1.0, np.inf, 0.5])
+    )
+    parts = answer_of_program(problem, np.array([1.0, -1.0, 0.5]), z_box=np.array([2.0, -1.0, 0.5]))
+    assert cq.certify(problem, **parts).proven
+    assert parts["tie_force"] == pytest.approx([0.5])
