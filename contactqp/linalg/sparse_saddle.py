@@ -50,10 +50,11 @@ MET_BESIDE_IMPOSED = 1e-10
 SIGNED = 1e-20
 # Beneath this part of what it takes to move the lengths that meet there is no force.
 NO_FORCE = 1e-12
-# Predicted operations: twenty factorisations with a tenth of the operations a second that dense ones have; dense
-# systems of fewer operations are not worth looking at; entries a row from which on a body fills its factors as one in
-# space.
-SPARSE_STEPS, SMALLEST, IN_SPACE = 200, 1e7, 25
+# Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, of each operation of a
+# sparse factorisation, operations per squared unknown in space. No more than SMALLEST is not worth looking at; with
+# more than OF_PLANES entries in a row a body fills its factors as one in space.
+PER_UNKNOWN, PER_OPERATION, IN_SPACE = 1e4, 2.4, 175
+SMALLEST, OF_PLANES = 3e7, 25
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
@@ -63,10 +64,10 @@ WASTED = 25
 def constraints_are_many(problem: ContactProblem) -> bool:
     """Whether a sparse interior point and sparse saddle points are predicted to cost less than condensing.
 
-    Condensed, the r unknowns that contacts and ties touch take r^3/3 operations each time that a dense matrix of theirs
-    is factorised. A sparse factorisation of p unknowns and rows with d entries each takes some 10 p^1.5 (d/5)^2 as for
-    a plane grid, more as 5 p^2 in space; there are some twenty of them, with a tenth of the operations a second. Where
-    K has no entry at more unknowns than a body has rigid motions, condensing would take each of these for a motion.
+    Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
+    like p, for residuals and an interior point's steps, and like the operations of a sparse factorisation: p b^2 for a
+    band of b, 10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where K has
+    no entry at more unknowns than a body has rigid motions, condensing would take each of these for a motion.
     """
     known = problem._computed.constraints_are_many
     if known is None:
@@ -79,16 +80,29 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
         return False
     if mostly_bare(problem):
         return True
-    touched = len(np.union1d(problem.normal.indices, problem.tie.indices))
-    dense = touched**3 / 3
-    if dense <= SMALLEST:
-        return False
+    dense = float(len(np.union1d(problem.normal.indices, problem.tie.indices))) ** 3
     lengths = np.concatenate([np.diff(rows.indptr) for rows in (problem.normal, problem.tie)])
-    size = problem.dimension + int(np.sum(lengths > 1))
-    entries = problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))
-    per_row = entries / size
-    plane, space = 10 * size**1.5 * (per_row / 5) ** 2, 5 * size**2
-    return bool(dense > SPARSE_STEPS * (plane if per_row <= IN_SPACE else max(plane, space)))
+    long = int(np.sum(lengths > 1))
+    size = float(problem.dimension + long)
+    if dense <= max(SMALLEST, PER_UNKNOWN * size):
+        return False
+    per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
+    plane, space = 10 * size**1.5 * (per_row / 5) ** 2, IN_SPACE * size**2
+    grid = plane if per_row <= OF_PLANES else max(plane, space)
+    return bool(dense > PER_UNKNOWN * size + PER_OPERATION * min(grid, size * float(_band(problem)) ** 2))
+
+
+def _band(problem: ContactProblem) -> int:
+    """The half band of K and all rows of more than one entry, in the order of Cuthill and McKee reversed."""
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    rows = sp.vstack([problem.normal, problem.tie], format="csr")
+    rows = rows[np.flatnonzero(np.diff(rows.indptr) > 1)]
+    K = sp.csr_matrix(problem.stiffness_rows)
+    graph = sp.csr_matrix(sp.bmat([[K, rows.T], [rows, None]]) if rows.shape[0] else K)
+    place = np.argsort(reverse_cuthill_mckee(graph, symmetric_mode=True))
+    entries = graph.tocoo()
+    return int(np.max(abs(place[entries.row] - place[entries.col]), initial=0))
 
 
 class SparseSaddle:

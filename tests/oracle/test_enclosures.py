@@ -31,6 +31,9 @@ REFUSED = {
     "exactly_grazing",
     "duplicated_rows",
     "single_grazing",
+    "redundant_polytopes",
+    "bounds_everywhere",
+    "linear_programs",
 }
 
 

@@ -62,6 +62,27 @@ def test_few_contacts_on_a_body_are_condensed_as_ever() -> None:
     assert not constraints_are_many(few)
 
 
+def strip_on_a_floor(length: int) -> cq.ContactProblem:
+    """Three rows of springs in a plane, pressed onto a floor under all nodes of the lowest."""
+    along = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(length, length))
+    across = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    K = sp.csr_matrix(sp.kron(along, np.eye(3)) + sp.kron(sp.identity(length), across))
+    E = -sp.identity(3 * length, format="csr")[::3]
+    load = np.zeros(3 * length)
+    load[2::3] = -0.1 + 0.2 * np.sin(np.arange(length) / 7.0)
+    return cq.ContactProblem(K, load, E, np.full(length, 0.05))
+
+
+def test_a_long_strip_stays_sparse_and_a_short_one_does_not() -> None:
+    assert not constraints_are_many(strip_on_a_floor(200))
+    long = strip_on_a_floor(800)
+    assert constraints_are_many(long)
+    sparse, condensed = cq.solve(long), cq.solve(long, condense=True)
+    assert sparse.certificate.proven
+    assert 0 < np.count_nonzero(sparse.normal_force) < 800
+    assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-13)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     problem = transport(seed)
