@@ -3,6 +3,7 @@
     python -m benchmarks.collections FOLDER                     # .mat of qpbenchmark, .npz of qpsolvers, .qps
     python -m benchmarks.collections FOLDER --method clarabel   # another method of `solve`
     python -m benchmarks.collections FOLDER --limit 60 --only QAFIRO HS118
+    python -m benchmarks.collections FOLDER --varied 200       # the small ones in other units, scales and orders
 
 A row a problem: `cq.solve` with its certificate (`proven`, `passed`, or why not), what the problem determines, the
 width of the enclosed energy as a part of it, seconds; beside it PIQP and Clarabel as they are, at tolerances of 1e-9,
@@ -34,12 +35,29 @@ BESIDE = {
     "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
 }
 TOLERANCE, LIMIT, SHIFT = 1e-9, 60.0, 1.0
+PASSED, DIFFERENT, SMALL = ("proven", "passed"), 1e-5, 1500
 FACTORS = (1, 2, 5, 10, 100, 1000)
 
 
-def solved(path: str, method: str) -> dict[str, Any]:
-    """What `cq.solve` makes of a file."""
-    problem = cq.read_problem(path)
+def varied(problem: cq.ContactProblem, seed: int) -> tuple[cq.ContactProblem, float]:
+    """The problem in other units, scales and orders, and the factor of its energy."""
+    random = np.random.default_rng(seed)
+    spread, factor = int(random.integers(0, 4)), 10.0 ** random.integers(-4, 5)
+    sizes = problem.dimension, problem.contacts, problem.ties
+    scales = [sp.diags(10.0 ** random.integers(-spread, spread + 1, size)) for size in sizes]
+    D, R, T = (sp.csr_matrix(scale)[random.permutation(scale.shape[0])] for scale in scales)
+    matrices = factor * D @ problem.stiffness_rows @ D.T, R @ problem.normal @ D.T, T @ problem.tie @ D.T
+    stiffness, normal, tie = (sp.csr_matrix(matrix) for matrix in matrices)
+    vectors = factor * (D @ problem.load), R @ problem.gap, T @ problem.tie_value
+    other = cq.ContactProblem(stiffness, vectors[0], normal, vectors[1], tie=tie, tie_value=vectors[2])
+    return other, factor
+
+
+def solved(path: str, method: str, seed: int | None = None) -> dict[str, Any]:
+    """What `cq.solve` makes of a file, or of the variant of it with this seed."""
+    problem, factor = cq.read_problem(path), 1.0
+    if seed is not None:
+        problem, factor = varied(problem, seed)
     for condense in (True, False):
         cq.solve(cq.ContactProblem([[1.0]], [1.0], [[1.0]], [0.5]), condense=condense)
     started = time.perf_counter()
@@ -56,7 +74,7 @@ def solved(path: str, method: str) -> dict[str, Any]:
     elif certificate.energy_error is not None:
         width = certificate.energy_error**2
     verdict = "proven" if certificate.proven else "passed" if certificate.passed else "refused"
-    row |= dict(verdict=verdict, determined=certificate.determined, width=width, energy=solution.energy)
+    row |= dict(verdict=verdict, determined=certificate.determined, width=width, energy=solution.energy / factor)
     return row | dict(seconds=time.perf_counter() - started)
 
 
@@ -75,7 +93,8 @@ def as_it_is(path: str, backend: str) -> dict[str, Any]:
     except (ValueError, TypeError, RuntimeError, ArithmeticError, cq.ContactQPError) as error:
         return dict(verdict=type(error).__name__, seconds=time.perf_counter() - started)
     seconds = time.perf_counter() - started
-    return dict(verdict="found" if answer.found else "not found", seconds=seconds)
+    energy = problem.energy(answer.x) if answer.found else None
+    return dict(verdict="found" if answer.found else "not found", seconds=seconds, energy=energy)
 
 
 def _own(value: Any) -> Any:
@@ -124,12 +143,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--method", default="active-set")
     parser.add_argument("--limit", type=float, default=LIMIT)
     parser.add_argument("--only", nargs="*")
+    parser.add_argument("--varied", type=int)
     asked = parser.parse_args(arguments)
     files = sorted(file for file in asked.folder.iterdir() if file.suffix in (".mat", ".npz", ".qps", ".mps"))
     files = [file for file in files if not asked.only or file.stem in asked.only]
     if not files:
         parser.error(f"{asked.folder}: no quadratic programs")
     print(f"# {asked.method}; {os.environ.get('OMP_NUM_THREADS', 'all')} threads; limit {asked.limit:g} s")
+    if asked.varied:
+        return variants(files, asked.method, asked.varied, asked.limit)
     ours: list[dict[str, Any]] = []
     others: dict[str, list[dict[str, Any]]] = {name: [] for name in BESIDE}
     for file in files:
@@ -146,11 +168,47 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+def variants(files: list[Path], method: str, count: int, limit: float) -> int:
+    """Variants of the small problems in turn; a row for each that is not proven."""
+    known = {file: apart(solved, str(file), method, limit=limit) for file in files}
+    small = [file for file, row in known.items() if 0 < row.get("unknowns", 0) <= SMALL and row["verdict"] in PASSED]
+    verdicts: list[str] = []
+    different = 0
+    for seed in range(count):
+        file = small[seed % len(small)]
+        row = apart(solved, str(file), method, seed, limit=limit)
+        verdicts.append(row["verdict"])
+        if row["verdict"] in PASSED and far(row["energy"], known[file]["energy"]):
+            different += 1
+            print(f"{seed:4d} {file.stem:12s} energy {row['energy']:.9g}, as it came {known[file]['energy']:.9g}")
+        if row["verdict"] != "proven":
+            print(
+                f"{seed:4d} {file.stem:12s} {row['verdict']:13s} {row['seconds']:7.2f}  {row.get('why', '')[:100]}",
+                flush=True,
+            )
+    passed, proven = (sum(verdict in good for verdict in verdicts) for good in (PASSED, ("proven",)))
+    print(f"\n{count} variants of {len(small)} problems: passed {passed}, proven {proven}, different {different}")
+    return int(different > 0)
+
+
+def far(energy: float, other: float) -> bool:
+    """Whether two energies are not the same."""
+    return abs(energy - other) > DIFFERENT * max(abs(energy), abs(other), DIFFERENT)
+
+
 def _summary(ours: list[dict[str, Any]], others: dict[str, list[dict[str, Any]]], limit: float) -> None:
-    passed, good = ("proven", "passed"), ("found",)
-    narrow = sum(row["verdict"] == "proven" and (row.get("width") or 0.0) <= TOLERANCE for row in ours)
+    passed, good = PASSED, ("found",)
+    enclosed = [row["width"] for row in ours if row["verdict"] in passed and row["width"] is not None]
+    narrow = sum(width <= TOLERANCE for width in enclosed)
     print(f"\npassed {sum(row['verdict'] in passed for row in ours)} of {len(ours)}, ", end="")
-    print(f"proven {sum(row['verdict'] == 'proven' for row in ours)}, energy enclosed to {TOLERANCE:g} {narrow}")
+    print(
+        f"proven {sum(row['verdict'] == 'proven' for row in ours)}, energy enclosed to {TOLERANCE:g} {narrow}", end=""
+    )
+    found = zip(ours, *others.values(), strict=True)
+    judged = [
+        three for three in found if three[0]["verdict"] in passed and all(row["verdict"] in good for row in three[1:])
+    ]
+    print(f", different {sum(all(far(one['energy'], row['energy']) for row in rest) for one, *rest in judged)}")
     means = {"contactqp": geometric_mean(ours, passed, limit)}
     means |= {name: geometric_mean(rows, good, limit) for name, rows in others.items()}
     for name, mean in means.items():

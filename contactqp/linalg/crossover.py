@@ -76,6 +76,8 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     """
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
+    if not problem.contacts:
+        return None  # ties leave no choice
     near = np.flatnonzero(gap <= FARTHEST)
     carried = _carried(problem, answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
