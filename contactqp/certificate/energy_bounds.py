@@ -7,9 +7,9 @@ For any v with E v <= g and A v = b
     J(v) = J(U) - r'(v - U) + L'(E U - E v) + N'(A U - A v) + 1/2 |v - U|^2
         >= J(U) - |L|'|c| - |N|'|t| - r'(v - U) + 1/2 |v - U|^2,
 
-and where K_jj exceeds the sum of the other |K_ji| by d_j > 0, r_j (v - U)_j <= r_j^2 / d_j + 1/4 d_j (v - U)_j^2, of
-which all the last together are 1/4 |v - U|^2 at most. So, of all solutions within a distance R of U, unknown by
-unknown, J* and u* satisfy
+and in a connected part of K in all of whose rows K_jj exceeds the sum of the other |K_ji|, by d_j > 0, K - diag(d) is
+semidefinite: there r_j (v - U)_j <= r_j^2 / d_j + 1/4 d_j (v - U)_j^2, of which all the last together are 1/4 |v - U|^2
+at most. So, of all solutions within a distance R of U, unknown by unknown, J* and u* satisfy
 
     J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 8 w,    w = |L|'|c| + |N|'|t| + sum_j min(|r_j| R_j, r_j^2 / d_j).
 
@@ -33,6 +33,7 @@ from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import settled
 from contactqp.linalg.measures import row_sizes
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, uniqueness
@@ -95,7 +96,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     sees = unique.displacement and not mostly_bare(problem)
-    lengths = row_sizes(problem, problem.normal).size @ abs(answer.displacement) + abs(problem.gap)
+    lengths = row_sizes(problem, problem.normal).size @ abs(solution.displacement) + abs(problem.gap)
     rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
@@ -140,16 +141,25 @@ def _width(state: ClosedState) -> float:
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
     reach = REACH * (abs(answer.displacement) + np.max(abs(answer.displacement), initial=0.0))
-    problem, residual = state.problem, abs(state.left.force.double())
-    dominant = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
-    resisted = np.divide(
-        residual, dominant, out=np.full(len(reach), np.inf), where=dominant > DOMINANT * problem.diagonal
-    )
+    residual, dominance = abs(state.left.force.double()), diagonal_dominance(state.problem)
+    resisted = np.divide(residual, dominance, out=np.full(len(reach), np.inf), where=dominance > 0)
     return float(contacts + ties + residual @ np.minimum(reach, resisted))
 
 
+def diagonal_dominance(problem: ContactProblem) -> Vector:
+    """Return d (n,) >= 0 for which K - diag(d) is semidefinite, by Gershgorin's circles.
+
+    d_j is K_jj less the sum of the other |K_ji| in connected parts where that is positive in every row, else zero: one
+    row that is not dominant may take from its neighbours what they have.
+    """
+    excess = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
+    part = connected_parts(problem.stiffness_rows)[1]
+    weak = part[~(excess > DOMINANT * problem.diagonal)]
+    return np.where(np.isin(part, weak), 0.0, excess)
+
+
 def _strain(problem: ContactProblem, displacement: Vector) -> float:
-    """|v|_K."""
+    """The energy norm |v|_K of a displacement."""
     return float(np.sqrt(max(displacement @ (problem.stiffness_rows @ displacement), 0.0)))
 
 

@@ -138,7 +138,7 @@ class BoundUnknowns:
         return K if self.change is None else K.PtAP(self.change)
 
     def force(self, force: Vector) -> Vector:
-        """Return T'f."""
+        """Return the force T'f on the changed unknowns."""
         return force if self.change is None else Product(self.change, transposed=True)(force)
 
     def displacement(self, w: Vector) -> Vector:

@@ -170,7 +170,7 @@ class DistributedIteration(ContactIteration):
         return other
 
     def dot(self, a: Vector, b: Vector) -> float:
-        """Return a'b."""
+        """Return the inner product a'b of all ranks together."""
         return self._ranks.dot(a, b)
 
     def any(self, flags: Flags | bool) -> bool:
@@ -196,27 +196,27 @@ class DistributedIteration(ContactIteration):
         return self._own_compliance
 
     def product(self, x: Vector) -> Vector:
-        """Return K x."""
+        """Return the forces K x of a displacement."""
         return self._problem.product(x)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """Return |K||x|."""
+        """Return the sizes |K||x| of what K x adds up."""
         return self._problem.product_sizes(abs(x))
 
     def lengths(self, x: Vector) -> Vector:
-        """Return E x."""
+        """Return the lengths E x of the rows."""
         return self.rows.lengths(x)
 
     def length_sizes(self, x: Vector) -> Vector:
-        """Return |E||x|."""
+        """Return the sizes |E||x| of what E x adds up."""
         return self.rows.length_sizes(x)
 
     def forces(self, force: Vector) -> Vector:
-        """Return E'l."""
+        """Return what contact and tie forces do to the unknowns, E'l."""
         return self.rows.forces(force)
 
     def force_sizes(self, force: Vector) -> Vector:
-        """Return |E|'|l|."""
+        """Return the sizes |E|'|l| of what E'l adds up."""
         return self.rows.force_sizes(force)
 
     def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
@@ -285,7 +285,7 @@ class DistributedIteration(ContactIteration):
         return ConjugateGradients(self.product, self._precondition, x, residual, self.floating, self.dot)
 
     def smooth(self, force: Vector) -> Vector:
-        """Return M r."""
+        """Return the displacement M r that the preconditioner makes of a residual."""
         return self._precondition(force)
 
 

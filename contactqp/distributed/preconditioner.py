@@ -228,7 +228,7 @@ class Preconditioner:
             self._pc.setOperators(problem.stiffness)  # the copy in rows is dropped
 
     def __call__(self, r: Vector) -> Vector:
-        """Return M r."""
+        """Return the displacement M r that the preconditioner makes of a residual."""
         if self._hierarchy is not None:
             return np.where(self._constrained, 0.0, self._without_rows(r))
         self._from.array[:] = r

@@ -69,7 +69,7 @@ class Rows:
 
     @cached_property
     def sizes(self) -> sp.csr_matrix:
-        """|E| (a, t)."""
+        """The entries (a, t) without their signs, |E|."""
         return abs(self.entries)
 
     def at_touched(self, x: Vector) -> Vector:

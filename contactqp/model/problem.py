@@ -262,7 +262,8 @@ class ContactProblem:
         unknown = set(ranges) - {"C", "l", "u"}
         if unknown:
             raise InvalidProblem(f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u")
-        return cls(**contact_data(P, q, G, h, A, b, lb, ub, **ranges))
+        given: tuple[Any, ...] = (P, q, G, h, A, b, lb, ub)
+        return cls(**contact_data(QuadraticProgram(*given), **ranges))
 
     def to_qp(self) -> QuadraticProgram:
         """Return this frictionless problem with the arguments of `qpsolvers.Problem`.

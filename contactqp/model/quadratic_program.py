@@ -54,20 +54,12 @@ class QuadraticProgram:
 
 
 def contact_data(
-    P: Any,
-    q: ArrayLike,
-    G: Any = None,
-    h: ArrayLike | None = None,
-    A: Any = None,
-    b: ArrayLike | None = None,
-    lb: ArrayLike | None = None,
-    ub: ArrayLike | None = None,
-    *,
+    given: QuadraticProgram,
     C: Any = None,
     l: ArrayLike | None = None,  # noqa: E741
     u: ArrayLike | None = None,
 ) -> dict[str, Any]:
-    """Return the arguments of `ContactProblem` for a quadratic program; see `ContactProblem.from_qp`.
+    """Return the arguments of `ContactProblem` for a program as it came, with ranges; see `ContactProblem.from_qp`.
 
     Raises
     ------
@@ -75,17 +67,17 @@ def contact_data(
         A matrix came without its right-hand side or the other way round, shapes differ, or a lower side is above the
         upper one.
     """
-    load = -read_array("q", q).ravel()
+    load = -read_array("q", given.q).ravel()
     n = len(load)
-    contacts, ties = [_given("G", G, "h", h, n)], [_given("A", A, "b", b, n)]
+    contacts, ties = [_given("G", given.G, "h", given.h, n)], [_given("A", given.A, "b", given.b, n)]
     names = [f"row {i}" for i in range(contacts[0][0].shape[0])], [f"tie {i}" for i in range(ties[0][0].shape[0])]
     ranges = _given("C", C, "u" if l is None else "l", u if l is None else l, n)[0]
     sides = _sides("l", l, "u", u, ranges.shape[0])
     _add_ranges(ranges, *sides, contacts, ties, names)
-    _add_bounds(*_sides("lb", lb, "ub", ub, n), contacts, ties, names)
+    _add_bounds(*_sides("lb", given.lb, "ub", given.ub, n), contacts, ties, names)
     normal, gap = (sp.vstack([rows for rows, _ in contacts]), np.concatenate([limit for _, limit in contacts]))
     tie, value = (sp.vstack([rows for rows, _ in ties]), np.concatenate([limit for _, limit in ties]))
-    return dict(stiffness=P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value, contact_names=names[0])
+    return dict(stiffness=given.P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value, contact_names=names[0])
 
 
 def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int) -> tuple[Any, Vector]:
