@@ -30,6 +30,10 @@ def refuse_indefinite(problem: ContactProblem) -> None:
 
 
 def _refuse_indefinite(problem: ContactProblem) -> None:
+    if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
+        return  # dominant diagonals: Gershgorin's circles
+    if problem.dimension > LARGE and pardiso.available() and _factorises(problem):
+        return
     scale = inverse_root(problem.diagonal)
     K = sp.csr_matrix(sp.diags(scale) @ problem.stiffness_rows @ sp.diags(scale))
     acting = np.flatnonzero(np.diff(K.indptr))
@@ -46,6 +50,17 @@ def _refuse_indefinite(problem: ContactProblem) -> None:
             f"stiffness: expected positive semidefinite, got z'Kz = {curvature:.3g} along a direction z whose largest "
             f"entry is one ({names}): the energy is not convex"
         )
+
+
+def _factorises(problem: ContactProblem) -> bool:
+    """Whether PARDISO finds pivots of K, its diagonal raised a little, that are all positive."""
+    if np.any(problem.diagonal <= 0):
+        return False
+    try:
+        pardiso.Pardiso(problem.stiffness_rows + CURVED * sp.diags(problem.diagonal), np.zeros(0, dtype=np.intp))
+    except (pardiso.NotPositive, BackendFailed):
+        return False
+    return True
 
 
 def _lowest(matrix: Any) -> Vector | None:

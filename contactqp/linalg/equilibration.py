@@ -14,6 +14,8 @@ from contactqp.model.solution import Answer, Candidate, Nothing
 
 # Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.
 ROUNDS = 12
+# Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
+NEAR_ONE = 1.1
 # Unknowns without stiffness that the bodies of a contact problem may have; a quadratic program has more.
 MOST_BARE = 6
 # Where no length is imposed there is none beneath this part of the load.
@@ -95,11 +97,13 @@ def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     K = sp.csr_matrix(problem.stiffness_rows)
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     d, r = np.ones(problem.dimension), np.ones(rows.shape[0])
-    sizes_K, sizes = abs(K), abs(rows)
+    sizes_K, sizes, columns = abs(K), abs(rows), abs(rows.T.tocsr())
     for _ in range(ROUNDS):
-        of_rows = sp.csr_matrix(sp.diags(r) @ sizes @ sp.diags(d))
-        columns = np.maximum(_largest(sp.diags(d) @ sizes_K @ sp.diags(d), 0), _largest(of_rows, 0))
-        d, r = d / _root(columns), r / _root(_largest(of_rows, 1))
+        of_rows = r * _largest(sizes, d)
+        of_unknowns = d * np.maximum(_largest(sizes_K, d), _largest(columns, r))
+        d, r = d / _root(of_unknowns), r / _root(of_rows)
+        if np.all(_near_one(of_unknowns)) and np.all(_near_one(of_rows)):
+            break
     d, r = _power_of_two(d), _power_of_two(r)
     m = problem.contacts
     scaled = sp.csr_array(sp.diags(r) @ rows @ sp.diags(d))
@@ -109,12 +113,18 @@ def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     return twin, Scaling(d, 1.0 / r[:m], 1.0 / r[m:], 1.0, 1.0)
 
 
-def _largest(matrix: Any, axis: int) -> Array:
-    """The largest entry of every column (axis 0) or row (axis 1) of a matrix of sizes."""
-    matrix = sp.csr_matrix(matrix)
-    if not matrix.shape[axis]:
-        return np.zeros(matrix.shape[1 - axis])
-    return np.asarray(matrix.max(axis=axis).todense()).ravel()
+def _largest(sizes: Any, scale: Array) -> Array:
+    """The largest entry of every row of a CSR matrix of sizes, its columns scaled."""
+    largest = np.zeros(sizes.shape[0])
+    filled = np.flatnonzero(np.diff(sizes.indptr))
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(sizes.data * scale[sizes.indices], sizes.indptr[filled])
+    return largest
+
+
+def _near_one(sizes: Array) -> Array:
+    """Whether each is zero, or nearer to one than to other powers of two."""
+    return np.asarray((sizes == 0) | ((sizes >= 1 / NEAR_ONE) & (sizes <= NEAR_ONE)))
 
 
 def _root(sizes: Array) -> Array:

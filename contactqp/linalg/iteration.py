@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import Unsupported
+from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import Hierarchy, available
@@ -166,6 +166,11 @@ class ContactIteration(ABC):
         del problem, x
         return closed
 
+    def around(self, contacts: Flags, layers: int) -> Flags:
+        """(m,) these contacts and those within so many layers of unknowns around them; here the contacts alone."""
+        del layers
+        return contacts
+
     def balanced(self, residual: Vector, weight: Vector) -> Vector:
         """(m + k,) the least forces, each over its weight, that leave a residual no work on rigid motions."""
         del residual
@@ -201,16 +206,16 @@ def iterated(problem: ContactProblem) -> bool:
     n = problem.dimension
     if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
         return False
-    return n > LARGEST_FACTORISED or _held(problem)
+    return n > LARGEST_FACTORISED or held_by_hierarchy(problem)
 
 
-def _held(problem: ContactProblem) -> bool:
-    """Whether no body floats, as far as a hierarchy can tell."""
+def held_by_hierarchy(problem: ContactProblem) -> bool:
+    """Whether no body floats, as far as a hierarchy can tell; False without pyamg."""
     with problem.lock:
         if problem._computed.supported is None:
             try:
                 iteration(problem)
-            except Unsupported:
+            except (BackendMissing, Unsupported):
                 problem._computed.supported = False
             else:
                 problem._computed.supported = True
@@ -345,6 +350,14 @@ class Iteration(ContactIteration):
     def smooth(self, force: Vector) -> Vector:
         """M r, M for the bodies without rows."""
         return self._plain(force)
+
+    def around(self, contacts: Flags, layers: int) -> Flags:
+        """(m,) these contacts and those within so many layers of unknowns around them."""
+        normal = self._row_sizes[: len(contacts)]
+        for _ in range(layers):
+            reached = self._near_sizes.T @ (normal.T @ contacts.astype(float))
+            contacts = normal @ reached[self.touched] > 0
+        return contacts
 
 
 _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"

@@ -171,6 +171,9 @@ class IndependentRows:
         """Factors of the rows' Gram matrix, its diagonal one; which of the rows do not depend on rows before them."""
         from scipy.sparse.linalg import splu
 
+        self._factor: Any = None
+        if gram.nnz == gram.shape[0]:  # no row shares an unknown with another
+            return np.ones(len(self.kept), dtype=bool)
         # Exactly dependent rows would leave a zero pivot, which SuperLU refuses: they leave this.
         lifted = sp.csc_matrix(gram + np.finfo(float).eps * sp.identity(gram.shape[0]))
         options = dict(permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -181,7 +184,8 @@ class IndependentRows:
         """(a,) forces that cause the lengths (a,), zero on rows that depend on others."""
         force = np.zeros(self._count)
         if self.kept.size:
-            force[self.kept] = self._scale * self._factor.solve(self._scale * lengths[self.kept])
+            scaled = self._scale * lengths[self.kept]
+            force[self.kept] = self._scale * (scaled if self._factor is None else self._factor.solve(scaled))
         return force
 
 

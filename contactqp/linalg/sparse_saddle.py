@@ -25,6 +25,7 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import least_length, mostly_bare
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE
+from contactqp.linalg.iteration import held_by_hierarchy
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Indices, Mask, Vector
@@ -50,10 +51,11 @@ MET_BESIDE_IMPOSED = 1e-10
 SIGNED = 1e-20
 # Beneath this part of what it takes to move the lengths that meet there is no force.
 NO_FORCE = 1e-12
-# Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, of each operation of a
-# sparse factorisation, operations per squared unknown in space. No more than SMALLEST is not worth looking at; with
-# more than OF_PLANES entries in a row a body fills its factors as one in space.
-PER_UNKNOWN, PER_OPERATION, IN_SPACE = 1e4, 2.4, 175
+# Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, where a backend finds the
+# closed contacts, or of each entry, where a hierarchy does; of each operation of a sparse factorisation, in a backend,
+# by SuperLU and by PARDISO; operations per squared unknown in space. No more than SMALLEST is not worth looking at;
+# with more than OF_PLANES entries in a row a body fills its factors as one in space.
+PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
 SMALLEST, OF_PLANES = 3e7, 25
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
@@ -62,12 +64,13 @@ WASTED = 25
 
 
 def constraints_are_many(problem: ContactProblem) -> bool:
-    """Whether a sparse interior point and sparse saddle points are predicted to cost less than condensing.
+    """Whether sparse saddle points, and what identifies their contacts, are predicted to cost less than condensing.
 
     Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
-    like p, for residuals and an interior point's steps, and like the operations of a sparse factorisation: p b^2 for a
-    band of b, 10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where K has
-    no entry at more unknowns than a body has rigid motions, condensing would take each of these for a motion.
+    like p, for residuals and steps, and like the operations of a sparse factorisation: p b^2 for a band of b,
+    10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where a hierarchy holds
+    the bodies, factorisations are few; the interior point of a backend takes one a step. Where K has no entry at more
+    unknowns than a body has rigid motions, condensing would take each of these for a motion.
     """
     known = problem._computed.constraints_are_many
     if known is None:
@@ -89,7 +92,13 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
     plane, space = 10 * size**1.5 * (per_row / 5) ** 2, IN_SPACE * size**2
     grid = plane if per_row <= OF_PLANES else max(plane, space)
-    return bool(dense > PER_UNKNOWN * size + PER_OPERATION * min(grid, size * float(_band(problem)) ** 2))
+    operations = min(grid, size * float(_band(problem)) ** 2)
+    with_backends = PER_UNKNOWN * size + IN_BACKENDS * operations
+    by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
+    with_hierarchy = PER_ENTRY * per_row * size + by_solver * operations
+    if (dense > with_backends) == (dense > with_hierarchy):
+        return bool(dense > with_backends)
+    return bool(dense > (with_hierarchy if size > LARGE and held_by_hierarchy(problem) else with_backends))
 
 
 def _band(problem: ContactProblem) -> int:
@@ -116,30 +125,61 @@ class SparseSaddle:
         The closed contacts.
     regularisation : float
         d, added to the diagonal of K and subtracted from the zeros below it.
-    stiff : bool
-        False leaves K out and subtracts one below it: l and nu are then those of least size that carry a force.
     """
 
-    def __init__(self, problem: ContactProblem, closed: Indices, regularisation: float, stiff: bool = True) -> None:
-        self._sizes = problem.dimension, len(closed), problem.ties
-        rows = sp.vstack([problem.normal[closed], problem.tie], format="csr")
-        added = regularisation * sp.identity(problem.dimension)
-        upper = sp.csr_matrix(problem.stiffness_rows + added if stiff else added)
-        lower = -(regularisation if stiff else 1.0) * sp.identity(rows.shape[0])
+    def __init__(self, problem: ContactProblem, closed: Indices, regularisation: float) -> None:
+        self._K = sp.csr_matrix(problem.stiffness_rows)
+        self._rows = sp.csr_matrix(sp.vstack([problem.normal[closed], problem.tie]))
+        self._contacts = len(closed)
+        self._fixing, self._fixed = _fixing_rows(self._rows)
+        self._entries = self._rows.data[self._rows.indptr[self._fixing]]
+        self._free = np.delete(np.arange(problem.dimension), self._fixed)
+        self._left = np.delete(np.arange(self._rows.shape[0]), self._fixing)
+        rows = self._rows[self._left][:, self._free]
+        stiffness = self._K[self._free][:, self._free] if self._fixed.size else self._K
+        upper = sp.csr_matrix(stiffness + regularisation * sp.identity(len(self._free)))
+        lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
-        self._factor = factorised(matrix)
+        self._factor = factorised(matrix, definite=not rows.shape[0])
 
     def solve(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector]:
         """Return u (n,), l (c,) and nu (k,) of the regularised system with this right-hand side."""
-        n, c, _ = self._sizes
-        found = self._factor(np.concatenate([force, gap, tie]))
-        return found[:n], found[n : n + c], found[n + c :]
+        lengths = np.concatenate([gap, tie])
+        u, carried = np.zeros(len(force)), np.zeros(len(lengths))
+        u[self._fixed] = lengths[self._fixing] / self._entries
+        if self._fixed.size:
+            force, lengths = force - self._K @ u, lengths - self._rows @ u
+        moved = np.zeros(len(force))
+        found = self._factor(np.concatenate([force[self._free], lengths[self._left]]))
+        moved[self._free], carried[self._left] = np.split(found, [len(self._free)])
+        if self._fixed.size:
+            left = force - self._K @ moved - self._rows.T @ carried
+            carried[self._fixing] = left[self._fixed] / self._entries
+        u += moved
+        return u, carried[: self._contacts], carried[self._contacts :]
 
 
-def factorised(matrix: Any) -> Callable[[Vector], Vector]:
+def _fixing_rows(rows: Any) -> tuple[Indices, Indices]:
+    """The rows that have one entry, each alone with it on its unknown, and these unknowns: eliminated beforehand."""
+    single = np.flatnonzero(np.diff(rows.indptr) == 1)
+    single = single[rows.data[rows.indptr[single]] != 0]
+    unknown = rows.indices[rows.indptr[single]]
+    alone = np.bincount(unknown, minlength=rows.shape[1])[unknown] == 1
+    return single[alone], unknown[alone].astype(np.intp)
+
+
+def factorised(matrix: Any, definite: bool = False) -> Callable[[Vector], Vector]:
     """Return what solves with a quasi-definite matrix: PARDISO where it is installed and pays, else SuperLU."""
+    if not matrix.shape[0]:
+        return np.copy
     if matrix.shape[0] > LARGE and pardiso.available():
-        return pardiso.Pardiso(matrix, np.zeros(0, dtype=np.intp), pardiso.INDEFINITE).solve_all
+        nothing = np.zeros(0, dtype=np.intp)
+        if definite:
+            try:
+                return pardiso.Pardiso(matrix, nothing).solve_all
+            except pardiso.NotPositive:
+                pass  # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells
+        return pardiso.Pardiso(matrix, nothing, pardiso.INDEFINITE).solve_all
     from scipy.sparse.linalg import splu
 
     try:
@@ -262,10 +302,9 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
     state = ClosedState.of(problem, closed, start)
     for regularisation in REGULARISATIONS:
         try:
-            saddle = SparseSaddle(problem, np.flatnonzero(closed), regularisation)
+            saddle = _kept_saddle(problem, closed, regularisation, effort)
         except BackendFailed:  # too little was added for pivots on the diagonal
             break
-        effort.factorisations += 1
         after = _swept(state, saddle, effort)
         # Rows that contradict each other by rounding are met no better: multipliers would only drift along them.
         if regularisation < REGULARISATIONS[0] and state.solved and not after.better_than(state, WORTH_ANOTHER):
@@ -274,6 +313,17 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
         if state.residual <= FINE:
             break
     return state
+
+
+def _kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
+    """The factorised saddle point; the last of a stiffness is kept, since polish and certificate ask alike."""
+    kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
+    key = closed.tobytes(), regularisation
+    if key not in kept:
+        kept.clear()
+        kept[key] = SparseSaddle(problem, np.flatnonzero(closed), regularisation)
+        effort.factorisations += 1
+    return kept[key]
 
 
 def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedState:
@@ -337,7 +387,7 @@ def uniqueness(state: ClosedState) -> Uniqueness:
     rows ask for differently, by 1/d times it. Forces and gaps at random do both.
     """
     problem, closed = state.problem, np.flatnonzero(state.closed)
-    saddle = SparseSaddle(problem, closed, REGULARISATIONS[0])
+    saddle = _kept_saddle(problem, state.closed, REGULARISATIONS[0], Effort())
     random = np.random.default_rng(0)
     force, gap, tie = (random.uniform(0.5, 1.0, size) for size in (problem.dimension, len(closed), problem.ties))
     moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]

@@ -82,6 +82,7 @@ class Computed:
     condensation: Any = None  # linalg.condensation
     dependent_ties: Any = None  # linalg.saddle
     constraints_are_many: bool | None = None  # linalg.sparse_saddle
+    sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
     equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision

@@ -18,11 +18,13 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
+from contactqp.linalg.iteration import held_by_hierarchy, iteration
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import ClosedState, Effort
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 from contactqp.solving.runs import CONDENSES_ITSELF, Run
 
 # Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
@@ -87,6 +89,8 @@ class SparseRun(Run):
         """A start, if one is given, and the answers of backends, as long as they are asked for."""
         if settings.warm_start is not None:
             yield replace(settings.warm_start, iterations=0)
+        elif (found := _by_iteration(self.problem, settings)) is not None:
+            yield found
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
             given = Settings(tolerance, None, settings.time_limit, None, {})
@@ -147,6 +151,13 @@ class SparseRun(Run):
             return  # it meets them all to rounding of the largest length
         refuse_sparse_conflict(self.problem)
         refuse_sparse_drive(self.problem)
+
+
+def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
+    """The answer of the inexact active set, where a hierarchy of K is of use: bodies that are held, and membranes."""
+    if problem.dimension < LARGE or not held_by_hierarchy(problem):
+        return None
+    return identified_by_iteration(problem, iteration(problem), settings)
 
 
 def _candidate(state: ClosedState, status: str = "") -> Candidate:

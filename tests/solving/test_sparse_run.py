@@ -11,7 +11,14 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 import contactqp as cq
+from contactqp.elements.material import Material
+from contactqp.elements.shapes import box
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
+from contactqp.linalg import sparse_saddle
 from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.solving import sparse_run
+from contactqp.solving.methods import inexact_active_set
 from contactqp.solving.solve import _routes
 
 
@@ -81,6 +88,76 @@ def test_a_long_strip_stays_sparse_and_a_short_one_does_not() -> None:
     assert sparse.certificate.proven
     assert 0 < np.count_nonzero(sparse.normal_force) < 800
     assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-13)
+
+
+def plate_on_a_ball(cells: int) -> cq.ContactProblem:
+    """A plate of one layer of hexahedra, its top pressed down, every node beneath it over a ball."""
+    body = Body(box((1.0, 1.0, 0.05), (cells, cells, 1)), Material(1.0, 0.3), "3d", name="plate")
+    structure = Structure([body])
+    held = [Support("plate", "top", axis, -0.02 if axis == 2 else 0.0) for axis in range(3)]
+    ball = cq.Paraboloid([0.5, 0.5, 0.0], [0.0, 0.0, 1.0], 5.0)
+    return structure.assemble(held).problem([cq.pair(structure.surface("plate", "bottom"), ball)])
+
+
+def test_a_plate_with_contacts_all_over_stays_sparse() -> None:
+    problem = plate_on_a_ball(40)
+    assert constraints_are_many(problem) == (importlib.util.find_spec("pyamg") is not None)
+    sparse, condensed = cq.solve(problem, condense=False), cq.solve(problem, condense=True)
+    assert sparse.certificate.proven
+    assert 100 < np.count_nonzero(sparse.normal_force) < problem.contacts
+    assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("pyamg"), reason="pyamg is not installed")
+def test_a_set_that_only_shrinks_does_so_by_layers(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_layers = cq.solve(membrane(120, 0.03))
+    monkeypatch.setattr(inexact_active_set, "MOST_LAYERS", 1)
+    one_by_one = cq.solve(membrane(120, 0.03))
+    assert by_layers.work.iterations < 0.7 * one_by_one.work.iterations
+    assert by_layers.normal_force == pytest.approx(one_by_one.normal_force, rel=1e-12, abs=1e-16)
+
+
+def test_backends_identify_where_no_hierarchy_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = cq.solve(membrane(60, 0.03))
+    monkeypatch.setattr(sparse_run, "held_by_hierarchy", lambda _: False)
+    found = cq.solve(membrane(60, 0.03))
+    assert found.normal_force == pytest.approx(expected.normal_force, rel=1e-12, abs=1e-16)
+
+
+def test_repeated_bounds_share_their_force() -> None:
+    """Two rows on one unknown are no fixing rows: neither is eliminated, and both forces are found."""
+    problem = membrane(50, 0.03)
+    twice = np.r_[np.arange(problem.contacts), 0:2500:7]
+    rows, gap = problem.normal[twice], problem.gap[twice]
+    repeated = cq.ContactProblem(problem.stiffness, problem.load, rows, gap)
+    expected, found = cq.solve(problem), cq.solve(repeated, condense=False)
+    assert found.certificate.passed
+    together = problem.normal.T @ expected.normal_force
+    assert rows.T @ found.normal_force == pytest.approx(together, rel=1e-9, abs=1e-14)
+
+
+def test_a_tie_that_holds_an_unknown_is_eliminated_too() -> None:
+    problem = membrane(50, 0.03)
+    held = sp.identity(2500, format="csr")[::50]
+    tied = problem.replace(tie=held, tie_value=np.full(50, 0.01))
+    found = cq.solve(tied, condense=False)
+    assert found.certificate.proven
+    assert found.displacement[::50] == pytest.approx(0.01, rel=1e-14)
+    left = problem.load - problem.stiffness @ found.displacement - problem.normal.T @ found.normal_force
+    assert held @ left == pytest.approx(found.tie_force, rel=1e-9)
+
+
+def test_polish_and_certificate_share_a_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    saddle = sparse_saddle.SparseSaddle
+
+    def counted(problem: cq.ContactProblem, closed: np.ndarray, regularisation: float) -> sparse_saddle.SparseSaddle:
+        made.append(len(closed))
+        return saddle(problem, closed, regularisation)
+
+    monkeypatch.setattr(sparse_saddle, "SparseSaddle", counted)
+    assert cq.solve(membrane(60, 0.03)).certificate.proven
+    assert len(made) == 1
 
 
 @pytest.mark.parametrize("seed", range(12))

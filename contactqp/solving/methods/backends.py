@@ -15,10 +15,12 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -204,6 +206,7 @@ def backend_options(backend: Backend, settings: Settings) -> dict[str, Any]:
     return options
 
 
+STANDARD_OUTPUT = 1
 DEVELOPERS_WARNINGS = (DeprecationWarning, PendingDeprecationWarning, FutureWarning)
 
 
@@ -229,6 +232,7 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
     options = backend_options(backend, settings)
     bounds = _bounds(problem) if backend.bounds and problem.dimension > BOUNDS_PAY else None
     program, initial = _program(backend, problem, bounds), _initial(backend, settings)
+    hear_greeting(backend.package)
     with collected_words() as words:
         try:
             solution = solve_problem(program, solver=backend.name, initvals=initial, **options)
@@ -322,6 +326,26 @@ def _initial(backend: Backend, settings: Settings) -> Vector | None:
     if settings.warm_start is None or not backend.warm_start:
         return None
     return settings.warm_start.displacement
+
+
+@cache
+def hear_greeting(package: str) -> None:
+    """Let HiGHS print its version, which the first instance of a process does whatever it is told, to nobody."""
+    if package != "highspy":
+        return
+    import highspy
+
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # no such file descriptor: nobody sees it anyway
+        sys.stdout.flush()
+        kept = os.dup(STANDARD_OUTPUT)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, STANDARD_OUTPUT)
+            highspy.Highs()  # type: ignore[no-untyped-call]
+        finally:
+            os.dup2(kept, STANDARD_OUTPUT)
+            os.close(kept)
+            os.close(nowhere)
 
 
 @contextlib.contextmanager

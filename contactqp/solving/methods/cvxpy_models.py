@@ -11,7 +11,7 @@ from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsu
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.backends import BACKENDS, backend_options, collected_words
+from contactqp.solving.methods.backends import BACKENDS, backend_options, collected_words, hear_greeting
 from contactqp.solving.methods.method import Method, Settings
 
 NAME = "cvxpy"
@@ -44,6 +44,8 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
     ties = [problem.tie @ u == problem.tie_value] if problem.ties else []
     model = cp.Problem(cp.Minimize(energy), contacts + ties)
     options = _options(solver, settings)
+    if solver == "HIGHS":
+        hear_greeting("highspy")
     with collected_words() as words:
         try:
             model.solve(solver=solver, verbose=False, **options)

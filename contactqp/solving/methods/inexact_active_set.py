@@ -32,6 +32,8 @@ FIRST = 0.3
 TRUST, TIGHTER, LEAST_TRUST = 3.0, 0.1, 1e-6
 # Changes of the set, and steps on one of them, before the method gives up.
 SETS, STEPS = 200, 2000
+# A set that has shrunk so many times does so by more than one layer of contacts, of so many at most.
+SINGLE_LAYERS, MOST_LAYERS = 2, 64
 # Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13
@@ -43,6 +45,9 @@ LOOSEST = 1e-9
 UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
+# A set that another method goes on from: the error in energy on it, of the energy of the displacement, and steps in all
+# (on membranes of a million nodes it takes 45), beyond which a hierarchy is taken to be of no use.
+IDENTIFIED, IDENTIFYING_STEPS = 1e-6, 150
 # Forces and lengths of this part of the energy norm of the displacement are nothing
 # (`contactqp.linalg.measures`): a tenth of what the certificate takes for nothing.
 NOTHING = 1e-13
@@ -59,11 +64,21 @@ def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Setting
     return _Search(problem, way, settings, energy).run()
 
 
+def identified_by_iteration(problem: Limits, way: ContactIteration, settings: Settings) -> Candidate | None:
+    """The same for a method that goes on from its set: less accurate, and None where a hierarchy is of no use."""
+    search = _Search(problem, way, settings, ENERGY, steps=IDENTIFYING_STEPS)
+    found = search.run() if search.steps_left() > 0 else None
+    return found if search.steps_left() > 0 else None
+
+
 class _Search:
     """The displacement of the moment, its set, and what it has cost."""
 
-    def __init__(self, problem: Limits, way: ContactIteration, settings: Settings, energy: float) -> None:
+    def __init__(
+        self, problem: Limits, way: ContactIteration, settings: Settings, energy: float, steps: int | None = None
+    ) -> None:
         self.problem, self.way, self.energy = problem, way, energy
+        self.identifies, self._last_step = steps is not None, way.krylov_iterations + (steps or SETS * STEPS)
         self.m = len(problem.gap)
         self.limit = np.concatenate([problem.gap, problem.tie_value])
         self.sets_left = settings.max_iter or SETS
@@ -72,6 +87,7 @@ class _Search:
         self.seen: set[object] = set()
         self.trust = TRUST
         self.history: list[float] = []
+        self.shrunk, self.layers, self.most_layers = 0, 1, MOST_LAYERS
         self.before: Vector | None = None  # a displacement without contact forces
         self.start(settings.warm_start)
 
@@ -90,7 +106,7 @@ class _Search:
             return
         run = self.way.run_without_rows(self.problem.load.copy())
         enough = FIRST**2 * run.square()
-        while run.estimate() > enough and run.steps < STEPS and self._step(run):
+        while run.estimate() > enough and run.steps < STEPS and self.steps_left() > 0 and self._step(run):
             pass
         self.way.learn(run)
         self.x, self.residual = run.x.copy(), run.residual.copy()
@@ -118,8 +134,28 @@ class _Search:
                 )
             if stopped:
                 return self._candidate(sets, stopped)
-            closed = self.closed & ~self.tension | self.penetrated
-            self.closed = self.way.supported(self.problem, closed, self.x)
+            self.closed = self.way.supported(self.problem, self._following(), self.x)
+
+    def _following(self) -> NDArray[np.bool_]:
+        """The set that the signs lead to; one that shrinks again and again does so by layers that double.
+
+        From the first that goes too far on, half as many at most.
+        """
+        way = self.way
+        if way.any(self.penetrated):
+            if self.layers > 1:
+                self.most_layers = max(1, self.layers // 2)
+            self.shrunk, self.layers = 0, 1
+        else:
+            self.shrunk += 1
+            self.layers = min(2 * self.layers, self.most_layers) if self.shrunk > SINGLE_LAYERS else 1
+        opened = self.tension
+        while self.layers > 1:
+            opened = way.around(self.tension, self.layers - 1) & self.closed
+            if 2 * way.count(opened) <= way.count(self.closed):
+                break
+            opened, self.layers = self.tension, self.layers // 2
+        return self.closed & ~opened | self.penetrated
 
     def _candidate(self, sets: int, stopped: str) -> Candidate:
         """What there is; an answer has no tension, not even within the tolerance."""
@@ -159,18 +195,25 @@ class _Search:
             if contradicted:
                 if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
                     return ""
+            elif self.identifies:
+                if run.steps and error <= IDENTIFIED**2 * self._work(run):
+                    return FOUND
             elif error <= SETTLED**2 * self._work(run):
                 goal = goal or _Goal(self)
                 if goal.reached(run):
                     return FOUND
             if self.way.any(time.perf_counter() > self.end):
                 return "the time limit is reached"
-            if run.steps >= STEPS:
-                return f"conjugate gradients did not converge in {STEPS} steps"
+            if run.steps >= STEPS or self.steps_left() <= 0:
+                return f"conjugate gradients did not converge in {run.steps} steps"
             if not self._step(run):
                 if contradicted:
                     return ""
                 return FOUND  # nothing to go along: what is left is rounding, or else the certificate will tell
+
+    def steps_left(self) -> int:
+        """Steps of conjugate gradients that may still be taken."""
+        return self._last_step - self.way.krylov_iterations
 
     def _step(self, run: ConjugateGradients) -> bool:
         self.way.krylov_iterations += 1

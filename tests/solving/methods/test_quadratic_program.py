@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -86,6 +88,17 @@ def test_silence(method: Method, capfd: pytest.CaptureFixture[str]) -> None:
     method.solve(TWO_BARS, Settings())
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.mark.parametrize("method", ["highs", "cvxpy"])
+def test_the_first_use_of_highs_prints_nothing(method: str) -> None:
+    """HiGHS greets once a process, and does not ask whether it may."""
+    pytest.importorskip("highspy")
+    solver = ", solver='HIGHS'" if method == "cvxpy" else ""
+    program = "import contactqp as cq; p = cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0]); "
+    program += f"assert cq.solve(p, {method!r}{solver}).normal_force[0] > 0.9"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("name", ["osqp", "scs", "clarabel", "piqp"])
