@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate import subset_bounds
-from contactqp.certificate.bounds import Bounds, bounds
+from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, bounds, no_bounds
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.failures import (
     failed_bounds,
@@ -174,7 +174,8 @@ def _residuals_and_bounds(
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
     left = residuals(problem, answer)
     if factorization is None and constraints_are_many(problem):
-        return left, energy_bounds(problem, answer), RigidMotions(np.zeros((problem.dimension, 0))), None
+        known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
+        return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
     many = factorization is None and problem.normal.nnz > subset_bounds.MANY
     if many and (candidates := believed_candidates(problem, answer)) is not None:
         return left, *bounds_among(problem, answer, left, candidates), None

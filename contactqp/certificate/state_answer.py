@@ -21,19 +21,22 @@ are proven.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds
+from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.certificate.failures import failed_errors
+from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows, residuals
 from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.saddle import saddle_point
+from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
@@ -41,7 +44,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES_ALONE, STATE, Answer, Violations
 
 if TYPE_CHECKING:
-    from contactqp.linalg.friction_states import RefinedState
+    from contactqp.linalg.friction_states import RefinedState, ScaledRows
 
 
 # Combinations that are looked at: the answer's own, and those that its failing signs lead to.
@@ -107,18 +110,22 @@ def state_verdict(
     Parameters
     ----------
     condensation : Condensation or None
-        None where the bodies are not factorised as a whole: nothing is compared then.
+        None where the bodies are not condensed: sparse systems compare where contacts are many, else nothing does.
     tolerances : two floats
         The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
     """
     tolerance, part = tolerances
-    if condensation is None:
-        return _figures_alone("the bodies are not factorised as a whole")
     nothing = part * found.intrinsic_size
-    if (reason := _too_large(problem, condensation, answer)) is not None:
+    if condensation is None and not constraints_are_many(problem):
+        return _figures_alone("the bodies are not factorised as a whole")
+    if condensation is not None and (reason := _too_large(problem, condensation, answer)) is not None:
         return _figures_alone(reason)
-    compared = _Comparison(problem, answer, found, condensation)
-    distance, reason = compared.nearest(tolerance, nothing)
+    bodies = _SparseBodies(problem) if condensation is None else _CondensedBodies(problem, condensation)
+    try:
+        compared = _Comparison(problem, answer, found, bodies)
+        distance, reason = compared.nearest(tolerance, nothing)
+    except BackendFailed as error:
+        distance, reason = None, str(error)
     if reason is not None:
         return _with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
     if distance is None:
@@ -149,7 +156,7 @@ def _too_large(problem: ContactProblem, condensation: Condensation, answer: Answ
 def _with_friction_held(
     problem: ContactProblem,
     answer: Answer,
-    condensation: Condensation,
+    condensation: Condensation | None,
     tolerance: float,
     nothing: float,
     reason: str,
@@ -160,7 +167,10 @@ def _with_friction_held(
     load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
     minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
     held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
-    known = bounds(minimised, held, residuals(minimised, held), condensation)
+    if condensation is None:
+        known = energy_bounds(minimised, held)
+    else:
+        known = bounds(minimised, held, residuals(minimised, held), condensation)
     pairs = ((known.energy_error, known.energy_scale), (known.force_error, known.force_scale))
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
     said = failed_errors(known, tolerance, nothing) if far else ()
@@ -168,31 +178,105 @@ def _with_friction_held(
     return replace(_figures_alone(reason), energy=known.energy_scale, failures=failures)
 
 
+class _Bodies(Protocol):
+    """What combinations of states are solved on."""
+
+    along: Vector  # (m,) the response of a contact to its own force
+    across: Vector  # (m,) the same of friction
+    floats: bool
+
+    @property
+    def rows(self) -> ScaledRows: ...
+
+    def refined(self, status: Status, start: Answer) -> RefinedState:
+        """The answer of a combination, refined from a start."""
+
+    def response_norm(self, normal: Vector, friction: Array) -> float:
+        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+
+    def rounding(self, displacement: Vector) -> float:
+        """The energy norm that the rounding of a rigid displacement has."""
+
+
+class _CondensedBodies:
+    """Bodies that are condensed onto their contacts."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
+        from contactqp.linalg.friction_states import FrictionalRows
+
+        self._problem, self._condensation = problem, condensation
+        self.rows = FrictionalRows(problem, condensation)
+        self.floats = condensation.rigid.count > 0
+        compliance = contact_compliance(problem, condensation)
+        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
+        self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
+
+    def refined(self, status: Status, start: Answer) -> RefinedState:
+        """The answer of a combination, refined from a start."""
+        from contactqp.linalg.friction_states import refined_in
+
+        return refined_in(self._problem, self._condensation, self.rows, status, start, independent=True)
+
+    def response_norm(self, normal: Vector, friction: Array) -> float:
+        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+        way = self._condensation
+        assert way.tangent is not None
+        load = normal @ way.normal + way.tangent.T @ friction.ravel()
+        saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
+        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
+        return float(np.sqrt(max(float(load @ x), 0.0)))
+
+    def rounding(self, displacement: Vector) -> float:
+        """The energy norm that the rounding of a rigid displacement has."""
+        return rigid_rounding(self._problem, self._condensation, displacement)
+
+
+class _SparseBodies:
+    """Bodies that are held, in the plane, in all their unknowns; a contact's response is that of its own unknowns."""
+
+    floats = False
+
+    def __init__(self, problem: ContactProblem) -> None:
+        from contactqp.linalg.sparse_states import frictional_rows
+
+        self._problem, self.rows = problem, frictional_rows(problem)
+        self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
+
+    def refined(self, status: Status, start: Answer) -> RefinedState:
+        """The answer of a combination, refined from a start."""
+        from contactqp.linalg.sparse_states import refined_sparse
+
+        return refined_sparse(self._problem, status, start)
+
+    def response_norm(self, normal: Vector, friction: Array) -> float:
+        """The energy norm of the response of the tied bodies to contact forces (m,), (m, 1)."""
+        assert self._problem.tangent is not None
+        load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
+        return self.rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
+
+    def rounding(self, displacement: Vector) -> float:
+        """Nothing floats."""
+        del displacement
+        return 0.0
+
+
 class _Comparison:
     """One answer beside the answers of combinations of states."""
 
-    def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation) -> None:
-        from contactqp.linalg.friction_states import FrictionalRows
-
+    def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, bodies: _Bodies) -> None:
         self._problem, self._answer, self._found = problem, answer, found
-        self._condensation = condensation
-        self._rows = FrictionalRows(problem, condensation)
-        self._width = self._rows.width
-        compliance = contact_compliance(problem, condensation)
-        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
-        self._along, self._across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
+        self._bodies, self._rows, self._width = bodies, bodies.rows, bodies.rows.width
+        self._along, self._across = bodies.along, bodies.across
         self._own = _own_compliances(problem, self._along, self._across)
         self._rubs = self._rows.slides & (self._rows.coefficient > 0)
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
         """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
-        from contactqp.linalg.friction_states import refined_in
-
         status, seen = self._believed(), set()
         for _ in range(COMBINATIONS):
             seen.add(status.tobytes())
-            refined = refined_in(self._problem, self._condensation, self._rows, status, self._answer, independent=True)
+            refined = self._bodies.refined(status, self._answer)
             if not refined.regular:
                 return None, SINGULAR
             signs = _Signs(self, refined, status)
@@ -212,7 +296,7 @@ class _Comparison:
         """In the root of an energy."""
         moved, rubbed = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
         assert rubbed is not None
-        return float(np.hypot(moved, self.response_norm(refined.last.normal_force, rubbed)))
+        return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, rubbed)))
 
     def _believed(self) -> Status:
         """(m,) what gaps, forces and slips say: the larger of the two that exclude each other, as lengths."""
@@ -254,15 +338,6 @@ class _Comparison:
         moved = extended_rows(self._problem).slip(extend(displacement)) - extend(origin.ravel())
         return np.asarray(moved.double().reshape(-1, self._width))
 
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-        way = self._condensation
-        assert way.tangent is not None
-        load = normal @ way.normal + way.tangent.T @ friction.ravel()
-        saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
-        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
-        return float(np.sqrt(max(float(load @ x), 0.0)))
-
     def _distance(self, refined: RefinedState, signs: _Signs) -> _Distance:
         problem, answer = self._problem, self._answer
         apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
@@ -270,7 +345,7 @@ class _Comparison:
         other = refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
         rubbed = np.where(self._rubs[:, None], self.friction - other, 0.0)
-        size = self.response_norm(refined.normal_force.double(), other)
+        size = self._bodies.response_norm(refined.normal_force.double(), other)
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))
         own_normal, own_tangent = self._own
@@ -280,18 +355,18 @@ class _Comparison:
         worst = int(np.argmax(of_contact))
         return _Distance(
             (apart, strain),
-            (self.response_norm(normal, rubbed), size),
+            (self._bodies.response_norm(normal, rubbed), size),
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,
-            (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._condensation.rigid.count else 0.0),
+            (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 
     def _rounding(self) -> float:
         """The energy norm that rounding the displacement to doubles has."""
         size = abs(self._answer.displacement)
         held = HELD_BY_DOUBLES * np.sqrt(size @ (self._problem.stiffness_sizes @ size))
-        return max(float(held), rigid_rounding(self._problem, self._condensation, self._answer.displacement))
+        return max(float(held), self._bodies.rounding(self._answer.displacement))
 
     def _rubbing_size(self, friction: Array) -> float:
         assert self._problem.tangent is not None
@@ -319,7 +394,7 @@ class _Signs:
         self._lengths = np.hypot(_over_root(penetrated, own_normal), _over_root(against, own_tangent))
         self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against
         excess = beyond[:, None] * directions_of(self._friction)
-        pushed = of.response_norm(-tension, excess) if np.any(tension) or np.any(beyond) else 0.0
+        pushed = of._bodies.response_norm(-tension, excess) if np.any(tension) or np.any(beyond) else 0.0
         self.failing = float(np.hypot(np.linalg.norm(self._lengths), pushed))
 
     def changed(self, status: Status) -> Status:

@@ -244,7 +244,7 @@ def uniqueness(
     """Say whether other equilibria may exist at this load. Empty without friction, where the energy has one minimum."""
     if not problem.frictional or not problem.contacts:
         return Uniqueness()
-    reason = "the bodies are not factorised as a whole"
+    reason = "the bodies are not condensed onto their contacts"
     if condensation is not None:
         reason = too_many(problem, condensation) or ""
     if condensation is None or reason:

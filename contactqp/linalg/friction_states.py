@@ -19,8 +19,10 @@ A] become R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -36,7 +38,7 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.saddle import BALANCED, independent_rows
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN as OPEN
 from contactqp.model.coulomb import SLIP_BACK as SLIP_BACK
 from contactqp.model.coulomb import SLIP_ON as SLIP_ON
@@ -46,6 +48,27 @@ from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
+
+
+class ScaledRows(Protocol):
+    """What the units of scaled rows are; attributes as those of `FrictionalRows`."""
+
+    width: int
+    normal_length: Vector
+    tangent_length: Vector
+    tie_length: Vector
+    slides: Mask
+    coefficient: Vector
+
+
+class Corrections(Protocol):
+    """The factorised system of one combination, attributes as those of `StateSystem`."""
+
+    regular: bool
+    redundant: bool
+
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
+        """du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts, dnu (k,) for residuals of the full problem."""
 
 
 class FrictionalRows:
@@ -286,33 +309,40 @@ def refined_in(
     rigid motions spoils the resultants of the forces, as in `polishing.answer_on`.
     """
     exact = extended_rows(problem)
-    found = _refined(exact, problem, condensation, rows, status, start, independent)
+
+    def system(directions: Array, turning: Vector | None) -> StateSystem:
+        return StateSystem(problem, condensation, rows, status, directions, turning, independent)
+
+    found = refined_by(system, exact, problem, rows, status, start)
     if imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
         return found
-    return _refined(condensation.cleared_rows(exact), problem, condensation, rows, status, start, independent)
+    return refined_by(system, condensation.cleared_rows(exact), problem, rows, status, start)
 
 
-def _refined(
+def refined_by(
+    make: Callable[[Array, Vector | None], Corrections],
     exact: ExtendedRows,
     problem: ContactProblem,
-    condensation: Condensation,
-    rows: FrictionalRows,
+    rows: ScaledRows,
     status: Status,
     start: Answer,
-    independent: bool,
+    sweeps: int = MAX_SWEEPS,
 ) -> RefinedState:
-    """`refined_in` with the products of these rows."""
+    """`refined_in` with the products of `exact` and systems that `make` returns for directions and turning.
+
+    In the plane it takes so many `sweeps` at most.
+    """
     u, tie = extend(start.displacement), extend(start.tie_force)
     force = extend(np.where(status != OPEN, start.normal_force, 0.0))
     stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
     origin = extend(_origin(problem))
     system, size, last, regular = None, np.inf, np.inf, True
-    for sweep in range(MAX_SWEEPS if rows.width == 1 else SLOW_SWEEPS):
+    for sweep in range(sweeps if rows.width == 1 else SLOW_SWEEPS):
         slip = (exact.slip(u) - origin).double()
         directions, turning = _directions(rows, status, slip, force.double())
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
-            system = StateSystem(problem, condensation, rows, status, directions, turning, independent)
+            system = make(directions, turning)
             regular = regular and system.regular
         last = size
         friction = stick + _bound(problem, force, directions)
@@ -345,7 +375,7 @@ def answer_in(
         near = refined.answer(rows.width)
         slender = refined_in(problem, condensation, rows, status, near, independent=True)
         refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
-    return _without_noise(problem, rows, refined.answer(rows.width), start)
+    return without_noise(problem, rows, refined.answer(rows.width), start)
 
 
 def _settled(refined: RefinedState) -> bool:
@@ -353,7 +383,7 @@ def _settled(refined: RefinedState) -> bool:
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
-def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
+def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
     """Unit directions of slip (m, d-1), and how slip turns them (m,), nothing in the plane."""
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
@@ -365,7 +395,7 @@ def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vecto
     return directions_of(vectors), turning
 
 
-def _without_noise(problem: ContactProblem, rows: FrictionalRows, answer: Answer, start: Answer) -> Answer:
+def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
     """Zero where beneath the refinement's rounding: of what it started from, of what it ends at, and of the load.
 
     All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
@@ -402,7 +432,7 @@ def _origin(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
 
 
-def _pushed_part(rows: FrictionalRows, change: tuple[Vector, Array], whole: tuple[Extended, Extended]) -> float:
+def _pushed_part(rows: ScaledRows, change: tuple[Vector, Array], whole: tuple[Extended, Extended]) -> float:
     """Return the part of normal and friction forces, in energy scale together, that a correction of them changes.
 
     Apart, any correction of the friction of contacts that stick without friction would be all of it.

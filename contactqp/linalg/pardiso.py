@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.model.arrays import Array
 
-POSITIVE_DEFINITE, INDEFINITE = 2, -2
+POSITIVE_DEFINITE, INDEFINITE, UNSYMMETRIC = 2, -2, 11
 ANALYSE_AND_FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 12, 33, 331, 333, -1
 NOT_POSITIVE = -4
 # Places in iparm, counted from zero.
 DEFAULTS_OVERRIDDEN, ORDERING, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 9, 34, 35, 55
 NESTED_DISSECTION, SCHUR_ONLY = 2, 1
+# Of an unsymmetric one: rows and columns are scaled and matched, so that large entries come onto the diagonal.
+SCALING, MATCHING = 10, 12
 # Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
 LEAST_PIVOT = 13
 
@@ -52,7 +54,7 @@ def _library() -> Any:
 
 
 class Pardiso:
-    """K = L L' up to the retained unknowns; of an indefinite matrix L D L', pivots of size one and two.
+    """K = L L' up to the retained unknowns; of an indefinite matrix L D L', pivots of size one and two; else L U.
 
     Raises
     ------
@@ -63,7 +65,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any, retained: NDArray[np.intp], kind: int = POSITIVE_DEFINITE) -> None:
-        upper = sp.triu(matrix, format="csr")
+        upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else sp.triu(matrix, format="csr")
         upper.sort_indices()
         if upper.nnz > np.iinfo(np.int32).max:
             raise BackendFailed(f"pardiso: {upper.nnz} entries are more than its 32-bit indices can count")
@@ -77,6 +79,8 @@ class Pardiso:
         self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, NESTED_DISSECTION
         self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
         self._settings[PERTURBATION] = LEAST_PIVOT
+        if kind == UNSYMMETRIC:
+            self._settings[[SCALING, MATCHING]] = 1
         self._kind = kind
         if len(retained):
             self._settings[SCHUR] = SCHUR_ONLY

@@ -57,6 +57,8 @@ NO_FORCE = 1e-12
 # with more than OF_PLANES entries in a row a body fills its factors as one in space.
 PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
 SMALLEST, OF_PLANES = 3e7, 25
+# With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
+FRICTION_CONDENSED = 3.0
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
@@ -73,18 +75,30 @@ def constraints_are_many(problem: ContactProblem) -> bool:
     unknowns than a body has rigid motions, condensing would take each of these for a motion.
     """
     known = problem._computed.constraints_are_many
-    if known is None:
-        known = problem._computed.constraints_are_many = _constraints_are_many(problem)
-    return bool(known)
+    if problem.frictional not in known:
+        known[problem.frictional] = _constraints_are_many(problem)
+    return known[problem.frictional]
+
+
+def condense_anyway(problem: ContactProblem) -> None:
+    """Have a problem condensed, whatever is predicted: sparse systems have not led to an answer."""
+    problem._computed.constraints_are_many[problem.frictional] = False
 
 
 def _constraints_are_many(problem: ContactProblem) -> bool:
-    if problem.frictional or not (problem.contacts or problem.ties):
+    if not (problem.contacts or problem.ties):
+        return False
+    if problem.frictional and not _in_the_plane(problem):
         return False
     if mostly_bare(problem):
         return True
-    dense = float(len(np.union1d(problem.normal.indices, problem.tie.indices))) ** 3
-    lengths = np.concatenate([np.diff(rows.indptr) for rows in (problem.normal, problem.tie)])
+    rows = [problem.normal, problem.tie]
+    if problem.frictional and problem.tangent is not None:
+        rows.append(problem.tangent)
+    dense = float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
+    if problem.frictional:
+        dense *= FRICTION_CONDENSED
+    lengths = np.concatenate([np.diff(some.indptr) for some in rows])
     long = int(np.sum(lengths > 1))
     size = float(problem.dimension + long)
     if dense <= max(SMALLEST, PER_UNKNOWN * size):
@@ -93,12 +107,17 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     plane, space = 10 * size**1.5 * (per_row / 5) ** 2, IN_SPACE * size**2
     grid = plane if per_row <= OF_PLANES else max(plane, space)
     operations = min(grid, size * float(_band(problem)) ** 2)
-    with_backends = PER_UNKNOWN * size + IN_BACKENDS * operations
     by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
     with_hierarchy = PER_ENTRY * per_row * size + by_solver * operations
+    # Friction takes combinations of states, of which neither an interior point nor a body that floats knows anything.
+    with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
     if (dense > with_backends) == (dense > with_hierarchy):
         return bool(dense > with_backends)
     return bool(dense > (with_hierarchy if size > LARGE and held_by_hierarchy(problem) else with_backends))
+
+
+def _in_the_plane(problem: ContactProblem) -> bool:
+    return problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
 
 
 def _band(problem: ContactProblem) -> int:

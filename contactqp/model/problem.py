@@ -81,8 +81,9 @@ class Computed:
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
     dependent_ties: Any = None  # linalg.saddle
-    constraints_are_many: bool | None = None  # linalg.sparse_saddle
+    constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.sparse_saddle: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
+    sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
     equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision

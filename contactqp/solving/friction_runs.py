@@ -16,15 +16,17 @@ import scipy.sparse as sp
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.figures import holds, rounded_slips
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
+from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Final
+from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
@@ -32,6 +34,7 @@ from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNO
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined
 from contactqp.solving.friction.on_contacts import solve_on_contacts
+from contactqp.solving.friction.sparse_newton import solve_sparse_newton
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, described
 
@@ -188,10 +191,43 @@ class FrictionRun(Run):
         """Constraints that conflict get no answer this far."""
 
 
+class SparseFrictionRun(FrictionRun):
+    """The answer to a problem in the plane whose contacts are many, found and refined in sparse systems.
+
+    Raises
+    ------
+    NotConverged
+        As `solve_sparse_newton`.
+    """
+
+    def __init__(self, problem: ContactProblem, settings: Settings) -> None:
+        found = solve_sparse_newton(problem, settings)
+        super().__init__(problem, found.answer, "newton", iterations=found.steps)
+        self._found = found
+
+    def final(self) -> Final:
+        """The answer as it was found: no body floats, and what is noise has been left out."""
+        answer = self._found.answer
+        forces = answer.normal_force, answer.tie_force
+        return Final(answer.displacement, *forces, friction_force=answer.friction_force)
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost: a factorisation for each combination."""
+        return Work(
+            factorisations=self._found.steps,
+            back_substitutions=self._found.back_substitutions,
+            iterations=self._found.steps,
+            retained=self.problem.dimension,
+            polish_corrections=corrections,
+            solver="pardiso" if pardiso.available() else "superlu",
+        )
+
+
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionRun:
-    """An answer by `algorithm`. None is, in the plane, Newton's method from `settings.warm_start` if there is one, then
-    Tresca's fixed point, then the algorithms of the local form, then enumeration where contacts are few; in space the
-    algorithms of the local form, by steps of `method` where that is not the default.
+    """An answer by `algorithm`. None is, in the plane, Newton's method in sparse systems where contacts are many, else
+    from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
+    enumeration where contacts are few; in space the algorithms of the local form, by steps of `method` where that is
+    not the default.
 
     Raises
     ------
@@ -212,6 +248,9 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
         known = ", ".join((*ALGORITHMS, *TAKEN))
         raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
     _refuse_iterated(problem)
+    if algorithm in (None, "newton") and method.name == DEFAULT_METHOD and constraints_are_many(problem):
+        with suppress(NotConverged):
+            return SparseFrictionRun(problem, settings)
     meter = Meter(problem)
     with meter.running():
         refuse_driven_motion(problem, condense(problem))

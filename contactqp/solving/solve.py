@@ -30,7 +30,7 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage
-from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
@@ -253,7 +253,10 @@ def solve(
         if method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
             raise
         if constraints_are_many(problem):
-            raise  # the other routes condense
+            if not problem.frictional:
+                raise  # the other routes condense
+            condense_anyway(problem)
+            return solve(problem, method, warm_start=warm_start, **same)
         # With friction the default has tried all algorithms where none converges.
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise

@@ -1,0 +1,115 @@
+"""Friction in the plane with many contacts: sparse systems beside condensed ones, and wrong answers refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.elements.material import Material
+from contactqp.elements.shapes import rectangle
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
+from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
+from contactqp.solving.friction import sparse_newton
+
+pytest.importorskip("pyamg")
+
+
+def strip(cells: int, friction: float, press: float) -> cq.ContactProblem:
+    """A strip of quadrilaterals, its top pressed down onto a parabola beneath."""
+    body = Body(rectangle(1.0, 8 / cells, (cells, 8)), Material(1.0, 0.3), "plane-strain", name="strip")
+    structure = Structure([body])
+    held = [Support("strip", "top", 1, -press), Support("strip", "top", 0, 0.0)]
+    parabola = cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0)
+    return structure.assemble(held).problem(
+        [cq.pair(structure.surface("strip", "bottom"), parabola)], friction=friction
+    )
+
+
+def pushed(seed: int, cells: int = 320) -> cq.ContactProblem:
+    """The strip with loads that leave contacts in every state, slip origins, and ties every now and then."""
+    rng = np.random.default_rng(seed)
+    problem = strip(cells, 0.3, float(10 ** rng.uniform(-3.5, -2)))
+    size, m = float(np.max(abs(problem.load))), problem.contacts
+    load = problem.load + rng.normal(size=problem.dimension) * size * 10 ** rng.uniform(-3, -1)
+    load[::2] += size * 10 ** rng.uniform(-3, -1)
+    changed = problem.replace(
+        load=load,
+        friction=np.where(rng.random(m) < 0.1, 0.0, 10 ** rng.uniform(-1.5, 0, m)),
+        slip_origin=rng.normal(size=(m, 1)) * 1e-5,
+    )
+    if seed % 2:
+        rows = sp.csr_matrix((np.ones(4), ([0, 0, 1, 1], [1001, 1201, 2001, 2201])), shape=(2, problem.dimension))
+        changed = changed.replace(tie=rows, tie_value=[1e-4, 0.0])
+    return changed
+
+
+def condensed(problem: cq.ContactProblem) -> cq.ContactProblem:
+    """The same numbers, condensed however many contacts there are."""
+    twin = problem.replace(stiffness=problem.stiffness)
+    condense_anyway(twin)
+    return twin
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
+    problem = pushed(seed)
+    assert constraints_are_many(problem)
+    sparse, dense = cq.solve(problem), cq.solve(condensed(problem))
+    assert sparse.work.retained == problem.dimension
+    assert sparse.certificate.passed
+    assert sparse.certificate.basis == "state"
+    assert {"open", "slip"} <= set(sparse.contact_status)
+    largest = float(np.max(dense.normal_force))
+    assert sparse.normal_force == pytest.approx(dense.normal_force, abs=1e-12 * largest)
+    assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
+
+
+def test_few_contacts_are_condensed_as_ever() -> None:
+    assert not constraints_are_many(strip(120, 0.3, 0.002))
+
+
+@pytest.mark.parametrize("part", ["normal_force", "friction_force", "displacement"])
+def test_wrong_answers_are_refused_by_the_comparison(part: str) -> None:
+    problem = pushed(2)
+    solution = cq.solve(problem)
+    answer = {
+        "displacement": solution.displacement.copy(),
+        "normal_force": solution.normal_force.copy(),
+        "friction_force": solution.friction_force.copy(),
+    }
+    assert cq.certify(problem, **answer).passed
+    worst = int(np.argmax(abs(answer[part]).ravel()))
+    answer[part].reshape(-1)[worst] *= 1 + 1e-4
+    refused = cq.certify(problem, **answer)
+    assert not refused.passed
+    if part != "displacement":
+        assert any(text.startswith("state:") for text in refused.failures), refused.failures
+
+
+def test_an_equilibrium_with_another_law_of_friction_is_refused() -> None:
+    """Forces of twice the coefficient balance the bodies: the figures see the cone, and the comparison the distance."""
+    problem = pushed(4)
+    rough = cq.solve(problem.replace(friction=2 * problem.friction))
+    judged = cq.certify(problem, rough.displacement, rough.normal_force, rough.friction_force)
+    assert not judged.passed
+    assert judged.equilibrium <= 1e-9
+
+
+def test_a_start_is_the_combination_of_the_load_before() -> None:
+    problem = pushed(2)
+    first = cq.solve(problem)
+    again = cq.solve(problem.replace(load=problem.load * (1 + 1e-6)), warm_start=first)
+    assert again.certificate.passed
+    assert again.work.iterations <= 2
+
+
+def test_where_newton_gives_up_the_problem_is_condensed(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = cq.solve(pushed(0))
+    monkeypatch.setattr(sparse_newton, "MAX_STEPS", 1)
+    found = cq.solve(pushed(0))
+    assert found.method != expected.method
+    largest = float(np.max(expected.normal_force))
+    assert found.normal_force == pytest.approx(expected.normal_force, abs=1e-12 * largest)
