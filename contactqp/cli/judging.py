@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path as FilePath
 
 import click
 
@@ -72,13 +73,21 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
     The cost is that of solving CASE once by active-set in a fresh interpreter: the time of each stage, memory, modules
     imported, factorisations, contacts kept and dropped. It takes about as long as `contactqp run`; --no-solve leaves it
     out. A case without an answer is explained all the same.
+
+    CASE may also be a problem of matrices, as a quadratic program (.qps, .mps, .mat, .npz), of which no cost is taken.
     """
     from dataclasses import asdict
 
-    from contactqp.scene.explaining import explain
+    from contactqp.exchange.problem_files import is_problem_file
+    from contactqp.scene.explaining import explain, explain_problem
     from contactqp.scene.scene import load_scene
 
-    explanation = explain(load_scene(case))
+    if is_problem_file(case):
+        from contactqp.study.friction_files import solvable_form
+
+        explanation, no_solve = explain_problem(solvable_form(case), FilePath(case).name), True
+    else:
+        explanation = explain(load_scene(case))
     if not as_json:
         from contactqp.scene.explaining import print_explanation
 

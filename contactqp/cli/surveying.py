@@ -101,6 +101,14 @@ def report_command(
 @click.option("--count", type=int, metavar="N", help="How many of each kind; 3 by default, and all named ones.")
 @click.option("--seed", type=int, default=0, show_default=True, metavar="S", help="Where the seeds start.")
 @click.option("--name", "names", multiple=True, metavar="NAME", help="A problem by its name; may be repeated.")
+@click.option(
+    "--as",
+    "form",
+    type=click.Choice(["folders", "qpbenchmark"]),
+    default="folders",
+    show_default=True,
+    help="A folder a problem, or a test set of qpbenchmark, without friction.",
+)
 @click.option("--list", "listed", is_flag=True, help="List the problems, write nothing.")
 @click.option("--json", "as_json", is_flag=True, help="With --list: print JSON instead of a table.")
 def gallery_command(
@@ -110,6 +118,7 @@ def gallery_command(
     count: int | None,
     seed: int,
     names: tuple[str, ...],
+    form: str,
     listed: bool,
     as_json: bool,
 ) -> None:
@@ -117,6 +126,7 @@ def gallery_command(
 
     DIR must be new or empty. index.json lists the problems; each has a folder with problem.json, stiffness.mtx,
     load.mtx, normal.mtx, gap.mtx and so on, and answer.json with its exact answer, in doubles and as fractions.
+    As qpbenchmark: contact_problems.py, data/ with a .npz each, answers/ in the names and signs of qpsolvers.
     """
     from contactqp.oracle.gallery.gallery import chosen_problems, summary, write_gallery
 
@@ -129,5 +139,11 @@ def gallery_command(
         print_json([summary(problem) for problem in chosen])
     elif listed:
         print_gallery(console(), chosen)
+    elif form == "qpbenchmark" and folder is not None:
+        from contactqp.oracle.gallery.qpbenchmark import write_qpbenchmark
+
+        written, count = write_qpbenchmark(folder, chosen)
+        left_out = f"; {len(chosen) - count} with friction are no quadratic programs" if count < len(chosen) else ""
+        click.echo(f"written: {written}, {count} problems{left_out}")
     elif folder is not None:
         click.echo(f"written: {write_gallery(folder, chosen)}, {len(chosen)} problems")

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +15,10 @@ from rich.markup import escape
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.building import ExactProblem, NodeModel, Row, build
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import LoadPath
 
 MOST_NAMES = 12
+# Entries of a row that are printed.
+MOST_TERMS = 6
 
 
 @dataclass(frozen=True)
@@ -318,6 +324,63 @@ def report_note(scene: SceneData) -> str:
     """Return the same in words; empty where all are tried."""
     limit = report_methods(scene)
     return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
+
+
+def explain_problem(problem: ContactProblem | LocalProblem, title: str) -> Explanation:
+    """Read off a problem of matrices, as of a quadratic program: what it has, and which systems would be solved."""
+    if isinstance(problem, LocalProblem):
+        local = BuildingBlock("condensation", False, "the problem is in local form: contacts alone, no stiffness")
+        rubs = friction_block([Fraction(float(mu)) for mu in problem.friction], problem.dimension)
+        names = tuple(problem.contact_name(i) for i in range(problem.contacts))
+        return Explanation(title, "units of its own", (), (), names, (), (rubs, local))
+    bounds = int(np.sum(np.diff(problem.normal.indptr) == 1))
+    units = problem.units or Units()
+    return Explanation(
+        title=title,
+        units=", ".join(filter(None, (units.length, units.force))) or "units of its own",
+        unknowns=tuple(problem.dof_name(j) for j in range(problem.dimension)),
+        fixed=(),
+        contacts=tuple(_row_of(problem.normal, i, problem, "<=") for i in range(problem.contacts)),
+        ties=tuple(_row_of(problem.tie, i, problem, "=") for i in range(problem.ties)),
+        blocks=(
+            counted("stiffness K", problem.stiffness_rows.nnz, "nonzero", "the energy is linear"),
+            counted("unknowns without stiffness", int(np.sum(problem.diagonal == 0)), "unknown", "K sees all of them"),
+            counted("contact rows E_N u <= g", problem.contacts, "contact", "nothing is unilateral"),
+            counted("bounds of single unknowns among them", bounds, "bound", "no row has one entry alone"),
+            counted("tie rows A u = b", problem.ties, "tie", "no ties"),
+            friction_block([Fraction(float(mu)) for mu in _coefficients(problem)], _axes(problem)),
+            _systems(problem),
+        ),
+    )
+
+
+def _row_of(rows: Any, i: int, problem: ContactProblem, relation: str) -> str:
+    """One row in words; long ones are cut short."""
+    ties = relation == "="
+    entries = range(rows.indptr[i], rows.indptr[i + 1])
+    terms = [f"{rows.data[k]:+.6g} {problem.dof_name(int(rows.indices[k]))}" for k in entries[:MOST_TERMS]]
+    more = f" ... ({len(entries)} entries)" if len(entries) > MOST_TERMS else ""
+    name = problem.tie_name(i) if ties else problem.contact_name(i)
+    limit = problem.tie_value[i] if ties else problem.gap[i]
+    return f"{name}: {' '.join(terms) or '0'}{more} {relation} {limit + 0.0:.6g}"
+
+
+def _coefficients(problem: ContactProblem) -> Any:
+    return np.zeros(problem.contacts) if problem.friction is None else problem.friction
+
+
+def _axes(problem: ContactProblem) -> int:
+    return 1 + (1 if problem.slip_origin is None else problem.slip_origin.shape[1])
+
+
+def _systems(problem: ContactProblem) -> BuildingBlock:
+    """Which systems `solve` takes."""
+    if iterated(problem):
+        return BuildingBlock("condensation", False, "the body is too large to factorise: it is iterated on")
+    if constraints_are_many(problem):
+        return BuildingBlock("condensation", False, "constraints are many: sparse systems are predicted to cost less")
+    touched = len(np.union1d(problem.normal.indices, problem.tie.indices))
+    return BuildingBlock("condensation", True, f"onto {touched} unknowns that contacts and ties touch")
 
 
 def print_explanation(console: Console, explanation: Explanation) -> None:

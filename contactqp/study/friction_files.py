@@ -54,6 +54,9 @@ class Outline:
     dimension: int  # 1 where nothing says it
     contacts: int
     asymmetry: float
+    is_energy: bool = False  # bodies without friction, or any other energy with linear constraints
+    unknowns: int = 0
+    ties: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,9 @@ def outline_of(problem: LocalProblem | ContactProblem) -> Outline:
     if isinstance(problem, LocalProblem):
         return Outline("local", problem.dimension, problem.contacts, problem.asymmetry)
     origin = problem.slip_origin
-    return Outline("bodies", 1 + (0 if origin is None else origin.shape[1]), problem.contacts, problem.asymmetry)
+    dimension = 1 + (0 if origin is None else origin.shape[1])
+    sizes = not problem.frictional, problem.dimension, problem.ties
+    return Outline("bodies", dimension, problem.contacts, problem.asymmetry, *sizes)
 
 
 def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> FileOutcome:
@@ -285,9 +290,26 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
             "joint_force": solution.joint_force.tolist(),
         }
     elif solution is not None:
+        if isinstance(solution, Solution):
+            data |= _energy_of(solution)
         parts = {name: getattr(solution, name) for name in ANSWER_PARTS}
         data |= {name: part.tolist() for name, part in parts.items() if part is not None}
     return data
+
+
+def _energy_of(solution: Solution) -> dict[str, Any]:
+    """Return the energy of an answer, what is proven of it, and what the problem determines."""
+    certificate = solution.certificate
+    bounds = certificate.energy_bounds
+    return {
+        "unknowns": len(solution.displacement),
+        "energy": solution.energy,
+        "energy_bounds": None if bounds is None else list(bounds),
+        "energy_error": certificate.energy_error,
+        "force_error": certificate.force_error,
+        "proven": certificate.proven,
+        "determined": certificate.determined,
+    }
 
 
 # Contacts that a table on a screen lists; --json has all.
@@ -296,7 +318,14 @@ PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
 
 
 def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
-    """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish."""
+    """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish.
+
+    Of energies without friction: the energy, and what is proven of it.
+    """
+    energies = [outcome for outcome in outcomes if outcome.problem.is_energy]
+    if energies:
+        _print_energies(console, energies)
+    outcomes = [outcome for outcome in outcomes if not outcome.problem.is_energy]
     if not outcomes:
         return
     header = ["file", "contacts", "", "algorithm", "state of contacts", *(n.replace("_", " ") for n in SHARED_FIGURES)]
@@ -306,6 +335,26 @@ def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
         table.add_column(title, no_wrap=title == "file")
     for outcome in outcomes:
         table.add_row(*_row(outcome))
+    console.print(table)
+
+
+def _print_energies(console: Console, outcomes: Sequence[FileOutcome]) -> None:
+    header = ["file", "unknowns", "contacts", "ties", "method", "energy", "known to", "determined", "worst figure"]
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for title in (*header, "seconds", "certificate"):
+        table.add_column(title, no_wrap=title == "file")
+    for outcome in outcomes:
+        problem, solution = outcome.problem, outcome.solution
+        sizes = escape(Path(outcome.file).name), f"{problem.unknowns}", f"{problem.contacts}", f"{problem.ties}"
+        found = ["", "", "", "", ""]
+        if isinstance(solution, Solution):
+            certificate, values = solution.certificate, figures(solution.certificate)
+            worst = max(values, key=lambda name: values[name])
+            known = "not proven" if certificate.energy_error is None else f"{certificate.energy_error:.1e}"
+            about = f"{values[worst]:.1e} {worst.replace('_', ' ')}" if values[worst] > 0 else "0"
+            found = [escape(solution.method), f"{solution.energy:.12g}", known, certificate.determined or "", about]
+        verdict = PASSED if outcome.passed else REFUSED
+        table.add_row(*sizes, *found, f"{outcome.seconds:.2f}", verdict)
     console.print(table)
 
 

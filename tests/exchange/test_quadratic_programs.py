@@ -14,6 +14,7 @@ from scipy.io import savemat
 
 import contactqp as cq
 from contactqp.cli import main
+from contactqp.exchange.fclib import write_fclib
 from contactqp.model.quadratic_program import answer_of_program
 
 P, Q = np.diag([2.0, 4.0]), np.array([-2.0, 4.0])
@@ -110,6 +111,13 @@ def test_what_is_no_qps_is_refused(tmp_path: Path) -> None:
         cq.read_problem(path)
 
 
+def command(*arguments: str) -> int:
+    """The exit code of a command."""
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    return int(ended.value.code or 0)
+
+
 def other_peoples_answer(folder: Path) -> tuple[Path, dict[str, Any]]:
     """A program of every part, one unknown fixed by its bounds, and Clarabel's answer by qpsolvers."""
     P, A, G = np.diag([2.0, 1.0, 4.0, 1.0]), np.array([[1.0, 0.0, 1.0, 1.0]]), np.eye(2, 4, 0) + np.eye(2, 4, 1)
@@ -132,9 +140,7 @@ def test_answers_in_the_names_and_signs_of_qpsolvers_are_checked(form: str, tmp_
             np.savez(file, **given)
         else:
             file.write_text(json.dumps({name: np.asarray(values).tolist() for name, values in given.items()}))
-        with pytest.raises(SystemExit) as ended:
-            main(["check", str(program), str(file), "--tolerance", "1e-7"])
-        return int(ended.value.code or 0)
+        return command("check", str(program), str(file), "--tolerance", "1e-7")
 
     assert np.count_nonzero(abs(answer["z_box"]) > 1e-3) >= 2
     assert check() == 0
@@ -151,3 +157,41 @@ def test_backends_answers_become_those_of_the_contact_problem() -> None:
     parts = answer_of_program(problem, np.array([1.0, -1.0, 0.5]), z_box=np.array([2.0, -1.0, 0.5]))
     assert cq.certify(problem, **parts).proven
     assert parts["tie_force"] == pytest.approx([0.5])
+
+
+def test_run_says_the_energy_and_how_well_it_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(matlab(tmp_path / "P.mat"))
+    assert command("run", path, "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    expected = cq.solve(cq.read_problem(path))
+    assert (found["unknowns"], found["proven"], found["determined"]) == (2, True, "displacement")
+    assert found["energy"] == expected.energy
+    assert found["energy_error"] <= 1e-12
+    assert command("run", path) == 0
+    table = capsys.readouterr().out
+    assert f"{expected.energy:.12g}" in table
+    assert "P.mat" in table
+
+
+def test_explain_says_what_a_program_is_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("explain", str(matlab(tmp_path / "P.mat")), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["contacts"] == [
+        "range 1 upper: +1 unknown 0 -1 unknown 1 <= 3",
+        "lower 0: -1 unknown 0 <= 0",
+    ]
+    assert found["ties"] == ["tie 0: +1 unknown 0 +1 unknown 1 = 1"]
+    blocks = {block["name"]: block for block in found["blocks"]}
+    assert blocks["bounds of single unknowns among them"]["reason"] == "1 bound"
+    assert blocks["condensation"]["included"]
+    assert found["footprint"] is None
+
+
+def test_explain_takes_problems_in_local_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("h5py")
+    path = tmp_path / "local.hdf5"
+    write_fclib(path, cq.LocalProblem(delassus=np.eye(3), offset=[-1.0, 0.5, 0.0], friction=[0.3], dimension=3))
+    assert command("explain", str(path)) == 0
+    said = capsys.readouterr().out
+    assert "local form" in said
+    assert "1 contact with friction" in said

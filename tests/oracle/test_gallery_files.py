@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 from fractions import Fraction
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import qpsolvers
 import scipy.sparse as sp
 
 import contactqp as cq
@@ -182,3 +184,61 @@ def test_an_empty_folder_is_filled_and_not_replaced(tmp_path: Path, monkeypatch:
     write_gallery(".", [problem("wedge")])
     assert sorted(path.name for path in Path.cwd().iterdir()) == ["index.json", "wedge"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here", "link", "real"]
+
+
+@pytest.fixture(scope="module")
+def test_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sets") / "contact_qpbenchmark"
+    with pytest.raises(SystemExit) as ended:
+        main(["gallery", "--as", "qpbenchmark", str(folder)])
+    assert not ended.value.code
+    return folder
+
+
+def test_a_test_set_of_qpbenchmark_has_the_parts_it_asks_for(test_set: Path) -> None:
+    """A class named as its file in a script, problems in data/, room for results/."""
+    assert {path.name for path in test_set.iterdir()} == {
+        "contact_problems.py",
+        "data",
+        "answers",
+        "results",
+        "README.md",
+    }
+    tree = ast.parse((test_set / "contact_problems.py").read_text())
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+    assert [node.name for node in classes] == ["ContactProblems"]
+    assert {"title", "description", "sparse_only", "__iter__"} <= {
+        node.name for node in classes[0].body if isinstance(node, ast.FunctionDef)
+    }
+
+
+def test_the_answers_of_a_test_set_meet_the_conditions_of_its_programs(test_set: Path) -> None:
+    written = sorted((test_set / "data").glob("*.npz"))
+    assert [path.stem for path in written] == sorted(known.name for known in EVERY if not known.problem.frictional)
+    for path in written:
+        program = qpsolvers.Problem.load(str(path))
+        answer = json.loads((test_set / "answers" / f"{path.stem}.json").read_text())
+        x, z, y = (np.array(answer[name]) for name in ("x", "z", "y"))
+        stationary = program.P @ x + program.q
+        size = abs(program.P) @ abs(x) + abs(program.q)
+        if program.G is not None and len(z):
+            stationary, size = stationary + program.G.T @ z, size + abs(program.G).T @ z
+            room = program.h - program.G @ x
+            scale = abs(program.G) @ abs(x) + abs(program.h)
+            assert np.all(room >= -1e-14 * scale), path.stem
+            assert np.all(z >= 0)
+            assert np.all((z == 0) | (abs(room) <= 1e-14 * scale)), path.stem
+        if program.A is not None and len(y):
+            stationary, size = stationary + program.A.T @ y, size + abs(program.A).T @ abs(y)
+        assert np.all(abs(stationary) <= 1e-14 * size + 1e-300), path.stem
+        terms = abs(x) @ abs(program.P) @ abs(x) + abs(program.q) @ abs(x)
+        assert 0.5 * x @ program.P @ x + program.q @ x == pytest.approx(answer["cost"], abs=1e-14 * terms)
+        assert float(Fraction(answer["exact"]["cost"])) == answer["cost"]
+
+
+def test_friction_alone_makes_no_test_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["gallery", "--as", "qpbenchmark", "--kind", "frictional", str(tmp_path / "set")])
+    assert ended.value.code == 2
+    assert "expected a problem without friction" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

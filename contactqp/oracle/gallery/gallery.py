@@ -171,17 +171,10 @@ def write_gallery(
     InvalidProblem
         Something is in the folder, it is none, nothing is to be written, or the file system refuses.
     """
-    root = Path(folder)
-    if not problems:
-        raise InvalidProblem(f"{folder}: no problem of the gallery is chosen; expected at least one")
-    _refuse_taken(root)
-    # An empty folder is filled and not replaced: it may be a link, a mount, or where the user stands.
-    there = root.is_dir()
-    beside = root / f".{os.getpid()}" if there else root.absolute().with_name(f".{root.absolute().name}.{os.getpid()}")
-    try:
-        beside.mkdir()
+
+    def fill(root: Path) -> None:
         for known in problems:
-            _write_one(beside / known.name, known)
+            _write_one(root / known.name, known)
             if progress is not None:
                 progress(known)
         index = {
@@ -190,12 +183,34 @@ def write_gallery(
             "contactqp": version("contactqp"),
             "problems": [summary(known) for known in problems],
         }
-        (beside / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+        (root / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+
+    if not problems:
+        raise InvalidProblem(f"{folder}: no problem of the gallery is chosen; expected at least one")
+    return filled(folder, fill, last=INDEX)
+
+
+def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
+    """Return a folder that is new or was empty, filled by `fill` or left as it was; `last` is its last part.
+
+    Raises
+    ------
+    InvalidProblem
+        Something is in the folder, it is none, or the file system refuses.
+    """
+    root = Path(folder)
+    _refuse_taken(root)
+    # An empty folder is filled and not replaced: it may be a link, a mount, or where the user stands.
+    there = root.is_dir()
+    beside = root / f".{os.getpid()}" if there else root.absolute().with_name(f".{root.absolute().name}.{os.getpid()}")
+    try:
+        beside.mkdir()
+        fill(beside)
         if not there:
             beside.rename(root)
         else:
             _refuse_taken(root, but=beside.name)
-            for part in sorted(beside.iterdir(), key=lambda part: (part.name == INDEX, part.name)):
+            for part in sorted(beside.iterdir(), key=lambda part: (part.name == last, part.name)):
                 part.rename(root / part.name)
     except OSError as error:
         raise InvalidProblem(f"{folder}: cannot be written ({error.strerror or error})") from error
