@@ -108,6 +108,11 @@ class Bounds:
     reasons: tuple[str, ...] = ()
 
     @property
+    def redundant(self) -> bool:
+        """Whether closed contacts and ties were found to depend on each other."""
+        return any(REDUNDANT in reason for reason in self.reasons)
+
+    @property
     def proven(self) -> bool:
         """Whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated

@@ -32,7 +32,7 @@ from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, stage
-from contactqp.linalg.saddle import dependent_ties
+from contactqp.linalg.saddle import dependent_sparse_ties, dependent_ties
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
@@ -135,7 +135,11 @@ def _judged(
     failures += failed_energy(known, tolerance, nothing * nothing)
     failures += state.failures
     grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
-    dependent = () if condensation is None or problem.ties < 2 else dependent_ties(problem, condensation)
+    dependent: tuple[tuple[int, NDArray[np.intp]], ...] = ()
+    if condensation is not None and problem.ties > 1:
+        dependent = dependent_ties(problem, condensation)
+    elif known.redundant and problem.ties > 1:
+        dependent = dependent_sparse_ties(problem)
     said = (*notes(problem, grazing, known), *said_of_dependent_ties(problem, dependent))
     return Certificate(
         **figures,

@@ -71,11 +71,21 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
         moved = NO_LENGTH * _size(load) / stiffest if stiffest > 0 else 0.0  # what is imposed may be rounding of zero
         length = _near(max(imposed, moved) or _size(np.where(np.isfinite(gap), gap, 0.0)))
         force = _near(max(_size(load), length * stiffest))
-        values = twin._values() | dict(stiffness=twin.stiffness * (length / force))
-        twin = ContactProblem._of_checked(values, Computed())
+        twin = _of_stiffness_times(problem, twin, length / force)
     twin = twin.replace(gap=gap / length, tie_value=value / length)
     twin = twin.with_load_sum(load / force, D * problem.load_size / force)
     return twin, replace(scaling, length=length, force=force)
+
+
+def _of_stiffness_times(problem: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
+    """The twin of a problem with another unit of force; the last is kept, with all that is computed for it."""
+    known = problem._computed.equilibrated_forces
+    if known is None or known[0] != factor:
+        values = twin._values() | dict(stiffness=twin.stiffness * factor)
+        scaled = ContactProblem._of_checked(values, Computed())
+        known = problem._computed.equilibrated_forces = (factor, scaled)
+    found: ContactProblem = known[1]
+    return found
 
 
 def _size(values: Array) -> float:

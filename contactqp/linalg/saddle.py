@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.factorization import DenseCholesky, orthonormal
+from contactqp.linalg.krylov import IndependentRows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 
@@ -149,6 +150,8 @@ class RangeSpace:
 DEPENDENT = 1e-13
 # A row that makes less than this part of another takes no part in it, both of unit length.
 NO_PART = 1e-9
+# What is left of a dependent row of unit length, once those that make it are taken away: rounding of sparse factors.
+VERIFIED, MOST_VERIFIED = 1e-10, 100
 # Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
 KEPT = 6
 # Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
@@ -314,6 +317,23 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
         problem._computed.dependent_ties = tuple(zip(others.tolist(), taking_part, strict=True))
     found: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
     return found
+
+
+def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+    """The same where ties are many, by sparse factors of their Gram matrix; MOST_VERIFIED of them are looked at."""
+    if problem._computed.dependent_ties is None:
+        length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
+        rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie)
+        gram = IndependentRows(rows, np.ones(problem.dimension))
+        found = []
+        for i in np.setdiff1d(np.arange(problem.ties), gram.kept)[:MOST_VERIFIED].tolist():
+            row = rows[[i]].toarray().ravel()
+            share = gram.solve(rows @ row)
+            if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
+                found.append((i, np.flatnonzero(abs(share) > NO_PART)))
+        problem._computed.dependent_ties = tuple(found)
+    known: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
+    return known
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:

@@ -85,6 +85,7 @@ class Computed:
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
     sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
     equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
+    equilibrated_forces: Any = None  # linalg.equilibration: the same with a unit of forces apart from that of lengths
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration

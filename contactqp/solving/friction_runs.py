@@ -22,6 +22,7 @@ from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
+from contactqp.linalg.runtime import on_one_thread
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array
 from contactqp.model.coulomb import lengths
@@ -201,7 +202,8 @@ class SparseFrictionRun(FrictionRun):
     """
 
     def __init__(self, problem: ContactProblem, settings: Settings) -> None:
-        found = solve_sparse_newton(problem, settings)
+        with on_one_thread():  # nothing dense here is large
+            found = solve_sparse_newton(problem, settings)
         super().__init__(problem, found.answer, "newton", iterations=found.steps)
         self._found = found
 

@@ -35,7 +35,7 @@ from contactqp.linalg.refinement import (
     shift_to_least_norm,
     without_noise,
 )
-from contactqp.linalg.runtime import POLISH, one_blas_thread, stage
+from contactqp.linalg.runtime import POLISH, on_one_thread, one_blas_thread, stage
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional
 from contactqp.linalg.schur import LARGE
@@ -425,7 +425,8 @@ class IteratedRun(Run):
         known: Iteration | None = problem._computed.iteration
         self._before = known.krylov_iterations if known else 0
         self._iteration = iteration(problem)
-        self.candidate = solve_by_iteration(problem, self._iteration, settings)
+        with on_one_thread():  # nothing dense here is large
+            self.candidate = solve_by_iteration(problem, self._iteration, settings)
 
     def final(self) -> Final:
         """The answer that is to be certified: the candidate."""

@@ -19,6 +19,7 @@ from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
 from contactqp.linalg.iteration import held_by_hierarchy, iteration
+from contactqp.linalg.runtime import on_one_thread
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import ClosedState, Effort
 from contactqp.model.problem import ContactProblem
@@ -56,10 +57,11 @@ class SparseRun(Run):
         self._state: ClosedState | None = None
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
-        if method.kind == CONDENSES_ITSELF:
-            self.candidate = self._identified(settings)
-        else:
-            self.candidate = method.solve(problem, settings)
+        with on_one_thread():  # nothing dense here is large
+            if method.kind == CONDENSES_ITSELF:
+                self.candidate = self._identified(settings)
+            else:
+                self.candidate = method.solve(problem, settings)
 
     def _identified(self, settings: Settings) -> Candidate:
         """The answer of the first backend whose closed contacts lead to a solution in the last digits.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
 
@@ -76,3 +77,28 @@ def test_what_rounding_makes_of_agreeing_values_is_no_conflict():
     value = np.array([0.1, 0.2, 0.3])
     problem = cq.ContactProblem(K, LOAD, FAR, [1e3], tie=RING, tie_value=[*value, -float(np.sum(value))])
     assert cq.solve(problem).certificate.passed
+
+
+def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
+    """A membrane held over an obstacle, too many contacts to condense: three ties on three nodes in a circle."""
+    side = 50
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(side, side))
+    one, n = sp.identity(side), side * side
+    ties = sp.csr_matrix(
+        ([1.0, -1.0, 1.0, -1.0, 2.0, -2.0, 1.0], ([0, 0, 1, 1, 2, 2, 3], [5, 9, 9, 20, 5, 20, 77])), shape=(4, n)
+    )
+    membrane = cq.ContactProblem(
+        stiffness=sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one)),
+        load=np.full(n, 1e-3),
+        normal=sp.identity(n, format="csr"),
+        gap=np.full(n, 0.03),
+        tie=ties,
+        tie_value=[0.001, 0.001, 0.004, 0.0],
+    )
+    solution = cq.solve(membrane)
+    assert solution.work.retained == n
+    assert solution.certificate.passed
+    (said,) = [note for note in solution.certificate.notes if "depends on" in note]
+    assert {name for name in ("tie 0", "tie 1", "tie 2", "tie 3") if name in said} == {"tie 0", "tie 1", "tie 2"}
+    with pytest.raises(cq.NoEquilibrium, match="tie 0, tie 1, tie 2"):
+        cq.solve(membrane.replace(tie_value=[0.001, 0.001, 0.0041, 0.0]))
