@@ -180,7 +180,8 @@ class ActingRows:
         if whole.slip_origin is not None:
             shape = whole.slip_origin.shape
             across = np.zeros(shape)
-            across[self.contacts] = tangent.reshape(len(self.contacts), -1)
+            if tangent.size:
+                across[self.contacts] = tangent.reshape(len(self.contacts), shape[1])
             tangent = across.ravel()
         return Nothing(few.force, self._contacts(few.normal), tangent, _spread(whole.ties, self.ties, few.tie))
 

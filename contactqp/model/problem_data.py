@@ -326,6 +326,8 @@ def read_friction(
     per_contact = E_T.shape[0] // m if m else 1
     coefficient = read_coefficient(0.0 if friction is None else friction, m)
     origin = np.zeros((m, per_contact)) if slip_origin is None else read_array("slip_origin", slip_origin)
+    if not m and not origin.size:
+        origin = np.zeros((0, per_contact))  # without contacts nothing says how many rows each would have
     if (
         origin.size != m * per_contact
         or origin.ndim not in (1, 2)

@@ -108,3 +108,13 @@ def test_what_has_no_number_for_infinity_says_so() -> None:
         cq.exact(PROBLEM)
     with pytest.raises(cq.InvalidProblem, match="gap"):
         PROBLEM.replace(gap=[0.0, -np.inf, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_where_every_contact_is_idle_friction_has_nothing_to_act_on(width: int) -> None:
+    rows, nothing = np.zeros((2, 3)), np.zeros((2 * width, 3))
+    problem = cq.ContactProblem(np.eye(3), [1.0, 0.0, 2.0], rows, [0.0, 1.0], tangent=nothing, friction=0.3)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.displacement.tolist() == [1.0, 0.0, 2.0]
+    assert not np.any(solution.friction_force)
