@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
 
 import click
 
 from contactqp.cli.output import NOT_MET, console, print_json
+from contactqp.errors import InvalidProblem
 
 
 @click.command("check")
@@ -48,6 +52,8 @@ def check_command(
     Or PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
     contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.
 
+    One of the two may be -, standard input: a case file as PROBLEM, JSON as CANDIDATE.
+
     A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
     problem,candidate.
     """
@@ -55,12 +61,27 @@ def check_command(
     from contactqp.study.verdict import CheckOptions
 
     options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
-    verdict = check_answer(problem, candidate, options)
+    if problem == candidate == "-":
+        raise InvalidProblem("check: PROBLEM and CANDIDATE are both standard input; expected a file for one of them")
+    with _answer_file(candidate) as file:
+        verdict = check_answer(problem, file, options)
     if as_json:
         print_json(verdict.data())
     else:
         print_check(console(), verdict)
     sys.exit(0 if verdict.passed else NOT_MET)
+
+
+@contextmanager
+def _answer_file(candidate: str) -> Iterator[str]:
+    """The file of an answer; one that holds what comes in on standard input where that is asked for."""
+    if candidate != "-":
+        yield candidate
+        return
+    with TemporaryDirectory() as folder:
+        file = FilePath(folder, "standard-input.json")
+        file.write_bytes(sys.stdin.buffer.read())
+        yield str(file)
 
 
 @click.command("explain")
@@ -74,7 +95,8 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
     imported, factorisations, contacts kept and dropped. It takes about as long as `contactqp run`; --no-solve leaves it
     out. A case without an answer is explained all the same.
 
-    CASE may also be a problem of matrices, as a quadratic program (.qps, .mps, .mat, .npz), of which no cost is taken.
+    CASE may also be a problem of matrices, as a quadratic program (.qps, .mps, .mat, .npz), or -, a case file on
+    standard input; of these no cost is taken.
     """
     from dataclasses import asdict
 
@@ -87,7 +109,7 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
 
         explanation, no_solve = explain_problem(solvable_form(case), FilePath(case).name), True
     else:
-        explanation = explain(load_scene(case))
+        explanation, no_solve = explain(load_scene(case)), no_solve or case == "-"
     if not as_json:
         from contactqp.scene.explaining import print_explanation
 
@@ -112,8 +134,8 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
 def oracle_command(case: str, method: str, as_json: bool) -> None:
     """Print the exact answer of CASE, in rational numbers or enclosed: multipliers for tests in any language.
 
-    CASE is a case file, whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file of another code,
-    whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
+    CASE is a case file (- is standard input), whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file
+    of another code, whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
     """
     from contactqp.oracle.exact.exact import exact, read_case, tie_names
     from contactqp.oracle.exact.exact_solution import answer_data, print_answer

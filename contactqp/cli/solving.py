@@ -49,7 +49,7 @@ def run_command(
     vtu: str | None,
     as_json: bool,
 ) -> None:
-    """Solve each CASE (a file, or a folder of them) and compare with what it expects.
+    """Solve each CASE (a file, a folder of them, or - for standard input) and compare with what it expects.
 
     A CASE may also be a folder or .npz of matrices, or a problem of frictional contact in a file of FCLIB (HDF5) or
     Siconos (text): it is solved, and what is said of it is its certificate.
@@ -65,6 +65,8 @@ def run_command(
     """
     from contactqp.scene.judging import read_knobs
 
+    if "-" in cases and (engine != SERIAL or cases.count("-") > 1):
+        raise InvalidProblem("run: standard input is read once, in one process; expected files, or a single -")
     speakers.start(engine)
     named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
     with speakers.together():

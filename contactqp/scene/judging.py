@@ -30,7 +30,7 @@ from contactqp.model.solution import Solution
 from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
-from contactqp.scene.scene import build_for, run_model
+from contactqp.scene.scene import STANDARD_INPUT, build_for, run_model
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.scene.unknowns import end_time, has_corners
@@ -414,8 +414,11 @@ def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:
-    """Return whether all that is named is case files by their suffix."""
-    return all(Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir() for argument in arguments)
+    """Return whether all that is named is case files by their suffix, or a case on standard input."""
+    return all(
+        argument == STANDARD_INPUT or (Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir())
+        for argument in arguments
+    )
 
 
 def case_files(arguments: Iterable[str]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tomllib
 from decimal import Decimal
 from fractions import Fraction
@@ -97,7 +98,7 @@ LARGEST = 2**25
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read and check a case file.
+    """Read and check a case file, or what comes in on standard input where the path is "-".
 
     Numbers are read as decimals, so that 0.1 is 1/10.
 
@@ -109,11 +110,22 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     file = Path(path)
     try:
         with stage(READ):
-            scene = Scene(**_tables(_text(file)))
+            scene = Scene(**_tables(_standard_input() if str(path) == STANDARD_INPUT else _text(file)))
     except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
+        raise SceneError(f"{'standard input' if str(path) == STANDARD_INPUT else path}: {error}") from None
     scene._file = file
     return scene
+
+
+# A path that stands for standard input.
+STANDARD_INPUT = "-"
+
+
+def _standard_input() -> str:
+    data = sys.stdin.buffer.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise SceneError(f"expected a case of at most {LARGEST >> 20} MiB, got more")
+    return _decoded(data)
 
 
 def _text(file: Path) -> str:
@@ -133,6 +145,10 @@ def _text(file: Path) -> str:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError(f"expected a case file that can be read, got: {reason}") from None
+    return _decoded(data)
+
+
+def _decoded(data: bytes) -> str:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:

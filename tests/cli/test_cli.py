@@ -1,5 +1,6 @@
 """The command line: exit codes, one line for an error, JSON where a program might read, nothing imported in vain."""
 
+import io
 import json
 import shutil
 import subprocess
@@ -245,3 +246,48 @@ def test_a_reader_that_leaves_early_is_no_error():
     command = f"{sys.executable} -m contactqp run {CASES} | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert done.stderr == ""
+
+
+def piped(monkeypatch, content):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))
+
+
+@pytest.mark.parametrize("command", ["run", "explain", "oracle"])
+def test_a_case_comes_in_on_standard_input(capsys, monkeypatch, command):
+    piped(monkeypatch, Path(WALL).read_bytes())
+    code, out, err = run(capsys, command, "-")
+    assert (code, err) == (0, "")
+    assert "A bar and a rigid wall" in out
+
+
+def test_an_answer_or_a_case_to_check_comes_in_on_standard_input(capsys, monkeypatch, tmp_path):
+    _, answer, _ = run(capsys, "oracle", WALL, "--json")
+    right = tmp_path / "right.json"
+    right.write_text(json.dumps({"displacement": [1e-3], "normal_force": [142.5e3]}))
+    assert "142.5" in answer
+    piped(monkeypatch, Path(WALL).read_bytes())
+    judged_as_case, _, _ = run(capsys, "check", "-", right)
+    piped(monkeypatch, right.read_bytes())
+    judged_as_answer, _, _ = run(capsys, "check", WALL, "-")
+    direct, _, _ = run(capsys, "check", WALL, right)
+    assert judged_as_case == judged_as_answer == direct
+    piped(monkeypatch, json.dumps({"displacement": [1.0], "normal_force": [0.0]}).encode())
+    assert run(capsys, "check", WALL, "-")[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "content", "words"),
+    [
+        (("run", "-"), b"x =", "standard input: expected TOML"),
+        (("oracle", "-"), b"", "standard input: expected a scene, got an empty file"),
+        (("explain", "-"), b"\xff", "standard input: expected text in UTF-8"),
+        (("run", "-", "-"), b"", "standard input is read once"),
+        (("check", "-", "-"), b"", "both standard input"),
+    ],
+)
+def test_what_comes_in_wrong_on_standard_input_is_exit_2(capsys, monkeypatch, arguments, content, words):
+    piped(monkeypatch, content)
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert words in err
+    assert err.count("\n") == 1

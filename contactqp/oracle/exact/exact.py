@@ -15,7 +15,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution
-from contactqp.scene.scene import Scene, load_scene
+from contactqp.scene.scene import STANDARD_INPUT, Scene, load_scene
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 
 def read_case(path: str) -> Any:
-    """A Scene of a TOML file; whatever `contactqp.read_problem` reads of anything else."""
-    return load_scene(path) if Path(path).suffix.lower() == ".toml" else read_problem(path)
+    """A Scene of a TOML file or standard input; whatever `contactqp.read_problem` reads of anything else."""
+    is_case = path == STANDARD_INPUT or Path(path).suffix.lower() == ".toml"
+    return load_scene(path) if is_case else read_problem(path)
 
 
 def tie_names(case: Any, ties: int) -> tuple[str, ...]:
