@@ -19,7 +19,8 @@ tolerance all the same. An answer u is |u - U|_K + sqrt(8 w) away from u* at mos
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w    up to what it penetrates or leaves of ties,
 
 which counts where K does not determine the displacement: a linear program's energy is right or wrong by it. Forces are
-compared with L and N, all in equilibrated units; where rows repeat, these are the nearest of many.
+compared with L, by |l - L|_W over |L|_W, W = E K^-1 E', where K is regular; elsewhere with L and N, all in equilibrated
+units. Where rows repeat, these are the nearest of many.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
-from contactqp.linalg.convexity import refuse_indefinite
+from contactqp.linalg.convexity import stiffness_factor
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
@@ -61,7 +62,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     InvalidProblem
         K is indefinite.
     """
-    refuse_indefinite(problem)
+    factor = stiffness_factor(problem)
     twin, scaling = equilibrated(problem)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
@@ -71,7 +72,15 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     state = settled(twin, start, effort)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
-    return _from_solution(twin, start, state, scaling)
+    found = _from_solution(twin, start, state, scaling)
+    if factor is None or found.by_energy or found.force_error is None:
+        return found
+    # K sees all: forces are compared by what the bodies, untied, would feel of their difference.
+    unit = scaling.force / scaling.contacts
+    size = factor.response_norm(problem.normal.T @ (state.answer.normal_force.double() * unit))
+    change = (extend(start.normal_force) - state.answer.normal_force).double() * unit
+    missed = factor.response_norm(problem.normal.T @ change)
+    return replace(found, force_error=_relative(missed, size), force_scale=size)
 
 
 def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling) -> Bounds:
@@ -86,16 +95,16 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     moved = (extend(answer.displacement) - state.answer.displacement).double()
     distance, strain = _strain(problem, moved), _strain(problem, solution.displacement)
     energy, size = _energy(problem, state.answer)
-    scale = max(strain, float(np.sqrt(2 * size)))
+    unique = uniqueness(held)
+    sees = unique.displacement and not mostly_bare(problem)
+    scale = strain if sees and strain > 0 else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > ROUNDED * state.length else 0.0
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
     turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    unique = uniqueness(held)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
-    sees = unique.displacement and not mostly_bare(problem)
     lengths = row_sizes(problem, problem.normal).size @ abs(solution.displacement) + abs(problem.gap)
     rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)

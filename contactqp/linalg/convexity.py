@@ -17,29 +17,78 @@ from contactqp.model.problem import ContactProblem
 
 # Negative curvature of this part of |z|'|K||z| is no rounding of the entries.
 CURVED = 1e-12
+# Pivots beneath this part of their diagonal entry are those of a stiffness that is singular to working precision.
+REGULAR = 1e-8
 # Unknowns of a direction that a message names.
 NAMED = 6
 
 
 def refuse_indefinite(problem: ContactProblem) -> None:
     """Raise InvalidProblem if K has negative curvature along a direction, which the message names; found out once."""
-    of_stiffness = problem._computed.of_stiffness
+    stiffness_factor(problem, wanted=False)
+
+
+def stiffness_factor(problem: ContactProblem, wanted: bool = True) -> StiffnessFactor | None:
+    """Return what solves with K if that is wanted, None where K is singular to working precision.
+
+    Raises
+    ------
+    InvalidProblem
+        K is indefinite, as `refuse_indefinite` says.
+    """
+    of_stiffness, factor = problem._computed.of_stiffness, None
     if of_stiffness.convex is None:
-        _refuse_indefinite(problem)
+        factor = _refuse_indefinite(problem)
         of_stiffness.convex = True
+    if not wanted:
+        return None
+    factor = factor or _factorised(problem)
+    return None if factor is None or factor.smallest_pivot < REGULAR else factor
 
 
-def _refuse_indefinite(problem: ContactProblem) -> None:
+class StiffnessFactor:
+    """The factors of K, its diagonal raised by CURVED of itself; a step of refinement takes that back."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._K = problem.stiffness_rows
+        lifted = self._K + CURVED * sp.diags(problem.diagonal)
+        if problem.dimension > LARGE and pardiso.available():
+            by_pardiso = pardiso.Pardiso(lifted, np.zeros(0, dtype=np.intp))
+            self._solve, self.smallest_pivot = by_pardiso.solve_all, by_pardiso.smallest_pivot
+        else:
+            by_superlu = SuperLU(sp.csc_matrix(lifted))
+            self._solve, self.smallest_pivot = by_superlu.solve, by_superlu.smallest_pivot
+
+    def response_norm(self, force: Vector) -> float:
+        """|K^-1 f|_K = sqrt(f'K^-1 f) of forces f (n,)."""
+        moved = self._solve(force)
+        moved = moved + self._solve(force - self._K @ moved)
+        return float(np.sqrt(max(float(force @ moved), 0.0)))
+
+
+def _factorised(problem: ContactProblem) -> StiffnessFactor | None:
+    """The factors of K where its pivots are positive."""
+    if np.any(problem.diagonal <= 0):
+        return None
+    try:
+        factor = StiffnessFactor(problem)
+    except (pardiso.NotPositive, BackendFailed, InvalidProblem):
+        return None
+    return factor if factor.smallest_pivot > 0 else None
+
+
+def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
+    """Refuse an indefinite K; return its factors where they have told."""
     if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
-        return  # dominant diagonals: Gershgorin's circles
-    if problem.dimension > LARGE and pardiso.available() and _factorises(problem):
-        return
+        return None  # dominant diagonals: Gershgorin's circles
+    if problem.dimension > DENSE_SIZE and (factor := _factorised(problem)) is not None:
+        return factor
     scale = inverse_root(problem.diagonal)
     K = sp.csr_matrix(sp.diags(scale) @ problem.stiffness_rows @ sp.diags(scale))
     acting = np.flatnonzero(np.diff(K.indptr))
     direction = _lowest(sp.csr_matrix(K[acting][:, acting]))
     if direction is None:
-        return
+        return None
     z = np.zeros(problem.dimension)
     z[acting] = scale[acting] * direction
     z = z / np.max(abs(z))
@@ -50,17 +99,7 @@ def _refuse_indefinite(problem: ContactProblem) -> None:
             f"stiffness: expected positive semidefinite, got z'Kz = {curvature:.3g} along a direction z whose largest "
             f"entry is one ({names}): the energy is not convex"
         )
-
-
-def _factorises(problem: ContactProblem) -> bool:
-    """Whether PARDISO finds pivots of K, its diagonal raised a little, that are all positive."""
-    if np.any(problem.diagonal <= 0):
-        return False
-    try:
-        pardiso.Pardiso(problem.stiffness_rows + CURVED * sp.diags(problem.diagonal), np.zeros(0, dtype=np.intp))
-    except (pardiso.NotPositive, BackendFailed):
-        return False
-    return True
+    return None
 
 
 def _lowest(matrix: Any) -> Vector | None:

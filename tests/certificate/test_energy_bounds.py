@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate.energy_bounds import diagonal_dominance
+from contactqp.certificate.energy_bounds import diagonal_dominance, energy_bounds
+from contactqp.model.solution import Answer
 
 
 def problem_of(K: np.ndarray) -> cq.ContactProblem:
@@ -30,3 +32,37 @@ def test_what_is_left_of_the_stiffness_is_semidefinite(seed: int) -> None:
     dominance = diagonal_dominance(problem_of(K))
     assert np.all(dominance >= 0)
     assert np.min(np.linalg.eigvalsh(K - np.diag(dominance))) > -1e-12
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("spread", [1e-9, 1e-5, 1e-2])
+def test_errors_are_relative_to_the_energy_norms_where_nothing_is_condensed(seed: int, spread: float) -> None:
+    """|u - u*|_K / |u*|_K and |l - l*|_W / |l*|_W, W = E K^-1 E', of answers spoiled everywhere, in any units."""
+    rng = np.random.default_rng(seed)
+    side = 24
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(side, side))
+    one, n = sp.identity(side), side * side
+    unit = 2.0 ** rng.integers(-30, 30)
+    K = sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one)) * unit
+    rows = sp.vstack([sp.identity(n), 3.0 * sp.identity(n, format="csr")[::5]], format="csr")
+    gap = 0.02 * (1 + 0.3 * rng.random(n))
+    problem = cq.ContactProblem(K, np.full(n, 1e-3 * unit), rows, np.r_[gap, 3.0 * gap[::5]])
+    truth = cq.solve(problem, condense=True)
+    assert 20 < np.count_nonzero(truth.normal_force) < n
+    u = truth.displacement * (1 + spread * rng.normal(size=n))
+    force = truth.normal_force * (1 + spread * rng.normal(size=problem.contacts))
+    found = energy_bounds(problem, Answer(u, force, None, np.zeros(0)))
+
+    def strain(v: np.ndarray) -> float:
+        return float(np.sqrt(v @ (K @ v)))
+
+    def response(push: np.ndarray) -> float:
+        load = rows.T @ push
+        return float(np.sqrt(load @ np.linalg.solve(K.toarray(), load)))
+
+    error = strain(u - truth.displacement) / strain(truth.displacement)
+    pushed = response(force - truth.normal_force) / response(truth.normal_force)
+    assert found.energy_error is not None
+    assert found.force_error is not None
+    assert error * (1 - 1e-6) <= found.energy_error <= error * (1 + 1e-3) + 1e-9
+    assert pushed * (1 - 1e-6) <= found.force_error <= pushed * (1 + 1e-3) + 1e-9
