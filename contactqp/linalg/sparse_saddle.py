@@ -159,7 +159,7 @@ class SparseSaddle:
         upper = sp.csr_matrix(stiffness + regularisation * sp.identity(len(self._free)))
         lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
-        self._factor = factorised(matrix, definite=not rows.shape[0])
+        self._factor = factorised(matrix, pardiso.INDEFINITE if rows.shape[0] else pardiso.POSITIVE_DEFINITE)
 
     def solve(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector]:
         """Return u (n,), l (c,) and nu (k,) of the regularised system with this right-hand side."""
@@ -187,18 +187,24 @@ def _fixing_rows(rows: Any) -> tuple[Indices, Indices]:
     return single[alone], unknown[alone].astype(np.intp)
 
 
-def factorised(matrix: Any, definite: bool = False) -> Callable[[Vector], Vector]:
-    """Return what solves with a quasi-definite matrix: PARDISO where it is installed and pays, else SuperLU."""
+def factorised(matrix: Any, kind: int = pardiso.INDEFINITE) -> Callable[[Vector], Vector]:
+    """Return what solves with a sparse matrix of a PARDISO kind: by it where it is installed and pays, else SuperLU.
+
+    Raises
+    ------
+    BackendFailed
+        The solver ran out of memory, or met a pivot of zero.
+    """
     if not matrix.shape[0]:
         return np.copy
     if matrix.shape[0] > LARGE and pardiso.available():
         nothing = np.zeros(0, dtype=np.intp)
-        if definite:
-            try:
-                return pardiso.Pardiso(matrix, nothing).solve_all
-            except pardiso.NotPositive:
-                pass  # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells
-        return pardiso.Pardiso(matrix, nothing, pardiso.INDEFINITE).solve_all
+        try:
+            return pardiso.Pardiso(matrix, nothing, kind).solve_all
+        except (
+            pardiso.NotPositive
+        ):  # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells
+            return pardiso.Pardiso(matrix, nothing, pardiso.INDEFINITE).solve_all
     from scipy.sparse.linalg import splu
 
     try:

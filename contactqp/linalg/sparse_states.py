@@ -12,18 +12,16 @@ in an order that keeps it sparse; residuals in extended precision take them back
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
 from contactqp.linalg.extended import extended_rows
-from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, inverse_root
+from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
-from contactqp.linalg.schur import LARGE
+from contactqp.linalg.sparse_saddle import factorised
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -88,7 +86,7 @@ class SparseStateSystem:
     Raises
     ------
     BackendFailed
-        The solver ran out of memory, or met a pivot of zero.
+        As `contactqp.linalg.sparse_saddle.factorised`.
     """
 
     redundant = False  # where rows depend on others the system is not regular
@@ -105,7 +103,8 @@ class SparseStateSystem:
         upper = rows.S + REGULARISATION * sp.identity(held.shape[1])
         lower = -REGULARISATION * sp.identity(held.shape[0])
         matrix = sp.bmat([[upper, pushed.T], [held, lower]], format="csc")
-        self._factor, self.back_substitutions = _factorised(matrix, symmetric=not np.any(drag)), 0
+        self._factor = factorised(matrix, pardiso.UNSYMMETRIC if np.any(drag) else pardiso.INDEFINITE)
+        self.back_substitutions = 0
         response = self._solve(np.random.default_rng(0).uniform(0.5, 1.0, matrix.shape[0]))
         self.regular = bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
 
@@ -134,19 +133,6 @@ class SparseStateSystem:
         right = np.zeros(len(load) + len(self._closed) + len(self._stuck) + self._ties)
         right[: len(load)] = load * self._rows.scale
         return float(np.sqrt(max(float(right @ self._solve(right)), 0.0)))
-
-
-def _factorised(matrix: Any, symmetric: bool) -> Callable[[Vector], Vector]:
-    if matrix.shape[0] > LARGE and pardiso.available():
-        kind = pardiso.INDEFINITE if symmetric else pardiso.UNSYMMETRIC
-        return pardiso.Pardiso(matrix, np.zeros(0, dtype=np.intp), kind).solve_all
-    from scipy.sparse.linalg import splu
-
-    try:
-        solve: Callable[[Vector], Vector] = splu(matrix, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS).solve
-    except (RuntimeError, ValueError) as error:
-        raise BackendFailed(f"superlu: {error}") from error
-    return solve
 
 
 def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweeps: int = MAX_SWEEPS) -> RefinedState:
