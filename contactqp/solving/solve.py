@@ -184,10 +184,10 @@ def solve(
         `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and Curnier
         1991), "nsgs" (nonsmooth Gauss-Seidel), "ppa" (proximal points), "admm", "enumeration" (in the plane, at most
         eight contacts). All are solved to the last digits on their combination of open, stick and slip, `polish` or
-        not, and `max_iter` counts their steps. None is Newton's method from a `warm_start` and, in the plane, where contacts
-        are many, in sparse systems; else or where it fails the others, one after another. Where there are several equilibria one of them is returned, by enumeration alone
-        none: `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria` lists them, and
-        `contactqp.exact_equilibria` in rational numbers.
+        not, and `max_iter` counts their steps. None is Newton's method from a `warm_start` and, in the plane, where
+        contacts are many, in sparse systems; else or where it fails the others, one after another. Where there are
+        several equilibria one of them is returned, by enumeration alone none: `certificate.uniqueness` says that there
+        are or may be others, `contactqp.equilibria` lists them, and `contactqp.exact_equilibria` in rational numbers.
         "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`): it
         is approximate by design, and its answer is returned although the certificate refuses it wherever something
         slides.
