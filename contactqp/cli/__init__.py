@@ -75,6 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(speakers.settle(_ended(arguments)))
 
 
+INTERRUPTION = Ending(INTERRUPTED, "interrupted")
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether a Ctrl-C is behind an error, as where a compiled module is interrupted while it is imported."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def _ended(arguments: Sequence[str] | None) -> Ending:
     """Run the command, and return how it ends in this process."""
     try:
@@ -82,18 +92,20 @@ def _ended(arguments: Sequence[str] | None) -> Ending:
     except SystemExit as end:
         return Ending(end.code if isinstance(end.code, int) else 0)
     except ContactQPError as error:
-        return Ending(_exit_code(error), str(error))
+        return INTERRUPTION if _interrupted(error) else Ending(_exit_code(error), str(error))
     except click.ClickException as error:
         leave_to_the_first()
         error.show()
         return Ending(BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
-        return Ending(INTERRUPTED, "interrupted")
+        return INTERRUPTION
     except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:  # a name too long, no permission, a full disk
         return Ending(BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}")
     except Exception as error:
+        if _interrupted(error):
+            return INTERRUPTION
         if not speakers.asked:
             raise
         # The other ranks wait for this one: it must not go before they know.

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from contactqp.cli import main
+from contactqp.errors import BackendMissing
 
 CASES = Path(__file__).parents[2] / "cases"
 WALL = str(CASES / "bar_wall.toml")
@@ -88,6 +89,18 @@ def test_ctrl_c_where_python_lets_nothing_through_comes_again(monkeypatch, capsy
         raise AssertionError("nothing was interrupted")
 
     monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    monkeypatch.setattr("contactqp.scene.scene.load_scene", load)
+    stopped(capsys, "run", WALL)
+
+
+@pytest.mark.parametrize("error", [ImportError("numpy"), SystemError("no result"), BackendMissing("pyamg")])
+def test_ctrl_c_that_another_error_hides_is_an_interruption(error, monkeypatch, capsys):
+    def load(_):
+        try:
+            interrupt()
+        except KeyboardInterrupt:
+            raise error  # noqa: B904 - as a compiled module may, whose import was interrupted
+
     monkeypatch.setattr("contactqp.scene.scene.load_scene", load)
     stopped(capsys, "run", WALL)
 
