@@ -119,7 +119,12 @@ class Truth:
         dl = column(force) - self.force
         energy, pushed = _norm(self.stiffness, du), _norm(self.compliance, dl)
         scales = [self.size if tiny else size for tiny, size in zip(self.tiny, self._sizes, strict=True)]
-        loose = [] if self.untied is None else [_ratio(_norm(self.untied, dl), _norm(self.untied, self.force))]
+        # Where ties may take a part of what contacts push with, forces are compared by what the tied bodies feel.
+        loose = (
+            []
+            if self.untied is None or not self.unique_forces
+            else [_ratio(_norm(self.untied, dl), _norm(self.untied, self.force))]
+        )
         contact = abs(floats(dl)) if self.unique_forces else None
         readings = {
             "energy_error": self._readings(energy, 0, []),

@@ -15,6 +15,7 @@ from contactqp.analysis.motion.schemes import SCHEMES, find
 from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSettings
 from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
@@ -129,6 +130,7 @@ def impact(
         raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
     if not is_number(start_time) or not np.isfinite(start_time):
         raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")
+    refuse_far_from_one("impact", problem)
     if (rows := acting_rows(problem)) is not None:
         given: dict[str, Any] = dict(scheme=scheme, load=load, theta=theta, restitution=restitution, penalty=penalty)
         return _without_idle_rows(

@@ -13,6 +13,7 @@ from contactqp.analysis.friction_path import follow_on_springs, follow_with_fric
 from contactqp.analysis.history import Event, History, LazySolutions, contact_changes, events_of_leg
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
@@ -113,6 +114,7 @@ def follow_path(
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
     if not is_whole(count) or count < 1:
         raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
+    refuse_far_from_one("follow_path", problem)
     if (rows := acting_rows(problem)) is not None:
         rows.refuse_conflict()
         return of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,20 @@ from contactqp.certificate import subset_bounds
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, bounds, no_bounds
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.failures import (
-    failed_bounds,
     failed_energy,
+    failed_errors,
     failed_figures,
     failed_law,
+    fails_force_bound,
     not_finite_parts,
     notes,
+    said_of_absurd_part,
     said_of_dependent_ties,
+    said_of_force_bound,
 )
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.number_range import absurd_parts, near_one
 from contactqp.certificate.state_answer import StateVerdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
@@ -45,6 +49,8 @@ ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
+# Why answers have no bounds whose numbers cannot be computed with.
+NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
 
 @own_floating_point
@@ -109,6 +115,22 @@ def compute_certificate(
         return _judged(problem, answer, tolerance, error_tolerance, factorization)
 
 
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """All that a certificate says of an answer, before it is put in words."""
+
+    found: Violations
+    balance: float
+    law: Vector | None
+    known: Bounds
+    errors: tuple[str, ...]  # what is said of the bounds on the whole answer
+    fails_force_bound: bool
+    grazing: NDArray[np.bool_]
+    dependent: tuple[tuple[int, NDArray[np.intp]], ...]
+    others: Uniqueness
+    state: StateVerdict
+
+
 def _judged(
     problem: ContactProblem,
     answer: Answer,
@@ -116,6 +138,28 @@ def _judged(
     error_tolerance: float,
     factorization: Condensation | None,
 ) -> Certificate:
+    near = near_one(problem)
+    seen = answer if near is None else near.answer(answer)
+    if absurd := tuple(absurd_parts(seen)):
+        failures = [said_of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
+        return not_finite(problem.frictional, failures, tolerance, error_tolerance, ABSURD_ANSWER)
+    if near is None:
+        measured = _measured(problem, seen, tolerance, error_tolerance, factorization)
+    else:
+        measured = _measured(near.problem, seen, tolerance, error_tolerance, None)
+        found, known = near.violations(measured.found), near.bounds(measured.known)
+        gap = problem.gap - problem.normal @ answer.displacement
+        measured = replace(measured, found=replace(found, gap=gap), known=known)
+    return _worded(problem, answer, measured, tolerance, error_tolerance)
+
+
+def _measured(
+    problem: ContactProblem,
+    answer: Answer,
+    tolerance: float,
+    error_tolerance: float,
+    factorization: Condensation | None,
+) -> _Measured:
     with problem.lock:
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
@@ -125,22 +169,40 @@ def _judged(
             allowed = error_tolerance, ROUNDING_OF_ANSWERS * tolerance
             state = state_verdict(problem, answer, found, condensation, allowed)
             known = replace(known, energy_scale=state.energy)
-    figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
-    figures["balance"] = balance(problem, answer, rigid)
-    law = coulomb_residual(problem, answer, found)
-    failures = list(failed_figures(problem, answer, found, figures, tolerance))
-    failures += failed_law(problem, law, IMPLIED * tolerance)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
-    failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
-    failures += failed_energy(known, tolerance, nothing * nothing)
-    failures += state.failures
-    grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
     dependent: tuple[tuple[int, NDArray[np.intp]], ...] = ()
     if condensation is not None and problem.ties > 1:
         dependent = dependent_ties(problem, condensation)
     elif known.redundant and problem.ties > 1:
         dependent = dependent_sparse_ties(problem)
-    said = (*notes(problem, grazing, known), *said_of_dependent_ties(problem, dependent))
+    return _Measured(
+        found,
+        balance(problem, answer, rigid),
+        coulomb_residual(problem, answer, found),
+        known,
+        (*failed_errors(known, error_tolerance, nothing), *failed_energy(known, tolerance, nothing * nothing)),
+        fails_force_bound(known, error_tolerance),
+        grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance),
+        dependent,
+        others,
+        state,
+    )
+
+
+def _worded(
+    problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
+) -> Certificate:
+    found, known, law = measured.found, measured.known, measured.law
+    figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
+    figures["balance"] = measured.balance
+    failures = list(failed_figures(problem, answer, found, figures, tolerance))
+    failures += failed_law(problem, law, IMPLIED * tolerance)
+    failures += measured.errors
+    if measured.fails_force_bound and known.relative_force_bound is not None:
+        worst = int(np.argmax(known.relative_force_bound))
+        failures.append(said_of_force_bound(problem, answer, known, worst, error_tolerance))
+    failures += measured.state.failures
+    said = (*notes(problem, measured.grazing, known), *said_of_dependent_ties(problem, measured.dependent))
     return Certificate(
         **figures,
         natural_map=None if law is None else float(np.max(law, initial=0.0)),
@@ -148,19 +210,19 @@ def _judged(
         force_error=known.force_error,
         force_bound=known.force_bound,
         reasons=known.reasons,
-        grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
+        grazing=tuple(int(i) for i in np.flatnonzero(measured.grazing)),
         failures=tuple(failures),
-        notes=(*said, *others.notes, *state.notes),
-        uniqueness=others.findings,
-        contraction=others.contraction,
+        notes=(*said, *measured.others.notes, *measured.state.notes),
+        uniqueness=measured.others.findings,
+        contraction=measured.others.contraction,
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
         proven=known.proven,
-        basis=state.basis,
+        basis=measured.state.basis,
         energy_bounds=known.energy_bounds,
         determined=known.determined,
-        distance=state.distance,
+        distance=measured.state.distance,
         violations=found,
     )
 
@@ -272,8 +334,10 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
     return factorization
 
 
-def not_finite(frictional: bool, failures: list[str], tolerance: float, error_tolerance: float) -> Certificate:
-    """Return the certificate of an answer with parts that are not finite: it fails."""
+def not_finite(
+    frictional: bool, failures: list[str], tolerance: float, error_tolerance: float, reason: str = NOT_FINITE
+) -> Certificate:
+    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails."""
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
         **figures,
@@ -281,7 +345,7 @@ def not_finite(frictional: bool, failures: list[str], tolerance: float, error_to
         energy_error=None,
         force_error=None,
         force_bound=None,
-        reasons=tuple(f"{name}: the answer is not finite" for name in ("energy_error", "force_error", "force_bound")),
+        reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")),
         grazing=(),
         failures=tuple(failures),
         notes=(),

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
@@ -98,6 +99,9 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
         single = np.full(problem.contacts, np.inf)  # what never closes is never critical
         single[~idle] = found.single
         return replace(found, single=single, _friction=problem.friction)
+    if (near := near_one(problem)) is not None:
+        found = critical_friction(near.problem)
+        return replace(found, single=near.coefficients(found.single), _friction=problem.friction)
     if iterated(problem):
         raise Unsupported("critical_friction: a body this large is not factorised")
     with problem.lock:

@@ -99,6 +99,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     sees = unique.displacement and not mostly_bare(problem)
     scale = strain if sees and strain > 0 else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > ROUNDED * state.length else 0.0
+    strained = strain if strain > ROUNDED * state.length else scale
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
     turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
@@ -110,7 +111,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
     found = Bounds(
-        energy_error=_relative(error, scale),
+        energy_error=_relative(error, strained),
         force_error=_relative(missed, largest),
         force_bound=abs(change) * scaling.force / scaling.contacts if unique.forces else None,
         relative_force_bound=abs(change) / largest if one_by_one else None,

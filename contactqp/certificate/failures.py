@@ -52,6 +52,16 @@ def said_of_part(problem: Named, name: str, values: NDArray[np.float64], i: int)
     return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
+def said_of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+    """What part i of an answer is that is beyond all that the numbers of the problem can make."""
+    called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
+    unit = problem.units.length if name == "displacement" else problem.units.force
+    worst = np.atleast_1d(values[i])
+    return (
+        f"{name}: {worst[np.argmax(abs(worst))]:.3g}{_with_unit(unit)} at {called(i)}: what made this answer diverged"
+    )
+
+
 def failed_figures(
     problem: ContactProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
 ) -> Iterator[str]:
@@ -105,15 +115,6 @@ def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
         f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
         f"of the sizes that meet there (tolerance {limit:g})"
     )
-
-
-def failed_bounds(
-    problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float, nothing: float
-) -> Iterator[str]:
-    """`nothing` is as in `failed_errors`."""
-    yield from failed_errors(known, tolerance, nothing)
-    if fails_force_bound(known, tolerance) and known.relative_force_bound is not None:
-        yield said_of_force_bound(problem, answer, known, int(np.argmax(known.relative_force_bound)), tolerance)
 
 
 def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:

@@ -204,7 +204,7 @@ def _sections(text: str) -> Iterator[tuple[str, dict[str, str], list[str]]]:
 
 def _option(keyword: str, options: dict[str, str], name: str) -> str:
     if name not in options:
-        raise InvalidProblem(f"*{keyword}: expected {name}=...")
+        raise InvalidProblem(f"*{keyword:.40}: expected {name}=...")
     return options[name]
 
 
@@ -213,7 +213,7 @@ def _numbers(keyword: str, lines: list[str], kind: type) -> NDArray[np.float64] 
     try:
         return np.array(words, dtype=kind)
     except (ValueError, OverflowError) as error:
-        raise InvalidProblem(f"*{keyword}: expected numbers ({str(error)[:100]})") from None
+        raise InvalidProblem(f"*{keyword:.40}: expected numbers ({str(error)[:100]})") from None
 
 
 def _nodes(reading: _Reading, options: dict[str, str], lines: list[str]) -> None:
@@ -238,11 +238,11 @@ def _elements(reading: _Reading, options: dict[str, str], lines: list[str]) -> N
     found = ((re.match(pattern, name), kinds) for pattern, kinds in _TYPES)
     kind = next((kinds.get(match.group(1), "") for match, kinds in found if match), "")
     if not kind:
-        raise InvalidProblem(f"*ELEMENT: the type {name} is not offered")
+        raise InvalidProblem(f"*ELEMENT: the type {name:.40} is not offered")
     count = len(REFERENCES[kind].nodes)
     values = _numbers("ELEMENT", lines, int)
     if len(values) % (count + 1):
-        raise InvalidProblem(f"*ELEMENT, TYPE={name}: expected a label and {count} nodes for each element")
+        raise InvalidProblem(f"*ELEMENT, TYPE={name:.40}: expected a label and {count} nodes for each element")
     table = values.reshape(-1, count + 1).astype(np.int64)
     reading.elements.append((kind, table[:, 0], table[:, 1:]))
     if "ELSET" in options:
@@ -260,10 +260,10 @@ def _generated(line: str) -> Index:
     """Return the labels of ``first, last, step``; the step is 1 unless stated."""
     words = [word.strip() for word in line.rstrip(",").split(",")]
     if len(words) not in (2, 3) or not all(_is_label(word) for word in words) or words[2:] == ["0"]:
-        raise InvalidProblem(f"GENERATE: expected a first and a last label and a positive step, got {line!r}")
+        raise InvalidProblem(f"GENERATE: expected a first and a last label and a positive step, got {line[:60]!r}")
     first, last, *step = map(int, words)
     if (last - first) // (step[0] if step else 1) > MOST_GENERATED:
-        raise InvalidProblem(f"GENERATE: expected at most {MOST_GENERATED} labels, got {line!r}")
+        raise InvalidProblem(f"GENERATE: expected at most {MOST_GENERATED} labels, got {line[:60]!r}")
     return np.arange(first, last + 1, *step, dtype=np.int64)
 
 
@@ -277,7 +277,7 @@ def _labels(sets: dict[str, Index], word: str) -> Index:
     if _is_label(name):
         return np.array([int(name)])
     if name not in sets:
-        raise InvalidProblem(f"there is no set {name} at this place; it has {', '.join(sets) or 'none'}")
+        raise InvalidProblem(f"there is no set {name:.40} at this place; it has {', '.join(sets)[:200] or 'none'}")
     return sets[name]
 
 
@@ -294,7 +294,7 @@ def _surface(reading: _Reading, options: dict[str, str], lines: list[str]) -> No
     for line in lines:
         members, _, face = (word.strip() for word in line.partition(","))
         if not re.fullmatch(r"S[1-6]", face):
-            raise InvalidProblem(f"*SURFACE {name}: expected a face S1 to S6, got {face!r}")
+            raise InvalidProblem(f"*SURFACE {name:.40}: expected a face S1 to S6, got {face[:40]!r}")
         faces.append((_labels(reading.element_sets, members), int(face[1])))
 
 
@@ -320,7 +320,7 @@ def _cells(reading: _Reading) -> Cells:
                 place = _HEX_FACES[face - 1] if kind.startswith("hex") else face - 1
                 chosen = nodes[np.isin(element_labels, members)]
                 if len(chosen) and place >= len(local):
-                    raise InvalidProblem(f"*SURFACE {name}: {kind} elements have no face S{face}")
+                    raise InvalidProblem(f"*SURFACE {name:.40}: {kind} elements have no face S{face}")
                 if len(chosen):
                     facets.setdefault(name, []).append((REFERENCES[kind].facet, chosen[:, local[place]]))
     empty = next((name for name in reading.surfaces if name not in facets), None)

@@ -35,8 +35,6 @@ from contactqp.model.problem_data import (
     read_rows,
     read_stiffness,
     read_vector,
-    refuse_extreme_rows,
-    refuse_lost_compliances,
 )
 from contactqp.model.quadratic_program import QuadraticProgram, contact_data, quadratic_program
 
@@ -78,6 +76,7 @@ class Computed:
     locks: dict[int, Any] = field(default_factory=dict)  # by process
     idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
     acting: Any = None  # certificate.idle_rows: the problem without them
+    near_one: Any = None  # certificate.number_range: whether K and the rows are, and else these in other units
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
     dependent_ties: Any = None  # linalg.saddle
@@ -214,10 +213,6 @@ class ContactProblem:
             near_null_space=read_motions("near_null_space", near_null_space, n),
         )
         self._keep(values, Computed())
-        refuse_extreme_rows("normal", E_N, self.contact_name)
-        refuse_extreme_rows("tie", A, self.tie_name)
-        for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
-            refuse_lost_compliances(kind, rows, self.diagonal, called)
 
     @classmethod
     def from_qp(

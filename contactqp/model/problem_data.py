@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any, TypeGuard, TypeVar
@@ -23,10 +23,6 @@ KINDS = "biufO"
 OTHER_KINDS = {"c": "complex numbers", "U": "words", "S": "words", "T": "words", "M": "dates", "m": "durations"}
 # Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
 SYMMETRY_TOLERANCE = 1e-6
-# Rows are squared on the way.
-LARGEST_ENTRY = 1e150
-# The same of E^2 / K, of which products and sums are formed.
-LEAST_COMPLIANCE = 1e-250
 # Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
 # Entries of a direction of negative curvature that a message gives.
@@ -197,38 +193,6 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
         read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
         return read_only(gap)
     return read_vector("gap", gap, size)
-
-
-def refuse_extreme_rows(name: str, rows: Any, called: Callable[[int], str]) -> None:
-    """Raise where the largest entry of a row has a square that is no double; a row of zeros constrains nothing."""
-    filled = np.flatnonzero(np.diff(rows.indptr))
-    largest = np.maximum.reduceat(abs(rows.data), rows.indptr[filled]) if filled.size else np.ones(0)
-    extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
-    if extreme.size:
-        i = int(extreme[0])
-        size = f"{largest[i]:.3g}"
-        raise InvalidProblem(
-            f"{name}: the row of {called(int(filled[i]))} has the size {size}; its square is no double"
-        )
-
-
-def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Callable[[int], str]) -> None:
-    """Raise where sum_j E_ij^2 / K_jj, what a row finds at its own unknowns, is no double."""
-    if not rows.shape[0]:
-        return
-    with np.errstate(all="ignore"):
-        squares = rows.copy()
-        squares.data **= 2
-        elastic = np.where(diagonal > 0, diagonal, np.inf)
-        compliance = np.asarray(squares @ (1.0 / elastic))
-    on_elastic = (np.asarray(squares @ np.isinf(elastic).astype(float)) == 0) & (np.diff(rows.indptr) > 0)
-    lost = np.flatnonzero((on_elastic & (compliance < LEAST_COMPLIANCE)) | (compliance > 1 / LEAST_COMPLIANCE))
-    if lost.size:
-        i = int(lost[0])
-        raise InvalidProblem(
-            f"{name}: the row of {called(i)} and the stiffness where it acts: expected E^2 / K from "
-            f"{LEAST_COMPLIANCE:g} to {1 / LEAST_COMPLIANCE:g}, got {compliance[i]:.3g}; choose other units"
-        )
 
 
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:

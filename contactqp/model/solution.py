@@ -89,6 +89,9 @@ class Certificate(ReadOnly):
     the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
     alone, because neither could be had; `notes` or `reasons` say why.
 
+    Where unknowns have no stiffness, forces on them have no energy: `force_error` then compares the lengths of the
+    vectors of all forces, rows having entries near one.
+
     `determined` is "energy" where K does not see everything, as in a linear program: displacement and forces may be one
     of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart. Where
     closed contacts and ties contradict each other by rounding of the data, nothing is `proven`, and `energy_bounds` are

@@ -318,6 +318,8 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
     registry = _registry()
     try:
         quantity = registry.Quantity(Fraction(1), registry.parse_units(text)).to_root_units()
+    except KeyError:  # pint's own, of a unit to the power of zero
+        raise NotANumber(f"{text!r} is no unit") from None
     except pint.UndefinedUnitError as error:
         unknown = _first_unknown(error)
         near = [name for name in COMMON_UNITS if name.lower() == unknown.lower()]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import FrictionalRows
@@ -27,7 +28,7 @@ from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.friction_runs import found_by_enumeration
 from contactqp.solving.local_solving import local_equilibria
-from contactqp.solving.solve import solve
+from contactqp.solving.solve import of_problem, solve
 
 
 @overload
@@ -85,6 +86,8 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     if (rows := acting_rows(problem)) is not None:
         rows.refuse_conflict()
         return tuple(rows.solution(one) for one in equilibria(rows.problem))
+    if (near := near_one(problem)) is not None:
+        return tuple(of_problem(near, one) for one in equilibria(near.problem))
     started = time.perf_counter()
     with problem.lock:
         found = found_by_enumeration(problem)
@@ -156,7 +159,9 @@ def associated_difference(
     right = solve(problem, method, **options) if coulomb is None else coulomb
     other = solve(problem, method, algorithm="associated", **options)
     moved = other.displacement - right.displacement
-    energy, own = (_energy_norm(problem, v) for v in (moved, right.displacement))
+    near = near_one(problem)
+    seen = (moved, right.displacement) if near is None else map(near.displacement, (moved, right.displacement))
+    energy, own = (_energy_norm(problem if near is None else near.problem, v) for v in seen)
     forces = [np.column_stack([s.normal_force, _friction(s)]) for s in (other, right)]
     change, largest = forces[0] - forces[1], float(np.max(abs(forces[1]), initial=0.0))
     worst = float(np.max(abs(change), initial=0.0))
@@ -219,6 +224,8 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
 def _local(problem: ContactProblem) -> LocalProblem:
     if not problem.frictional:
         raise InvalidProblem("existence_margin: expected a problem with friction")
+    near = near_one(problem)
+    problem = problem if near is None else near.problem
     with problem.lock:
         way = condense(problem)
         return ContactForm(problem, way, FrictionalRows(problem, way)).local

@@ -225,6 +225,10 @@ class SparseFrictionRun(FrictionRun):
         )
 
 
+# Contacts of which all combinations take less than the long attempts of algorithms that find none.
+FEW_CONTACTS = 3
+
+
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionRun:
     """An answer by `algorithm`. None is, in the plane, Newton's method in sparse systems where contacts are many, else
     from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
@@ -275,12 +279,16 @@ def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: 
     if settings.warm_start is not None:
         with suppress(NotConverged):
             return _by(ALGORITHMS["newton"], problem, method, settings, meter)
+    few = problem.contacts <= FEW_CONTACTS
     try:
         return _by(ALGORITHMS["tresca"], problem, method, settings, meter)
     except NotConverged as error:
+        if few:
+            with suppress(NotConverged):
+                return _listed(problem)[0]
         with suppress(NotConverged):
             return _by(None, problem, method, settings, meter)
-        if problem.contacts > MOST_CONTACTS:
+        if few or problem.contacts > MOST_CONTACTS:
             raise error from None
     return _listed(problem)[0]
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from contactqp.certificate import subset_bounds
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.certificate.subset_bounds import among, first_candidates, take_all, widened
 from contactqp.errors import (
     BackendFailed,
@@ -241,6 +242,8 @@ def solve(
         elsewhere = engine_named(engine).function("solve")
         found: Solution = elsewhere(problem, method, warm_start=warm_start, **same)
         return found
+    if (near := near_one(problem)) is not None:
+        return _in_other_units(near, method, warm_start=warm_start, **same)
     many = problem.normal.nnz > subset_bounds.MANY and not iterated(problem) and not constraints_are_many(problem)
     if many and (candidates := first_candidates(problem)) is not None:
         with problem.lock, stage(METHOD):
@@ -315,6 +318,46 @@ def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: A
             error.solution = rows.solution(error.solution)
         raise
     return found
+
+
+def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) -> Solution:
+    """The solution of a problem by that of the same problem in units in which its numbers are near one."""
+    warm_candidate(near.whole, warm_start)
+    start = None if warm_start is None else near.start(warm_start)
+    try:
+        return of_problem(near, solve(near.problem, method, warm_start=start, **near.options(same)))
+    except (NotConverged, NotCertified) as error:
+        near.refuse_far_gap()
+        if isinstance(error.solution, Solution):
+            error.solution = of_problem(near, error.solution)
+        raise
+    except NoEquilibrium as error:
+        near.refuse_far_gap()
+        raise near.no_equilibrium(error) from None
+
+
+def of_problem(near: NearOne, found: Solution) -> Solution:
+    """A solution in units near one as that of the problem, certified there.
+
+    Raises
+    ------
+    InvalidProblem
+        The answer, or a gap that it closes, is beyond doubles.
+    """
+    near.refuse_far_gap(found)
+
+    def judged(answer: Solution | Raw, friction: Any) -> dict[str, Any]:
+        parts, of_answer = near.parts(answer), answer.certificate
+        tolerances = of_answer.tolerance, of_answer.error_tolerance
+        judged_parts = (parts["displacement"], parts["normal_force"], friction, parts["tie_force"])
+        return parts | dict(certificate=compute_certificate(near.whole, *judged_parts, *tolerances))
+
+    friction = near.friction(found.friction_force)
+    raw = None
+    if found.raw is not None and not near.whole.frictional:
+        raw = replace(found.raw, **judged(found.raw, None))
+    whole = replace(found, problem=near.whole, friction_force=friction, raw=raw, **judged(found, friction))
+    return replace(whole, free_motions=near.motions(found.free_motions))
 
 
 @own_floating_point

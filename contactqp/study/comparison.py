@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
@@ -88,6 +89,7 @@ def compare(
     for name in values:
         if name not in {method.name for method in chosen if method.knob}:
             raise InvalidProblem(f"knobs: {name!r} is no compared method with a knob")
+    refuse_far_from_one("compare", problem)
     if (rows := acting_rows(problem)) is not None and rows.met:
         problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
     truth = truth_of(problem, reference)

@@ -66,3 +66,17 @@ def test_errors_are_relative_to_the_energy_norms_where_nothing_is_condensed(seed
     assert found.force_error is not None
     assert error * (1 - 1e-6) <= found.energy_error <= error * (1 + 1e-3) + 1e-9
     assert pushed * (1 - 1e-6) <= found.force_error <= pushed * (1 + 1e-3) + 1e-9
+
+
+def test_the_error_of_a_strain_is_relative_to_strain_where_something_moves_freely() -> None:
+    """The first unknown has no stiffness and makes room for the contact: the others are where the load alone takes
+    them, and the strain of the answer is off by a hundredth.
+    """
+    K = np.diag([0.0, 11.0, 10.0, 8.0])
+    free = np.array([0.0, 1.0, -0.5, 0.25])
+    problem = cq.ContactProblem(K, K @ free, [[-1.0, 0.5, 0.0, 0.5]], [0.625])
+    answer = free * 0.99
+    certificate = cq.certify(problem, answer, [0.0])
+    strain = np.sqrt((answer - free) @ K @ (answer - free) / (free @ K @ free))
+    assert certificate.energy_error >= strain * (1 - 1e-12)
+    assert certificate.energy_error <= 2 * strain

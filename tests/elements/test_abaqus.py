@@ -171,3 +171,11 @@ def test_an_empty_file_has_no_mesh():
 def test_nodes_far_from_the_labels_are_found():
     cells = read_abaqus("*NODE\n1000000, 0, 0\n5, 1, 0\n77, 0, 1\n*ELEMENT, TYPE=CPE3\n1, 1000000, 5, 77\n")
     np.testing.assert_array_equal(cells.cells[0][1], [[0, 1, 2]])
+
+
+def test_messages_stay_short_whatever_a_file_says(tmp_path):
+    file = tmp_path / "long.inp"
+    file.write_text(FILE + f"*Elset, elset=all\n {'9' * 5000},\n")
+    with pytest.raises(InvalidProblem, match="there is no set 999") as caught:
+        read_mesh(file)
+    assert len(str(caught.value)) < 500

@@ -52,6 +52,7 @@ def test_quantities_are_exact(text, kind, value):
         ("(1 m", "bracket is not closed"),
         ("(" * 60 + "1", "brackets inside each other"),
         ("1 m^99999999", "is no unit"),
+        ("1 cm^0", "is no unit"),
         ("1 __import__('os')", "is no unit"),
         ("sqrt(2) m", "got"),
         (True, "got true"),

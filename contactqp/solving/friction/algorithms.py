@@ -130,6 +130,8 @@ def register(algorithm: Algorithm) -> None:
 FIRST_POLISH = 4
 # And from those that are as near as this, in the scale of the local form.
 NEARLY = 1e-6
+# What has been tried from an iterate is tried again from one whose error is this part of it.
+NEARER = 0.5
 # An error that is this part of another is hardly better.
 HARDLY_BETTER = 0.8
 
@@ -164,14 +166,15 @@ def run_algorithm(
     name = algorithm.name if steps is None else f"{algorithm.name} with {method.name}{steps.polygons}"
     deadline = Deadline(settings.time_limit)
     limit = algorithm.limit if settings.max_iter is None else settings.max_iter
-    best, history, next_polish = start, [], FIRST_POLISH
+    best, history, next_polish, nearly = start, [], FIRST_POLISH, NEARLY
     try:
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
             last = found.iterations >= limit or deadline.passed or _stagnates(history, algorithm.patience)
             nearest = found
-            if polish and (found.iterations >= next_polish or last or found.error <= NEARLY):
+            if polish and (found.iterations >= next_polish or last or found.error <= nearly):
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
+                nearly = min(nearly, NEARER * found.error)
                 nearest = newton(form, found)
             best = nearest if nearest.error < best.error else best
             if accepted(nearest):
@@ -200,17 +203,30 @@ def _stagnates(errors: list[float], patience: int) -> bool:
 
 # Tried one after another where no algorithm is asked for: name, iterations.
 ATTEMPTS = (("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000), ("aclm", 60), ("ppa", 1000), ("admm", 20000))
+# So many of them end at once.
+SHORT_ATTEMPTS = 2
 # These forget where they start from, or are led astray by it.
 FROM_THE_START = ("nsgs", "admm", "aclm")
 
 
-def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accepted) -> Outcome:
-    """Newton's method from a start; then from what other algorithms make of it, until one is accepted."""
+def run_any(
+    form: LocalForm,
+    settings: Settings,
+    start: Iterate,
+    accepted: Accepted,
+    refuse_none: Callable[[], None] = lambda: None,
+) -> Outcome:
+    """Newton's method from a start; then from what other algorithms make of it, until one is accepted.
+
+    `refuse_none` raises where there is no answer; it is asked before the long attempts.
+    """
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None
-    for name, limit in ATTEMPTS:
+    for number, (name, limit) in enumerate(ATTEMPTS):
         if deadline.passed:
             break
+        if number == SHORT_ATTEMPTS:
+            refuse_none()
         from_best = start if best is None or name in FROM_THE_START else best.iterate
         method = find("clarabel")
         if ALGORITHMS[name].convex and not method.installed:

@@ -161,10 +161,6 @@ class ContactForm:
             contact_names=problem.contact_names,
         )
 
-    def answer(self, form: LocalForm, iterate: Iterate) -> Answer:
-        """The answer of an iterate's combination of open, stick and slip, refined on the problem."""
-        return self.answer_in(self.status(form, iterate), self.plain(form, iterate))
-
     def answer_in(self, status: Status, start: Answer) -> Answer:
         """The answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
         return answer_in(self._problem, self._way, self._rows, status, start)

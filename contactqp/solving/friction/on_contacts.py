@@ -10,11 +10,12 @@ import numpy as np
 from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.algorithms import ALGORITHMS, run_algorithm, run_any
+from contactqp.solving.friction.algorithms import ALGORITHMS, NEARER, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
@@ -48,6 +49,8 @@ def solve_on_contacts(
 
     Raises
     ------
+    NoEquilibrium
+        The constraints conflict, which is asked where an answer does not come at once.
     NotConverged
         No iterate's combination of open, stick and slip is an equilibrium.
     BackendFailed, BackendMissing, Unsupported, InvalidProblem
@@ -62,7 +65,7 @@ def solve_on_contacts(
         start = None if balanced is None else balanced / size
         left = replace(settings, time_limit=deadline.left)
         try:
-            return _on_form(problem, contacts, form, start, method, left, algorithm)
+            return _on_form(problem, condensation, contacts, form, start, method, left, algorithm)
         except NotConverged as error:
             failed = failed or error
     assert failed is not None
@@ -77,6 +80,7 @@ def _force_sizes(balanced: Array | None) -> tuple[float, ...]:
 
 def _on_form(
     problem: ContactProblem,
+    condensation: Condensation,
     contacts: ContactForm,
     form: LocalForm,
     balanced: Array | None,
@@ -85,18 +89,23 @@ def _on_form(
     algorithm: str | None,
 ) -> LocalAnswer:
     found: list[Answer] = []
+    tried: dict[bytes, float] = {}  # combinations, and the error of the iterate that each was last refined from
 
     def accepted(iterate: Iterate) -> bool:
         if not iterate.error <= WORTH_REFINING * max(1.0, float(np.max(abs(iterate.force), initial=0.0))):
             return False
-        answer = contacts.answer(form, iterate)
+        status = contacts.status(form, iterate)
+        if iterate.error >= NEARER * tried.get(status.tobytes(), np.inf):
+            return False
+        tried[status.tobytes()] = iterate.error
+        answer = contacts.answer_in(status, contacts.plain(form, iterate))
         if holds(problem, answer):
             found.append(answer)
         return bool(found)
 
     start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
     if algorithm is None:
-        outcome = run_any(form, settings, start, accepted)
+        outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation))
     else:
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name = outcome.iterate, outcome.name

@@ -1,0 +1,204 @@
+"""Problems, candidates and files by a grammar, for so many minutes; everything that is wrong is a finding.
+
+    python -m benchmarks.adversary --minutes 2
+    python -m benchmarks.adversary --seed 17 --trial 4231      # one trial again
+    python -m benchmarks.adversary --minutes 2 --plant tension # with a fault planted, which must be found
+
+The seed is printed; trials are the same for the same seed. Each is judged by exact rational solutions or enumeration,
+or by the law written out once more; forged answers must be refused; whatever leaves a function must be an answer or an
+error of this package, without a warning and within five seconds. Findings are shrunk and written below --output with
+the command that shows them. Exit code 1 if there are any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import resource
+import secrets
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from benchmarks.adversary.faults import FAULTS
+from benchmarks.adversary.judging import Finding
+from benchmarks.adversary.trials import KINDS, Trial, trial, write_smallest
+
+# Seconds without a word from a process after which it hangs.
+SILENCE = 60
+MEMORY = 4 * 2**30
+LARGEST = 2**30  # bytes that a process may hold
+SHOWN = 40
+# Findings that are about an answer.
+WRONG = ("wrong", "denied", "refused", "forgery", "bound")
+
+
+@dataclass
+class Tally:
+    """What all trials add up to."""
+
+    trials: Counter[str] = field(default_factory=Counter)
+    judgements: Counter[str] = field(default_factory=Counter)
+    exact: int = 0
+    findings: list[tuple[int, str, tuple[str, ...], Finding]] = field(default_factory=list)
+
+    def add(self, number: int, done: Trial) -> None:
+        self.trials[done.kind] += 1
+        self.judgements[done.kind] += done.judgements
+        self.exact += done.exact
+        self.findings += [(number, done.kind, done.words, finding) for finding in done.findings]
+
+
+def child(options: argparse.Namespace, first: int) -> None:
+    """Every so many-th trial from `first` on, until the time is over: a line before and a line after each."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    out, until = sys.stdout, time.monotonic() + 60 * options.minutes
+    number = first
+    with FAULTS[options.plant]():
+        while time.monotonic() < until and (options.trials is None or number < options.trials):
+            print(json.dumps({"begun": number}), file=out, flush=True)
+            done = trial(options.seed, number, tuple(options.kind or KINDS))
+            print(json.dumps({"number": number} | asdict(done)), file=out, flush=True)
+            number += options.jobs
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    print(json.dumps({"memory": largest}), file=out, flush=True)
+
+
+def parent(options: argparse.Namespace) -> Tally:
+    """The trials of all processes; one that is silent or ends is a finding, and another goes on behind it.
+
+    A fault that is planted need be found once, by what is wrong and not by the clock.
+    """
+    tally = Tally()
+    lines: queue.Queue[tuple[int, str | None]] = queue.Queue()
+    processes: dict[int, subprocess.Popen[str]] = {}
+    begun: dict[int, int] = {}
+    heard: dict[int, float] = {}
+    until = time.monotonic() + 60 * options.minutes
+
+    def start(job: int, first: int) -> None:
+        left = max(until - time.monotonic(), 0.0) / 60
+        command = [sys.executable, "-m", "benchmarks.adversary", "--child", str(first), "--minutes", f"{left:.4f}",
+                   "--seed", str(options.seed), "--jobs", str(options.jobs), "--plant", options.plant]  # fmt: skip
+        command += [part for kind in options.kind or () for part in ("--kind", kind)]
+        command += [] if options.trials is None else ["--trials", str(options.trials)]
+        one = processes[job] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        begun[job], heard[job] = -1, time.monotonic()
+
+        def read() -> None:
+            assert one.stdout is not None
+            for line in one.stdout:
+                lines.put((job, line))
+            lines.put((job, None))
+
+        threading.Thread(target=read, daemon=True).start()
+
+    def lost(job: int, why: str) -> None:
+        number = begun[job]
+        tally.findings.append((number, "process", (), Finding("hang", f"trial {number}", why)))
+        start(job, number + options.jobs)
+
+    for job in range(options.jobs):
+        start(job, job)
+    running = set(processes)
+    while running and not (options.plant != "none" and any(one[3].kind in WRONG for one in tally.findings)):
+        try:
+            job, line = lines.get(timeout=1.0)
+        except queue.Empty:
+            for job in tuple(running):
+                if time.monotonic() - heard[job] > SILENCE:
+                    processes[job].kill()
+                    processes[job].wait()
+            continue
+        heard[job] = time.monotonic()
+        if line is None:
+            code = processes[job].wait()
+            if code == 0 or begun[job] < 0 or time.monotonic() > until:
+                running.discard(job)
+                if code != 0:
+                    tally.findings.append(
+                        (begun[job], "process", (), Finding("hang", f"trial {begun[job]}", f"ended with {code}"))
+                    )
+            else:
+                lost(job, f"the process ended with {code}")
+            continue
+        said = json.loads(line)
+        if "begun" in said:
+            begun[job] = said["begun"]
+        elif "memory" in said:
+            if said["memory"] > LARGEST:
+                tally.findings.append((-1, "process", (), Finding("memory", "process", f"{said['memory']:.3g} bytes")))
+        else:
+            number = said.pop("number")
+            findings = tuple(Finding(**one) for one in said.pop("findings"))
+            tally.add(number, Trial(**said | {"findings": findings, "words": tuple(said["words"])}))
+    for one in processes.values():
+        one.kill()
+    return tally
+
+
+def table(tally: Tally, minutes: float) -> list[str]:
+    found = Counter(kind for _, kind, _, _ in tally.findings)
+    judged = sum(tally.judgements.values())
+    rows = [(kind, tally.trials[kind], tally.judgements[kind], found[kind]) for kind in (*KINDS, "process")]
+    rows.append(("all", sum(tally.trials.values()), judged, len(tally.findings)))
+    return [
+        f"{'':14}{'trials':>9}{'judgements':>12}{'findings':>10}",
+        *(f"{kind:14}{trials:9}{judgements:12}{findings:10}" for kind, trials, judgements, findings in rows),
+        f"{tally.exact} problems with a known truth; {judged / minutes:.0f} judgements a minute",
+    ]
+
+
+def show_trial(options: argparse.Namespace) -> int:
+    with FAULTS[options.plant]():
+        done = trial(options.seed, options.trial, tuple(options.kind or KINDS))
+    print(f"{done.kind}: {' '.join(word for word in done.words if word)}; {done.judgements} judgements")
+    for finding in done.findings:
+        print(f"{finding.kind}: {finding.what}: {finding.text}")
+    return 1 if done.findings else 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=2.0)
+    parser.add_argument("--seed", type=int, default=None, help="printed, and new each time, where none is given")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--kind", action="append", choices=list(KINDS), help="only this; may be repeated")
+    parser.add_argument("--trial", type=int, help="this one alone, in this process")
+    parser.add_argument("--trials", type=int, help="no more than these")
+    parser.add_argument("--plant", choices=list(FAULTS), default="none", help="a fault that must be found")
+    parser.add_argument("--output", type=Path, default=Path("findings"), help="where findings are written")
+    parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    options.seed = secrets.randbelow(2**31) if options.seed is None else options.seed
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that are started
+    if options.child is not None:
+        child(options, options.child)
+        return 0
+    if options.trial is not None:
+        return show_trial(options)
+    print(f"seed {options.seed}, {options.minutes:g} minutes, {options.jobs} processes", flush=True)
+    started = time.monotonic()
+    tally = parent(options)
+    print("\n".join(table(tally, (time.monotonic() - started) / 60)))
+    for number, kind, words, finding in tally.findings[:SHOWN]:
+        said = " ".join(word for word in words if word)
+        print(f"{finding.kind}: trial {number} ({kind} {said}): {finding.what}: {finding.text}")
+    if options.plant == "none":
+        seen: set[tuple[str, str]] = set()
+        for number, _, _, finding in tally.findings:
+            if number >= 0 and (finding.kind, finding.what) not in seen and len(seen) < 10:
+                seen.add((finding.kind, finding.what))
+                if (written := write_smallest(options.seed, number, finding, options.output)) is not None:
+                    print(f"written: {written}")
+    return 1 if tally.findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

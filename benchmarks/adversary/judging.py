@@ -1,0 +1,324 @@
+"""What is right of a problem, and all that comes out that is not: one `Finding` for each.
+
+Without friction the truth is found in rational numbers (`exact_truth`). With friction every answer is held against
+Coulomb's law written out once more (`friction_law`), in the plane also against all equilibria in rational numbers.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+import contactqp as cq
+from benchmarks.exact_truth import Truth
+from benchmarks.friction_families import Posed
+from benchmarks.friction_law import broken, plain_answer, seen
+from benchmarks.judging import PER_CONDITION, REPRESENTABLE, WRONG, bounded, exact_truth, spoiled
+from contactqp.solving.methods import find
+
+Array = np.ndarray
+# Seconds within which everything that is asked must be answered.
+PATIENCE = 5.0
+# Time limits that methods are given, so that those which know none of their own stop.
+TIME_LIMIT = 2.0
+# Conditions from which rounding of the data decides what is right.
+WORST_CONDITION = 1e12
+# An answer that breaks the law by this part of the largest force or length is wrong.
+BREAKS = 1e-9
+SAME = 1e-7
+# Rational enumeration of more contacts takes seconds.
+MOST_EXACT = 3
+# A gap that is rational and that nothing closes.
+NEVER = 2.0**200
+# Forces that are this part of the intrinsic size of problem and answer are seen where they are forged.
+SEEN = 1e-3
+# What a forgery adds to forces or lengths: far above the tolerance of 1e-9, below the errors that bounds pass.
+FORGED = 1e-6
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that must not be."""
+
+    kind: str  # crashed, wrong, denied, refused, forgery, bound, slow, printed
+    what: str  # the call
+    text: str
+
+
+@dataclass
+class Judge:
+    """The findings about one problem, and how many answers were judged."""
+
+    posed: Posed
+    seed: int
+    findings: list[Finding] = field(default_factory=list)
+    judgements: int = 0
+    exact: bool = False  # whether the truth is known
+
+    def ask(self, what: str, question: Callable[[], Any]) -> tuple[Any, Exception | None]:
+        """What a call returns, or the error of this package that it raises; anything else is a finding."""
+        self.judgements += 1
+        started, error, answer = time.process_time(), None, None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                answer = question()
+            except cq.ContactQPError as raised:
+                error = raised
+            except Exception as raised:  # noqa: BLE001  whatever leaves is what is looked for
+                error = raised
+                self.found("crashed", what, f"{type(raised).__name__}: {str(raised)[:200]}")
+        seconds = time.process_time() - started
+        if seconds > PATIENCE:
+            self.found("slow", what, f"{seconds:.0f} s")
+        return answer, error
+
+    def found(self, kind: str, what: str, text: str) -> None:
+        self.findings.append(Finding(kind, what, text))
+
+    def plain(self, answer: Any) -> tuple[Array, Array]:
+        """Displacement and normal forces of an answer in the numbers that the problem was made in."""
+        u = self.posed.units
+        displacement = np.asarray(answer.displacement) / u.unknown / u.length
+        return displacement, np.asarray(answer.normal_force) * u.row / u.force
+
+    def certify(self, what: str, displacement: Array, normal: Array, friction: Any, tie: Array) -> Any:
+        """The certificate of an answer in plain numbers, of the problem in its units."""
+        u = self.posed.units
+        rubbed = None if friction is None else friction * (u.force / u.row)[:, None]
+        forces = (normal * u.force / u.row, rubbed, tie * u.force)
+        return self.ask(what, lambda: cq.certify(self.posed.problem, displacement * u.unknown * u.length, *forces))[0]
+
+
+def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | None]:
+    if find(method).kind == "quadratic program" and "no time limit" not in find(method).note:
+        options["time_limit"] = TIME_LIMIT
+    fresh = judge.posed.problem.replace(stiffness=judge.posed.problem.stiffness)
+    return judge.ask(f"solve {method}", lambda: cq.solve(fresh, method, **options))
+
+
+# ------------------------------------------------------------------------------- without friction
+
+
+def judge_frictionless(judge: Judge, methods: list[str]) -> None:
+    """Every method's answer, its bounds, and forged answers, against the answer in rational numbers."""
+    first = judge.ask("solve plain", lambda: cq.solve(judge.posed.plain))
+    gap = judge.posed.plain.gap
+    finite = judge.posed.plain.replace(gap=np.where(np.isinf(gap), NEVER, gap))
+    truth, known = exact_truth(finite, first[0] or getattr(first[1], "solution", None))
+    judge.exact = known in ("exact", "none")
+    if truth is None:
+        for method in methods:
+            if known == "none" and solve(judge, method)[0] is not None:
+                judge.found("wrong", f"solve {method}", "an answer where there is none")
+        return
+    posed = truth.representable <= REPRESENTABLE and truth.condition <= WORST_CONDITION
+    threshold = WRONG + PER_CONDITION * truth.condition
+    for method in methods:
+        _judge_answer(judge, truth, method, *solve(judge, method), threshold, posed)
+    _forge(judge, truth, threshold, posed)
+
+
+def _judge_answer(
+    judge: Judge, truth: Truth, method: str, returned: Any, error: Any, threshold: float, posed: bool
+) -> None:
+    solution = returned if returned is not None else getattr(error, "solution", None)
+    if isinstance(error, cq.NoEquilibrium):
+        if posed:
+            judge.found("denied", f"solve {method}", str(error)[:300])
+        return
+    if solution is None:
+        if method == "active-set" and posed and isinstance(error, cq.ContactQPError):
+            judge.found("refused", f"solve {method}", f"{type(error).__name__}: {str(error)[:300]}")
+        return
+    errors = truth.errors(*judge.plain(solution))
+    _judge_bounds(judge, truth, f"solve {method}", method, solution.certificate, errors)
+    if solution.certificate.passed and find(method).exact and errors.worst > threshold:
+        judge.found("wrong", f"solve {method}", f"passed, and off by {errors.worst:.2g}")
+    if not solution.certificate.passed and method == "active-set" and posed:
+        judge.found("refused", f"solve {method}", "; ".join(solution.certificate.failures)[:300])
+
+
+def _in_plain_units(judge: Judge, certificate: Any) -> Any:
+    """The certificate with its contact-wise bound in plain numbers."""
+    if certificate.force_bound is None:
+        return certificate
+    return replace(certificate, force_bound=certificate.force_bound * judge.posed.units.row / judge.posed.units.force)
+
+
+def _judge_bounds(judge: Judge, truth: Truth, what: str, source: str, certificate: Any, errors: Any) -> None:
+    """No bound is below the error that it bounds.
+
+    Absolute errors have the units of the problem, and so have those of forces that do not balance on bodies that float,
+    whose norm is that of the motions of least norm: they are compared in units alone in which the truth is.
+    """
+    units = judge.posed.units
+    other = not (units.length == units.force == 1.0 and np.all(units.unknown == 1.0) and np.all(units.row == 1.0))
+    for one in bounded(source, truth, _in_plain_units(judge, certificate), errors):
+        number = {"energy_error": 0, "force_error": 1}.get(one.figure)
+        if other and number is not None and (truth.tiny[number] or (number == 1 and truth.nullity > 0)):
+            continue
+        if number == 1 and np.any(judge.posed.plain.diagonal == 0):
+            continue  # forces on what has no stiffness have no energy
+        if number != 0 and truth.nullity > 0 and truth._sizes[1] < SEEN * truth.size:
+            continue  # contact forces that are nothing beside those that squeeze a body that floats
+        judge.judgements += 1
+        if one.below:
+            judge.found("bound", what, f"{one.figure} {one.bound:.17g} below the error {one.error:.17g}")
+
+
+def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
+    tie = truth.tie_force
+    for name, u, force in spoiled(truth, np.random.default_rng(judge.seed)):
+        if np.max(abs(u), initial=0.0) > np.sqrt(NEVER):
+            continue  # closes what never closes
+        certificate = judge.certify(f"certify {name}", u, force, None, tie)
+        if certificate is None:
+            continue
+        errors = truth.errors(u, force)
+        _judge_bounds(judge, truth, f"certify {name}", name, certificate, errors)
+        if certificate.passed and errors.worst > threshold:
+            judge.found("forgery", f"certify {name}", f"passed, and off by {errors.worst:.2g}")
+        if name == "truth" and not certificate.passed and posed:
+            judge.found("refused", "certify truth", "; ".join(certificate.failures)[:300])
+    u, force = truth.rounded()
+    for name, wrong_u, wrong in against_the_law(judge.posed.plain, u, force):
+        certificate = judge.certify(f"certify {name}", wrong_u, wrong, None, tie)
+        if certificate is not None and certificate.passed:
+            judge.found("forgery", f"certify {name}", "passed")
+
+
+def against_the_law(problem: cq.ContactProblem, u: Array, force: Array) -> Iterator[tuple[str, Array, Array]]:
+    """Answers that tear, push at a distance, or balance nothing, each by a part of 1e-6: no tolerance forgives that."""
+    torn = with_tension(problem, u, force, None)
+    if torn is not None:
+        yield f"tension of {FORGED:g}", u, torn
+    meeting = _meeting(problem, u, force, None)
+    part = np.divide(np.diag(problem.stiffness) * abs(u), meeting, out=np.zeros(len(u)), where=meeting > 0)
+    energy = np.sqrt(np.diag(problem.stiffness)) * abs(u)
+    part[energy < 1e-3 * np.max(energy)] = 0.0  # beside larger ones these may count as nothing
+    at = int(np.argmax(part))
+    if part[at] > 1e-3:
+        moved = u.copy()
+        moved[at] *= 1 + 1e3 * FORGED
+        yield "one displacement off by 0.001", moved, force
+
+
+def _meeting(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array:
+    """(n,) the sum of the sizes of the forces that meet at each unknown."""
+    meeting = abs(np.asarray(problem.stiffness)) @ abs(u) + abs(problem.load) + abs(problem.normal).T @ abs(force)
+    if friction is not None and problem.tangent is not None:
+        meeting = meeting + abs(problem.tangent).T @ abs(friction.ravel())
+    return np.asarray(meeting)
+
+
+def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
+    """(n,) the forces that stand, at each unknown, for the size of problem and answer; beneath them is nothing."""
+    root = np.sqrt(np.where(np.diag(problem.stiffness) > 0, np.diag(problem.stiffness), np.inf))
+    outer = abs(problem.load) + abs(problem.normal).T @ abs(force)
+    size = max(float(np.max(np.where(np.isfinite(root), root, 0.0) * abs(u))), float(np.max(outer / root)))
+    return np.where(np.isfinite(root), size * root, 0.0)
+
+
+def with_tension(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array | None:
+    """The forces with a tension at the contact that has the least, by 1e-6 of what meets wherever it acts."""
+    acting = np.flatnonzero(np.any(problem.normal.toarray(), axis=1) & np.isfinite(problem.gap))
+    if not acting.size:
+        return None
+    at = int(acting[np.argmin(force[acting])])
+    row = abs(problem.normal.toarray()[at])
+    meeting = np.maximum(_meeting(problem, u, force, friction), _intrinsic(problem, u, force))
+    size = float(np.max(meeting[row > 0] / row[row > 0]))
+    if size == 0:
+        return None
+    torn = force.copy()
+    torn[at] = -FORGED * size
+    return torn
+
+
+# ------------------------------------------------------------------------------- with friction
+
+
+def judge_friction(judge: Judge, algorithms: list[str]) -> None:
+    """Every algorithm's answer against the law, and in the plane against all equilibria."""
+    posed = judge.posed
+    flat = posed.plain.slip_origin is not None and posed.plain.slip_origin.shape[1] == 1
+    known, exists = _equilibria(judge) if flat else (None, posed.solvable)
+    judge.exact = known is not None or posed.solvable
+    for name in algorithms:
+        returned, error = _solve_friction(judge, name, flat)
+        if returned is None:
+            if isinstance(error, cq.NoEquilibrium) and exists:
+                judge.found("denied", f"solve {name}", str(error)[:300])
+            continue
+        if returned.certificate.passed:
+            _judge_law(judge, name, returned, known)
+            _forge_friction(judge, returned)
+
+
+def _solve_friction(judge: Judge, name: str, flat: bool) -> tuple[Any, Exception | None]:
+    if name == "default":
+        return solve(judge, "active-set")
+    if name in ("lagrange-multiplier", "master-slave", "augmented-lagrangian"):
+        return solve(judge, name)
+    method = "clarabel" if name in ("tresca", "aclm") and not flat else "active-set"
+    return solve(judge, method, algorithm=name)
+
+
+def _equilibria(judge: Judge) -> tuple[list[Array] | None, bool]:
+    """All equilibria as far as rows see them, None where there is a continuum or too many contacts; whether any is."""
+    plain = judge.posed.plain
+    if plain.contacts > MOST_EXACT or np.any(np.isinf(plain.gap)) or not plain.frictional:
+        return None, judge.posed.solvable
+    exact, error = judge.ask("exact_equilibria", lambda: cq.exact_equilibria(plain))
+    if exact is None:
+        return None, judge.posed.solvable and not isinstance(error, cq.NoEquilibrium)
+    if any(one.continuum for one in exact):
+        return None, True
+    project = seen(plain)
+    return [project @ one.displacement.astype(float) for one in exact], bool(exact)
+
+
+def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None) -> None:
+    if not judge.posed.problem.frictional:
+        return
+    if (worst := broken(judge.posed, solution)) > BREAKS:
+        judge.found("wrong", f"solve {name}", f"passed, and breaks the law by {worst:.2g}")
+        return
+    if known is None:
+        return
+    u = seen(judge.posed.plain) @ plain_answer(judge.posed, solution)[0]
+    allowed = max(SAME * float(np.max(abs(u), initial=0.0)), 1e-3 * SAME)
+    if not any(float(np.max(abs(u - other), initial=0.0)) <= allowed for other in known):
+        judge.found("wrong", f"solve {name}", f"passed, and not among all {len(known)} equilibria")
+
+
+def _forge_friction(judge: Judge, solution: Any) -> None:
+    """Answers that break the law by a known part: none passes."""
+    if not judge.posed.problem.frictional:
+        return
+    u, normal, friction, tie = plain_answer(judge.posed, solution)
+    rows = abs(judge.posed.plain.normal.toarray())
+    floor = _intrinsic(judge.posed.plain, u, normal)
+    pushing = np.max(np.where(floor > 0, rows * normal[:, None] / np.where(floor > 0, floor, 1.0), 0.0), axis=1)
+    at = int(np.argmax(pushing))
+    if pushing[at] < SEEN:
+        return
+    mu = float(judge.posed.plain.friction[at])  # type: ignore[index]
+    forged = [("forces x 1.001", u, 1.001 * normal, 1.001 * friction)]
+    torn = with_tension(judge.posed.plain, u, normal, friction)
+    if torn is not None:
+        forged.append((f"tension of {FORGED:g}", u, torn, friction))
+    if mu > 0:
+        rubbing = friction.copy()
+        rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
+        forged.append(("friction beyond its bound", u, normal, rubbing))
+    for name, *parts in forged:
+        certificate = judge.certify(f"certify {name}", *parts, tie)
+        if certificate is not None and certificate.passed:
+            judge.found("forgery", f"certify {name}", "passed")

@@ -1,0 +1,99 @@
+"""One trial: something drawn by the grammar, judged; the same again for the same seed and number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import contactqp as cq
+from benchmarks.adversary.files import Files
+from benchmarks.adversary.grammar import Sentence, draw
+from benchmarks.adversary.judging import Finding, Judge, judge_friction, judge_frictionless
+from benchmarks.adversary.shrinking import shrunk
+from benchmarks.adversary.wild import judge_wild
+from benchmarks.bricks import Generator
+from benchmarks.friction_families import Posed
+
+# What is drawn, and how often.
+KINDS = {"frictionless": 0.4, "plane": 0.15, "space": 0.1, "wild": 0.15, "files": 0.2}
+# Beside the default method, of these so many; those without friction that promise exact answers.
+METHODS = ("lemke", "lagrange-multiplier", "master-slave", "clarabel", "piqp", "osqp", "daqp", "proxqp", "highs",
+           "augmented-lagrangian", "cvxpy", "scs", "qpalm")  # fmt: skip
+ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "admm", "lagrange-multiplier", "augmented-lagrangian")
+OTHERS = 2
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a trial was about and what it found."""
+
+    kind: str
+    words: tuple[str, ...]
+    judgements: int
+    exact: bool
+    findings: tuple[Finding, ...]
+
+
+@cache
+def files() -> Files:
+    return Files()
+
+
+def trial(seed: int, number: int, kinds: tuple[str, ...] = tuple(KINDS)) -> Trial:
+    """Draw, judge."""
+    rng, kind = _begin(seed, number, kinds)
+    if kind in ("wild", "files"):
+        judge = Judge(None, number)  # type: ignore[arg-type]  # there is no problem with a truth
+        (judge_wild if kind == "wild" else files().judge)(judge, rng)
+        return Trial(kind, (), judge.judgements, False, tuple(judge.findings))
+    sentence, ask = _question(rng, kind)
+    judge = Judge(sentence.posed, number)
+    ask(judge)
+    return Trial(kind, sentence.words, judge.judgements, judge.exact, tuple(judge.findings))
+
+
+def _begin(seed: int, number: int, kinds: tuple[str, ...]) -> tuple[Generator, str]:
+    rng = np.random.default_rng([seed, number])
+    weights = np.array([KINDS[kind] for kind in kinds])
+    return rng, str(rng.choice(kinds, p=weights / weights.sum()))
+
+
+def _question(rng: Generator, kind: str) -> tuple[Sentence, Callable[[Judge], None]]:
+    sentence = draw(rng, kind)
+    if kind == "frictionless":
+        installed = [method.name for method in cq.methods() if method.installed and method.name in METHODS]
+        methods = ["active-set", *rng.choice(installed, OTHERS, replace=False).tolist()]
+        return sentence, lambda judge: judge_frictionless(judge, methods)
+    algorithms = ["default", *rng.choice(ALGORITHMS, OTHERS, replace=False).tolist()]
+    return sentence, lambda judge: judge_friction(judge, algorithms)
+
+
+def write_smallest(seed: int, number: int, finding: Finding, folder: Path) -> Path | None:
+    """Shrink the problem of a trial to the smallest that shows a finding of its kind; write it with its command."""
+    rng, kind = _begin(seed, number, tuple(KINDS))
+    if kind in ("wild", "files"):
+        return None
+    sentence, ask = _question(rng, kind)
+
+    def still(posed: Posed) -> bool:
+        judge = Judge(posed, number)
+        ask(judge)
+        return any(one.kind == finding.kind and one.what == finding.what for one in judge.findings)
+
+    def safely(posed: Posed) -> bool:
+        try:
+            return still(posed)
+        except Exception:  # noqa: BLE001  what cannot be judged shows nothing
+            return False
+
+    smallest = shrunk(sentence.posed, safely)
+    target = folder / f"{finding.kind}-{seed}-{number}"
+    cq.write_problem(target, smallest.problem)
+    command = f"python -m benchmarks.adversary --seed {seed} --trial {number}"
+    words = " ".join(word for word in sentence.words if word)
+    (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{words}\n{command}\ncontactqp run {target}\n")
+    return target

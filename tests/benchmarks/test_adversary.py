@@ -1,0 +1,101 @@
+"""The adversary finds nothing in a few trials, and each planted fault within two minutes (slow)."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+pytest.importorskip("flint")
+
+from benchmarks.adversary.__main__ import main
+from benchmarks.adversary.faults import FAULTS
+from benchmarks.adversary.grammar import BODIES, CONTACTS, HELD, LOADS, REPEATS, SIZES, draw
+from benchmarks.adversary.judging import Finding
+from benchmarks.adversary.shrinking import shrunk
+from benchmarks.adversary.trials import KINDS, trial, write_smallest
+from benchmarks.friction_families import Posed
+
+# Of a fault, what must be said of it.
+SEEN_AS = {
+    "tension": {"forgery", "wrong"},
+    "sign": {"forgery", "wrong"},
+    "bound": {"bound"},
+    "scale": {"wrong", "refused", "bound"},
+    "swallowed": {"wrong", "forgery"},
+}
+
+
+def test_trials_are_the_same_for_the_same_seed() -> None:
+    assert trial(11, 3, ("frictionless",)) == trial(11, 3, ("frictionless",))
+
+
+def test_every_word_is_spoken() -> None:
+    spoken: set[str] = set()
+    for number in range(400):
+        sentence = draw(np.random.default_rng([0, number]), ("frictionless", "plane", "space")[number % 3])
+        spoken |= set(sentence.words)
+        assert sentence.posed.problem.contacts == sentence.posed.plain.contacts
+    assert spoken >= {*BODIES, *HELD, *CONTACTS, *LOADS, *REPEATS, *SIZES}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_trials_find_nothing(kind: str) -> None:
+    done = [trial(0, number, (kind,)) for number in range(6)]
+    assert [finding for one in done for finding in one.findings] == []
+    assert sum(one.judgements for one in done) >= 20
+    if kind == "frictionless":
+        assert sum(one.exact for one in done) == 6
+
+
+def test_problems_shrink_to_what_shows_a_finding() -> None:
+    rng = np.random.default_rng(5)
+    posed = next(
+        p for p in (draw(rng, "frictionless").posed for _ in range(50)) if p.plain.contacts > 2 and p.plain.ties
+    )
+
+    def pressed(tried: Posed) -> bool:
+        return bool(np.any(tried.plain.load)) and tried.plain.contacts >= 1
+
+    smallest = shrunk(posed, pressed)
+    assert (smallest.plain.contacts, smallest.plain.ties, smallest.plain.dimension) == (1, 0, 1)
+
+
+def test_a_finding_is_written_with_the_command_that_shows_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with FAULTS["bound"]():
+        number = next(n for n in range(20) if trial(0, n, tuple(KINDS)).kind == "frictionless" and trial(0, n).findings)
+        finding = trial(0, number).findings[0]
+        folder = write_smallest(0, number, finding, tmp_path)
+    assert folder is not None
+    assert finding.kind == "bound"
+    text = (folder / "finding.txt").read_text()
+    assert f"python -m benchmarks.adversary --seed 0 --trial {number}" in text
+    assert cq.read_problem(folder).dimension <= 3
+    assert main(["--seed", "0", "--trial", str(number)]) == 0  # without the fault
+    assert main(["--seed", "0", "--trial", str(number), "--plant", "bound"]) == 1
+    assert "bound: " in capsys.readouterr().out
+
+
+def test_findings_are_equal_by_what_they_say() -> None:
+    finding = Finding("wrong", "solve", "off")
+    assert replace(finding, text="on") != finding
+    assert json.loads(json.dumps(finding.__dict__)) == finding.__dict__
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [name for name in FAULTS if name != "none"])
+def test_a_planted_fault_is_found_within_two_minutes(fault: str) -> None:
+    command = [sys.executable, "-m", "benchmarks.adversary", "--minutes", "2", "--plant", fault]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
+    kinds = {line.split(":")[0] for line in done.stdout.splitlines()}
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert kinds & SEEN_AS[fault], done.stdout

@@ -1,0 +1,174 @@
+"""Problems in units of any size: the same verdict and the same digits as in units in which numbers are near one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.linalg.existence import Conflict, DrivenMotion
+
+# Two bodies on springs, one contact between them that closes and one to a wall that stays open, one tie.
+DATA: dict[str, Any] = dict(
+    stiffness=np.array([[4.0, -1.0, 0.0], [-1.0, 5.0, 2.5], [0.0, 2.5, 3.0]]),
+    load=np.array([2.0, 1.0, 0.5]),
+    normal=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    gap=np.array([0.1, 5.0]),
+    tie=np.array([[0.0, 1.0, -1.0]]),
+    tie_value=np.array([0.01]),
+)
+RUBS: dict[str, Any] = dict(tangent=np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]), friction=0.25)
+SPACE: dict[str, Any] = dict(
+    stiffness=np.diag([3.0, 2.0, 2.0]), load=[-3.0, 2.0, 1.0], normal=[[-1.0, 0.0, 0.0]], gap=[0.0],
+    tangent=[[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], friction=0.5,
+)  # fmt: skip
+SIZES = [(2.0**400, 2.0**-300), (2.0**-330, 2.0**320), (2.0**300, 2.0**300)]
+
+
+def in_units(data: dict[str, Any], length: float, force: float, row: float = 1.0) -> cq.ContactProblem:
+    """The problem with lengths and forces in other units, and rows and gaps times a factor."""
+    changed = dict(data)
+    changed["stiffness"] = np.asarray(data["stiffness"]) * (force / length)
+    changed["load"] = np.asarray(data["load"]) * force
+    changed["normal"] = np.asarray(data["normal"]) * row
+    changed["gap"] = np.asarray(data["gap"]) * row * length
+    if "tie_value" in data:
+        changed["tie_value"] = data["tie_value"] * length
+    if "tangent" in data:
+        changed["tangent"] = np.asarray(data["tangent"]) * row
+    return cq.ContactProblem(**changed)
+
+
+@pytest.mark.parametrize(("length", "force"), SIZES)
+@pytest.mark.parametrize("data", [DATA, DATA | RUBS, SPACE], ids=["frictionless", "plane", "space"])
+@pytest.mark.parametrize("row", [1.0, 2.0**-200])
+def test_units_change_no_digit_and_no_verdict(data: dict[str, Any], length: float, force: float, row: float) -> None:
+    near, far = cq.solve(in_units(data, 1.0, 1.0)), cq.solve(in_units(data, length, force, row))
+    assert near.normal_force[0] > 0  # the contact closes, or nothing would be shown
+    assert far.displacement / length == pytest.approx(near.displacement, rel=1e-14)
+    assert far.normal_force / force * row == pytest.approx(near.normal_force, rel=1e-14)
+    assert far.tie_force / force == pytest.approx(near.tie_force, rel=1e-14)
+    assert list(far.contact_status) == list(near.contact_status)
+    assert (far.certificate.passed, far.certificate.proven) == (near.certificate.passed, near.certificate.proven)
+    if near.friction_force is not None:
+        assert far.friction_force / force * row == pytest.approx(near.friction_force, rel=1e-14)
+
+
+@pytest.mark.parametrize("power", [-100, 100, 150])
+def test_units_of_ten_give_the_same_answer(power: int) -> None:
+    near, far = cq.solve(in_units(DATA, 1.0, 1.0)), cq.solve(in_units(DATA, 10.0**power, 10.0 ** (power / 2)))
+    assert far.certificate.proven
+    assert far.displacement / 10.0**power == pytest.approx(near.displacement, rel=1e-12)
+
+
+@pytest.mark.parametrize(("length", "force"), SIZES)
+def test_bounds_have_the_units_of_the_problem(length: float, force: float) -> None:
+    near, far = in_units(DATA, 1.0, 1.0), in_units(DATA, length, force)
+    right = cq.solve(near)
+    parts = (right.displacement * (1 + 1e-4), right.normal_force * (1 - 1e-4), None, right.tie_force)
+    other = (parts[0] * length, parts[1] * force, None, parts[3] * force)
+    mine, theirs = cq.certify(near, *parts), cq.certify(far, *other)
+    assert theirs.energy_error == pytest.approx(mine.energy_error, rel=1e-9)
+    assert theirs.force_bound / force == pytest.approx(mine.force_bound, rel=1e-9)
+    assert theirs.violations is not None
+    assert mine.violations is not None
+    assert theirs.violations.residual / force == pytest.approx(mine.violations.residual, rel=1e-9)
+    assert theirs.violations.gap / length == pytest.approx(mine.violations.gap, rel=1e-9)
+    assert theirs.violations.lengths / length == pytest.approx(mine.violations.lengths, rel=1e-9)
+    assert not theirs.passed
+
+
+def test_messages_speak_in_the_units_of_the_problem() -> None:
+    wall = cq.ContactProblem([[1e200]], [3e200], [[1.0]], [1.0], units={"length": "m", "force": "N"})
+    failures = cq.certify(wall, [1.0], [-2e200]).failures
+    assert any("-2e+200 N" in failure for failure in failures)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e305, 1e100, np.nan, np.inf])
+@pytest.mark.parametrize("part", ["displacement", "normal_force", "tie_force", "friction_force"])
+def test_absurd_answers_are_refused_by_name(part: str, value: float) -> None:
+    problem = in_units(DATA | RUBS, 1.0, 1.0)
+    right = cq.solve(problem)
+    parts = {
+        name: np.array(getattr(right, name)) for name in ("displacement", "normal_force", "friction_force", "tie_force")
+    }
+    parts[part].flat[0] = value
+    judged = cq.certify(problem, **parts)
+    assert not judged.passed
+    assert any(failure.startswith(f"{part}: ") for failure in judged.failures)
+    if np.isfinite(value):
+        assert any("diverged" in failure for failure in judged.failures)
+    assert judged.diagnosis
+
+
+@pytest.mark.parametrize("size", [1e150, 1e-150])
+def test_proofs_of_absence_are_those_of_the_problem(size: float) -> None:
+    rows, gap = np.array([[size, 0.0], [-2.0 * size, 0.0]]), np.array([size, -3.0 * size])
+    between = cq.ContactProblem(np.diag([1e200, 1.0]), [0.0, 1.0], rows, gap)
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(between)
+    proof = caught.value.proof
+    assert isinstance(proof, Conflict)
+    assert rows.T @ proof.normal == pytest.approx([0.0, 0.0], abs=1e-12 * size)
+    assert np.min(proof.normal) >= 0
+    assert -(gap @ proof.normal) == pytest.approx(proof.excess, rel=1e-9)
+    assert proof.excess > 0
+
+
+def test_a_driven_motion_has_the_units_of_the_problem() -> None:
+    K = 1e180 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    free = cq.ContactProblem(K, [3e90, 1e90], [[1.0, 0.0]], [np.inf])
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(free.replace(gap=[np.inf]))
+    proof = caught.value.proof
+    assert isinstance(proof, DrivenMotion)
+    assert proof.motion == pytest.approx([1.0, 1.0])
+    assert proof.work == pytest.approx(4e90)
+
+
+def test_what_doubles_cannot_hold_is_refused_by_name() -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"displacement: that of unknown 0 is beyond 1.8e308"):
+        cq.solve(cq.ContactProblem([[1e-200]], [1e200], [[-1.0]], [1.0]))
+    # The nearer wall is 1e250 away from where anything else moves, and the load drives the mass to it.
+    with pytest.raises(cq.InvalidProblem, match=r"gap: contact 0 closes only after 1e\+250"):
+        cq.solve(cq.ContactProblem(np.diag([0.0, 1.0]), [1.0, 1.0], [[1.0, 0.0]], [1e250]))
+    with pytest.raises(cq.InvalidProblem, match="follow_path: expected stiffnesses"):
+        cq.follow_path(cq.ContactProblem([[1e200]], [1e200], [[1.0]], [1.0]), [[1e200]])
+
+
+def test_tangential_rows_of_another_unit_keep_their_friction() -> None:
+    near = cq.ContactProblem(**SPACE)
+    far = near.replace(tangent=near.tangent.toarray() * 2.0**-100, friction=0.5 * 2.0**100)
+    one, other = cq.solve(near), cq.solve(far)
+    assert other.displacement == pytest.approx(one.displacement, rel=1e-12)
+    assert other.friction_force * 2.0**-100 == pytest.approx(one.friction_force, rel=1e-12)
+    assert cq.critical_friction(far).ratio == pytest.approx(cq.critical_friction(near).ratio)
+
+
+def test_all_equilibria_are_found_in_any_units() -> None:
+    klarbring: dict[str, Any] = dict(
+        stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]], load=[-1.0, 0.65],
+        friction=0.8,
+    )  # fmt: skip
+    far = in_units(klarbring, 2.0**300, 2.0**-200)
+    assert [str(one.contact_status[0]) for one in cq.equilibria(far)] == ["open", "stick", "slip"]
+    assert cq.critical_friction(far).single == pytest.approx([0.5])
+
+
+@pytest.mark.parametrize("method", ["penalty", "perturbed-lagrangian"])
+def test_contact_stiffnesses_are_those_of_the_problem(method: str) -> None:
+    knob = {"penalty": "penalty", "perturbed-lagrangian": "perturbation"}[method]
+    length, force, row = 2.0**300, 2.0**-200, 2.0**-100
+    near = cq.solve(in_units(DATA, 1.0, 1.0), method, **{knob: 1e3})
+    far = cq.solve(in_units(DATA, length, force, row), method, **{knob: 1e3 * force / length / row**2})
+    assert far.displacement / length == pytest.approx(near.displacement, rel=1e-12)
+
+
+def test_a_start_is_one_in_the_units_of_the_problem() -> None:
+    far = in_units(DATA, 2.0**300, 2.0**300)
+    first = cq.solve(far)
+    again = cq.solve(far.replace(load=far.load * 1.01), warm_start=first)
+    assert again.certificate.proven
+    assert again.work.iterations == 1
