@@ -11,7 +11,12 @@ from typing import Any
 
 
 class ContactQPError(Exception):
-    """Every error that contactqp raises on purpose; pickled and copied with all that it carries."""
+    """Every error that contactqp raises on purpose; pickled and copied with all that it carries.
+
+    `code` is its kind in one word, the same in every version: `--json` prints it for programs.
+    """
+
+    code = "error"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle and copy make it of again: its class, its message and its attributes.
@@ -25,9 +30,13 @@ class ContactQPError(Exception):
 class InvalidProblem(ContactQPError, ValueError):
     """The data are no contact problem: wrong shape, NaN, asymmetric or indefinite stiffness, negative friction."""
 
+    code = "invalid-problem"
+
 
 class SceneError(ContactQPError, ValueError):
     """A case file or a scene is wrong; the message names file, key and what was expected."""
+
+    code = "invalid-scene"
 
 
 class NoEquilibrium(ContactQPError):
@@ -35,6 +44,8 @@ class NoEquilibrium(ContactQPError):
 
     `proof` is what proves it, where that is one vector: a `contactqp.linalg.existence.Conflict` or `DrivenMotion`.
     """
+
+    code = "no-equilibrium"
 
     def __init__(self, message: str, proof: Any = None) -> None:
         super().__init__(message)
@@ -44,12 +55,16 @@ class NoEquilibrium(ContactQPError):
 class SeveralEquilibria(ContactQPError):
     """Coulomb friction allows more than one answer and one was asked for; the message lists them."""
 
+    code = "several-equilibria"
+
 
 class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any.
 
     Of a motion or a path of large deformations `history` is the `History` until then.
     """
+
+    code = "not-converged"
 
     def __init__(
         self,
@@ -65,6 +80,8 @@ class NotConverged(ContactQPError):
 class NotCertified(ContactQPError):
     """A method that promises the exact answer returned one that the certificate refuses; `solution` is that answer."""
 
+    code = "not-certified"
+
     def __init__(self, message: str, solution: Any) -> None:
         super().__init__(message)
         self.solution = solution
@@ -73,9 +90,13 @@ class NotCertified(ContactQPError):
 class BackendMissing(ContactQPError, ImportError):
     """An optional package is not installed; the message gives the pip command."""
 
+    code = "backend-missing"
+
 
 class BackendFailed(ContactQPError):
     """A backend raised an exception of its own (chained as the cause), or returned nothing usable."""
+
+    code = "backend-failed"
 
     def __init__(self, message: str, candidate: Any = None) -> None:
         super().__init__(message)
@@ -84,6 +105,8 @@ class BackendFailed(ContactQPError):
 
 class Unsupported(ContactQPError):
     """The method exists and cannot do this: the message names the method and the feature."""
+
+    code = "unsupported"
 
 
 class TimeStepWarning(UserWarning):

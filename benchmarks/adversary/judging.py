@@ -37,6 +37,8 @@ MOST_EXACT = 3
 NEVER = 2.0**200
 # Forces that are this part of the intrinsic size of problem and answer are seen where they are forged.
 SEEN = 1e-3
+# A displacement that is right to this part strains what is moved rigidly by no more than counts as nothing.
+MOVED_RIGHTLY = 1e-11
 # What a forgery adds to forces or lengths: far above the tolerance of 1e-9, below the errors that bounds pass.
 FORGED = 1e-6
 
@@ -105,7 +107,7 @@ def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | N
 # ------------------------------------------------------------------------------- without friction
 
 
-def judge_frictionless(judge: Judge, methods: list[str]) -> None:
+def judge_frictionless(judge: Judge, methods: list[tuple[str, dict[str, Any]]]) -> None:
     """Every method's answer, its bounds, and forged answers, against the answer in rational numbers."""
     first = judge.ask("solve plain", lambda: cq.solve(judge.posed.plain))
     gap = judge.posed.plain.gap
@@ -113,14 +115,14 @@ def judge_frictionless(judge: Judge, methods: list[str]) -> None:
     truth, known = exact_truth(finite, first[0] or getattr(first[1], "solution", None))
     judge.exact = known in ("exact", "none")
     if truth is None:
-        for method in methods:
-            if known == "none" and solve(judge, method)[0] is not None:
+        for method, options in methods:
+            if known == "none" and solve(judge, method, **options)[0] is not None:
                 judge.found("wrong", f"solve {method}", "an answer where there is none")
         return
     posed = truth.representable <= REPRESENTABLE and truth.condition <= WORST_CONDITION
     threshold = WRONG + PER_CONDITION * truth.condition
-    for method in methods:
-        _judge_answer(judge, truth, method, *solve(judge, method), threshold, posed)
+    for method, options in methods:
+        _judge_answer(judge, truth, method, *solve(judge, method, **options), threshold, posed)
     _forge(judge, truth, threshold, posed)
 
 
@@ -182,7 +184,7 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
             continue
         errors = truth.errors(u, force)
         _judge_bounds(judge, truth, f"certify {name}", name, certificate, errors)
-        if certificate.passed and errors.worst > threshold:
+        if certificate.passed and errors.worst > threshold and not _strains_nothing(truth, u):
             judge.found("forgery", f"certify {name}", f"passed, and off by {errors.worst:.2g}")
         if name == "truth" and not certificate.passed and posed:
             judge.found("refused", "certify truth", "; ".join(certificate.failures)[:300])
@@ -193,11 +195,20 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
             judge.found("forgery", f"certify {name}", "passed")
 
 
+def _strains_nothing(truth: Truth, u: Array) -> bool:
+    """Whether the truth is moved rigidly, and an answer to it is right up to the rounding of what it is moved by."""
+    right = truth.rounded()[0]
+    return truth.tiny[0] and bool(np.max(abs(u - right)) <= MOVED_RIGHTLY * np.max(abs(right)))
+
+
 def against_the_law(problem: cq.ContactProblem, u: Array, force: Array) -> Iterator[tuple[str, Array, Array]]:
     """Answers that tear, push at a distance, or balance nothing, each by a part of 1e-6: no tolerance forgives that."""
     torn = with_tension(problem, u, force, None)
     if torn is not None:
         yield f"tension of {FORGED:g}", u, torn
+    apart = pushed_apart(problem, u, force)
+    if apart is not None:
+        yield f"tension of {FORGED:g} that others balance", u, apart
     meeting = _meeting(problem, u, force, None)
     part = np.divide(np.diag(problem.stiffness) * abs(u), meeting, out=np.zeros(len(u)), where=meeting > 0)
     energy = np.sqrt(np.diag(problem.stiffness)) * abs(u)
@@ -209,12 +220,42 @@ def against_the_law(problem: cq.ContactProblem, u: Array, force: Array) -> Itera
         yield "one displacement off by 0.001", moved, force
 
 
+def pushed_apart(problem: cq.ContactProblem, u: Array, force: Array) -> Array | None:
+    """The same forces in all at each unknown, one of them a tension of 1e-6 of the largest that meets where it acts.
+
+    Where the rows of contacts depend, some push more for what one pulls: equilibrium, gaps and the norm of the forces
+    are those of the answer, and only the sign of the one is wrong.
+    """
+    rows = problem.normal.toarray()
+    for at in np.argsort(force):
+        others = np.flatnonzero((np.arange(len(force)) != at) & np.any(rows, axis=1) & (force > SEEN * np.max(force)))
+        if not np.any(rows[at]) or not others.size:
+            continue
+        weights = np.linalg.lstsq(rows[others].T, rows[at], rcond=None)[0]
+        if np.max(abs(rows[others].T @ weights - rows[at])) > 1e-14 * np.max(abs(rows[at])):
+            continue
+        size = np.maximum(_meeting(problem, u, force, None), _intrinsic(problem, u, force))[rows[at] != 0]
+        pull = FORGED * float(np.max(size / abs(rows[at][rows[at] != 0])))
+        forged = force.copy()
+        forged[others] += (pull + force[at]) * weights
+        forged[at] = -pull
+        if np.min(forged[others]) >= 0:
+            return forged
+    return None
+
+
 def _meeting(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array:
     """(n,) the sum of the sizes of the forces that meet at each unknown."""
     meeting = abs(np.asarray(problem.stiffness)) @ abs(u) + abs(problem.load) + abs(problem.normal).T @ abs(force)
     if friction is not None and problem.tangent is not None:
         meeting = meeting + abs(problem.tangent).T @ abs(friction.ravel())
     return np.asarray(meeting)
+
+
+def _outer(problem: cq.ContactProblem, force: Array, friction: Array) -> Array:
+    """(n,) what contacts exert on the bodies in all."""
+    assert problem.tangent is not None
+    return np.asarray(problem.normal.T @ force + problem.tangent.T @ friction.ravel())
 
 
 def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
@@ -310,7 +351,10 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
     if pushing[at] < SEEN:
         return
     mu = float(judge.posed.plain.friction[at])  # type: ignore[index]
-    forged = [("forces x 1.001", u, 1.001 * normal, 1.001 * friction)]
+    forged = []
+    net = _outer(judge.posed.plain, normal, friction)
+    if np.any(abs(net) > SEEN * np.maximum(_meeting(judge.posed.plain, u, normal, friction), floor)):
+        forged.append(("forces x 1.001", u, 1.001 * normal, 1.001 * friction))
     torn = with_tension(judge.posed.plain, u, normal, friction)
     if torn is not None:
         forged.append((f"tension of {FORGED:g}", u, torn, friction))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from benchmarks.adversary.shrinking import shrunk
 from benchmarks.adversary.wild import judge_wild
 from benchmarks.bricks import Generator
 from benchmarks.friction_families import Posed
+from contactqp.solving.methods import find
 
 # What is drawn, and how often.
 KINDS = {"frictionless": 0.4, "plane": 0.15, "space": 0.1, "wild": 0.15, "files": 0.2}
@@ -66,10 +68,21 @@ def _question(rng: Generator, kind: str) -> tuple[Sentence, Callable[[Judge], No
     sentence = draw(rng, kind)
     if kind == "frictionless":
         installed = [method.name for method in cq.methods() if method.installed and method.name in METHODS]
-        methods = ["active-set", *rng.choice(installed, OTHERS, replace=False).tolist()]
+        others = rng.choice(installed, OTHERS, replace=False).tolist()
+        methods = [("active-set", {}), *((name, _options(rng, name)) for name in others)]
         return sentence, lambda judge: judge_frictionless(judge, methods)
     algorithms = ["default", *rng.choice(ALGORITHMS, OTHERS, replace=False).tolist()]
     return sentence, lambda judge: judge_friction(judge, algorithms)
+
+
+def _options(rng: Generator, method: str) -> dict[str, Any]:
+    """Now and then a method is shown the whole problem, stopped early, or not polished: an answer that is refused."""
+    options: dict[str, Any] = {}
+    if rng.random() < 0.3:
+        options["condense"] = bool(rng.random() < 0.5)
+    if find(method).kind == "quadratic program" and rng.random() < 0.4:
+        options |= dict(polish=False, tolerance=float(10.0 ** -rng.integers(2, 10)))
+    return options
 
 
 def write_smallest(seed: int, number: int, finding: Finding, folder: Path) -> Path | None:

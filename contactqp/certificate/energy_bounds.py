@@ -30,6 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
+from contactqp.certificate.energy_norm import energy_norm
 from contactqp.linalg.convexity import stiffness_factor
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
@@ -92,8 +93,9 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
     wide = _width(state)
-    moved = (extend(answer.displacement) - state.answer.displacement).double()
-    distance, strain = _strain(problem, moved), _strain(problem, solution.displacement)
+    distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
+    strain, uncertain = energy_norm(problem, state.answer.displacement)
+    strain = max(strain - uncertain, 0.0)
     energy, size = _energy(problem, state.answer)
     unique = uniqueness(held)
     sees = unique.displacement and not mostly_bare(problem)
@@ -166,11 +168,6 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
     part = connected_parts(problem.stiffness_rows)[1]
     weak = part[~(excess > DOMINANT * problem.diagonal)]
     return np.where(np.isin(part, weak), 0.0, excess)
-
-
-def _strain(problem: ContactProblem, displacement: Vector) -> float:
-    """The energy norm |v|_K of a displacement."""
-    return float(np.sqrt(max(displacement @ (problem.stiffness_rows @ displacement), 0.0)))
 
 
 def _energy(problem: ContactProblem, answer: ExtendedAnswer) -> tuple[float, float]:

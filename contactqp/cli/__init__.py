@@ -19,8 +19,10 @@ from contactqp.cli.output import (
     NOT_INSTALLED,
     NOT_MET,
     Ending,
+    error_data,
     explained,
     leave_to_the_first,
+    print_json,
     speakers,
 )
 from contactqp.cli.solving import run_command
@@ -65,17 +67,20 @@ def _insist(ignored: sys.UnraisableHookArgs) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line, on `sys.argv` by default; every error of contactqp is one line and an exit code."""
+    """Run the command line, on `sys.argv` by default; every error of contactqp is one line and an exit code.
+
+    With --json it is an object on the standard output as well: `error`, the line; `code`, its kind; `exit`.
+    """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
             stream.reconfigure(errors="replace")
     if sys.unraisablehook is sys.__unraisablehook__:
         sys.unraisablehook = _insist
-    speakers.forget()
+    speakers.forget("--json" in (sys.argv[1:] if arguments is None else arguments))
     sys.exit(speakers.settle(_ended(arguments)))
 
 
-INTERRUPTION = Ending(INTERRUPTED, "interrupted")
+INTERRUPTION = Ending(INTERRUPTED, "interrupted", error="interrupted")
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -92,17 +97,19 @@ def _ended(arguments: Sequence[str] | None) -> Ending:
     except SystemExit as end:
         return Ending(end.code if isinstance(end.code, int) else 0)
     except ContactQPError as error:
-        return INTERRUPTION if _interrupted(error) else Ending(_exit_code(error), str(error))
+        return INTERRUPTION if _interrupted(error) else Ending(_exit_code(error), str(error), error=error.code)
     except click.ClickException as error:
         leave_to_the_first()
         error.show()
+        if speakers.as_json:
+            print_json(error_data(error.format_message(), "usage", BAD_INPUT))
         return Ending(BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
         return INTERRUPTION
     except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:  # a name too long, no permission, a full disk
-        return Ending(BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}")
+        return Ending(BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}", error="file")
     except Exception as error:
         if _interrupted(error):
             return INTERRUPTION
@@ -110,5 +117,5 @@ def _ended(arguments: Sequence[str] | None) -> Ending:
             raise
         # The other ranks wait for this one: it must not go before they know.
         bug = not isinstance(error, MemoryError | RuntimeError)  # PETSc's errors are RuntimeErrors
-        return Ending(NOT_MET, explained(error), traceback.format_exc() if bug else "")
+        return Ending(NOT_MET, explained(error), traceback.format_exc() if bug else "", "bug" if bug else "engine")
     return Ending(0)

@@ -61,6 +61,11 @@ def complain(message: str) -> None:
     click.echo(f"contactqp: {' '.join(message.split())}", err=True)
 
 
+def error_data(message: str, code: str, ending: int) -> dict[str, Any]:
+    """Return what --json prints of an error that ends a command: its line, its kind and the exit code."""
+    return {"error": " ".join(message.split()), "code": code, "exit": ending}
+
+
 T = TypeVar("T")
 # Seconds that ranks which fail together may be apart; later ones wait longer, so that one of them speaks.
 GRACE, APART, MOST_APART = 2.0, 0.1, 10
@@ -77,6 +82,7 @@ class Ending:
     code: int
     message: str = ""
     traceback: str = ""  # where the cause is a bug
+    error: str = ""  # what kind of error it is, for programs
 
 
 class Speakers:
@@ -85,9 +91,12 @@ class Speakers:
     def __init__(self) -> None:
         self.forget()
 
-    def forget(self) -> None:
-        """Begin another command, which runs in this process alone until it asks for an engine."""
-        self.asked = False
+    def forget(self, as_json: bool = False) -> None:
+        """Begin another command, which runs in this process alone until it asks for an engine.
+
+        With `as_json` an error that ends it is printed as JSON as well.
+        """
+        self.asked, self.as_json = False, as_json
         self._ranks: Ranks | None = None
         self._closing: Any = None  # a communicator for the end alone, apart from those of the solvers
 
@@ -178,6 +187,8 @@ def _say(ending: Ending, rank: int | None) -> None:
     if ending.traceback:
         print(ending.traceback, file=sys.stderr)
     complain(ending.message if rank is None else f"rank {rank}: {ending.message}")
+    if speakers.as_json and ending.error:
+        print_json(error_data(ending.message, ending.error, ending.code))
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
 

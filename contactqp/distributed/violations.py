@@ -81,9 +81,8 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
     `elastic` (n_here,) is the displacement without its rigid part, as in `contactqp.linalg.measures.intrinsic_size`.
     """
     u, ranks = answer.displacement, problem.ranks
-    force = problem.load - outer_resultant(problem, answer)
     D = np.divide(1.0, np.sqrt(problem.diagonal), out=np.zeros_like(u), where=problem.diagonal > 0)
-    sizes = [float(np.max(D * abs(part), initial=0.0)) for part in (problem.load, force)]
+    sizes = [float(np.max(D * abs(problem.load), initial=0.0))]
     limits = [(problem.normal, problem.gap), (problem.tie, problem.tie_value)]
     if problem.tangent is not None and problem.slip_origin is not None:
         limits.append((problem.tangent, problem.slip_origin.ravel()))

@@ -407,10 +407,11 @@ def _check_jacobians(points: Points, block: Block, first: int) -> None:
             rounding = 16 * np.finfo(float).eps * size ** (kind.dimension - 1) * (size + largest)
             inside = Geometry(kind, corners, seen).determinant
             at_nodes = Geometry(kind, corners, kind.nodes).determinant
-        worst = np.minimum(inside.min(axis=1), at_nodes.min(axis=1))
-        best = np.maximum(inside.max(axis=1), at_nodes.max(axis=1))
-        if not np.isfinite(best + rounding).all():
-            e = int(np.argmin(np.isfinite(best + rounding)))
+            worst = np.minimum(inside.min(axis=1), at_nodes.min(axis=1))
+            best = np.maximum(inside.max(axis=1), at_nodes.max(axis=1))
+            held = np.isfinite(best + rounding)
+        if not held.all():
+            e = int(np.argmin(held))
             raise InvalidProblem(f"{describe(part, e, first)}: its coordinates, up to {largest[e]:.3g}, are too large")
         uneven = np.flatnonzero((worst >= -rounding) & (worst < UNEVEN * best))
         for some in batches(Block(kind, uneven[:, None]), len(lattice) * kind.dimension**2):

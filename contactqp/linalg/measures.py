@@ -5,7 +5,7 @@ the largest, or a load acts on a support, nothing meets there but rounding, whic
 With D_j = 1/sqrt(K_jj) and the displacement u_e without its rigid part, the intrinsic size S [square root of energy] is
 the largest of
 
-    |u_e|_K,    max_j D_j |f|_j,    max_j D_j |E_N'l_N + E_T'l_T + A'nu|_j,    max_i length_i / |E_i D|,
+    |u_e|_K,    max_j D_j |f|_j,    max_i length_i / |E_i D|,
 
 length_i being |g_i| where the answer closes that gap (|b_i| of a tie, |slip_origin_i| where contact i sticks there) and
 at most ten times |E_i||u_e| elsewhere; a problem without load and ties to impose lengths has its smallest gap. A force
@@ -13,7 +13,8 @@ at unknown j is nothing up to t S / D_j, a length of row i up to t S |E_i D|, t 
 1e-12 by default. So is what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid part, and
 the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
 
-Forces combine to their resultant before they are measured: forces that redundant ties exert on each other give no size.
+The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
+the forces themselves: those that redundant contacts and ties exert on each other may be of any size and excuse nothing.
 Parts of a problem that no stiffness, contact or tie connects have sizes of their own, of which none is taken to be less
 than a tolerance (1e-9) of the largest: a heavy neighbour hides nothing. A part that nothing moves has the largest.
 What is excused is in the residuals that the bounds are made of, so it hides no error above theirs.
@@ -153,12 +154,9 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     `elastic` (n,) is the displacement without its rigid part.
     """
     D, part = scale_of_unknowns(problem), _parts(problem)
-    constraint = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
-    if problem.tangent is not None and answer.friction_force is not None:
-        constraint = constraint + problem.tangent.T @ answer.friction_force.ravel()
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
-    np.maximum.at(size, part, np.maximum(D * problem.load_size, D * abs(constraint)))
+    np.maximum.at(size, part, D * problem.load_size)
     for rows, limit in _rows(problem):
         u, of_row = answer.displacement, row_sizes(problem, rows)
         lengths = rows @ u, of_row.size @ abs(u), of_row.size @ abs(elastic)

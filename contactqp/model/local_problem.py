@@ -38,6 +38,8 @@ from contactqp.model.solution import LocalCertificate
 INDEFINITE = 1e-5
 # Up to this size definiteness is decided at the door, by eigenvalues.
 DEFINITENESS_CHECK_SIZE = 300
+# Scale of a contact that has no compliance, at most.
+LARGEST_SCALE = 1e150
 
 
 @computes
@@ -148,8 +150,8 @@ class LocalProblem(ReadOnly):
         worst = float(np.min(diagonal * own**2, initial=0.0))
         if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
             root = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), own)
-            scaled = W.toarray() * np.outer(root, root)
-            worst = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0])
+            scaled = root[:, None] * W.toarray() * root
+            worst = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0]) if np.all(np.isfinite(scaled)) else -np.inf
         if worst < -INDEFINITE:
             raise InvalidProblem(
                 f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "
@@ -181,7 +183,9 @@ class LocalProblem(ReadOnly):
             size = np.max(entries.reshape(self.contacts, self.dimension), axis=1, initial=0.0)
             felt = size > 0
             typical = float(np.median((scale * size)[known & felt])) if np.any(known & felt) else 1.0
-            scale = np.where(felt & ~known, typical / np.where(felt, size, 1.0), scale)
+            with np.errstate(over="ignore"):
+                own = np.minimum(typical / np.where(felt, size, 1.0), LARGEST_SCALE)
+            scale = np.where(felt & ~known, own, scale)
             known = known | felt
         return read_only(np.asarray(scale))
 

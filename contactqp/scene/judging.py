@@ -106,6 +106,7 @@ class Failure:
     scene: SceneData
     trial: Trial
     message: str
+    code: str  # that of the error
     history: History | None = None
     met: bool = False
 
@@ -154,7 +155,7 @@ def _outcome(scene: SceneData, trial: Trial, where: str) -> Judgement | Failure:
     except (NoEquilibrium, NotConverged, NotCertified, BackendFailed) as error:
         history = getattr(error, "history", None)
         so_far = history if isinstance(history, History) else None
-        return Failure(scene, trial, f"{where}{trial}: {error}", so_far)
+        return Failure(scene, trial, f"{where}{trial}: {error}", error.code, so_far)
 
 
 def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:

@@ -319,6 +319,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "method": judgement.trial.method,
             "met": False,
             "failure": judgement.message,
+            "code": judgement.code,
         }
     solution, scene = judgement.solution, judgement.scene
     certificate = solution.certificate

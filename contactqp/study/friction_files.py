@@ -28,6 +28,7 @@ from contactqp.distributed.solving import (
 )
 from contactqp.errors import (
     BackendFailed,
+    ContactQPError,
     InvalidProblem,
     NoEquilibrium,
     NotCertified,
@@ -69,6 +70,7 @@ class FileOutcome:
     failure: str | None  # why there is no answer
     seconds: float  # of solving
     options: Mapping[str, Any] = field(default_factory=dict)
+    code: str | None = None  # that of the error, where there is a failure
 
     @property
     def passed(self) -> bool:
@@ -126,17 +128,29 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
     outline, share = _read(file, ranks)
     began = time.perf_counter()
     solution: CollectedSolution | None = None
-    failure: str | None = None
+    failure: ContactQPError | None = None
     try:
         with naming(file):
             solution = collected(solve_distributed(problem_from_share(ranks, share), method, **chosen))
     except (NotConverged, NotCertified) as error:
         found: Any = error.solution
         solution = collected(found) if isinstance(found, DistributedSolution) else None
-        failure = f"{file}: {error}"
+        failure = error
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
-        failure = f"{file}: {error}"
-    return FileOutcome(file, outline, solution, failure, time.perf_counter() - began, dict(options))
+        failure = error
+    return _outcome(file, outline, solution, failure, time.perf_counter() - began, options)
+
+
+def _outcome(
+    file: str,
+    outline: Outline,
+    solution: Any,
+    failure: ContactQPError | None,
+    seconds: float,
+    options: Mapping[str, Any],
+) -> FileOutcome:
+    said = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
+    return FileOutcome(file, outline, solution, said[0], seconds, dict(options), said[1])
 
 
 def _read(file: str, ranks: Ranks) -> tuple[Outline, ProblemRows]:
@@ -238,16 +252,17 @@ def run_file(
     if engine != SERIAL:
         return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
     problem, chosen = solvable_form(file), dict(options or {})
-    solution: Any
+    solution: Any = None
+    failure: ContactQPError | None = None
     began = time.perf_counter()
     try:
         with naming(file):
-            solution, failure = solve(problem, method or DEFAULT_METHOD, **chosen), None
+            solution = solve(problem, method or DEFAULT_METHOD, **chosen)
     except (NotConverged, NotCertified) as error:
-        solution, failure = error.solution, f"{file}: {error}"
+        solution, failure = error.solution, error
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
-        solution, failure = None, f"{file}: {error}"
-    return FileOutcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
+        failure = error
+    return _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
 
 
 def figures(certificate: LocalCertificate | Certificate) -> dict[str, float]:
@@ -269,7 +284,7 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
         "seconds": outcome.seconds,
     }
     if outcome.failure is not None:
-        data["failure"] = outcome.failure
+        data |= {"failure": outcome.failure, "code": outcome.code}
     if solution is not None:
         certificate = solution.certificate
         data |= {

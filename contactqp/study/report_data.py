@@ -118,7 +118,7 @@ def _judgements(scene: Scene) -> Iterator[Judgement | Failure]:
         except (BackendMissing, Unsupported):  # the method's own row says so
             continue
         except ContactQPError as error:
-            yield Failure(scene, trial, f"{trial}: {error}")
+            yield Failure(scene, trial, f"{trial}: {error}", error.code)
 
 
 def _unmet(outcome: Judgement | Failure) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -80,3 +82,22 @@ def test_the_error_of_a_strain_is_relative_to_strain_where_something_moves_freel
     strain = np.sqrt((answer - free) @ K @ (answer - free) / (free @ K @ free))
     assert certificate.energy_error >= strain * (1 - 1e-12)
     assert certificate.energy_error <= 2 * strain
+
+
+def test_the_bound_of_a_stiff_chain_beside_a_bare_unknown_counts_the_rounding_of_its_strain():
+    """Of a chain of 5.6e7 on springs of 800 doubles know |u|_K to ten digits; the bound is above the error."""
+    K = np.zeros((4, 4))
+    K[:3, :3] = [[55837106, -55836672, 0], [-55836672, 55836674.421875, -1.15625], [0, -1.15625, 881.15625]]
+    normal = np.array([[-0.5, 0.0, -0.25, 1.25], [0.25, 0.75, 1.0, -1.0]])
+    problem = cq.ContactProblem(
+        stiffness=K, load=[-41877.88384375, 41750.320410156, 0.0, 0.234375], normal=normal, gap=[1.25, 0.3125]
+    )
+    right = cq.exact(problem)
+    u, exact_K = np.array(right.displacement), np.array([[Fraction(x) for x in row] for row in K.tolist()])
+    doubles, pushed = u.astype(float), np.array(right.normal_force).astype(float)
+    for seed in range(20):
+        off = np.random.default_rng(seed).normal(size=4) * 1e-6 + 1e-3 * doubles
+        judged = cq.certify(problem, doubles + off, pushed)
+        v = np.array([Fraction(x) for x in (doubles + off).tolist()]) - u
+        square = (v @ exact_K @ v) / (u @ exact_K @ u)
+        assert Fraction(judged.energy_error) ** 2 >= square * (1 - Fraction(1, 10**14))

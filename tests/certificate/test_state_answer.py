@@ -183,3 +183,18 @@ def test_contacts_far_from_the_load_of_a_bedded_rail_are_no_reason_to_deny_its_e
     )
     assert solution.certificate.passed
     assert solution.contact_status[0] == "slip"
+
+
+def test_forces_that_redundant_contacts_and_ties_exert_on_each_other_excuse_no_length():
+    """Two ties determine both unknowns: 1e27 that contact 1 and the ties balance must not hide that they are unmet."""
+    problem = cq.ContactProblem(
+        stiffness=np.diag([3.328125, 19072.0]), load=[0.00054, -0.09135],
+        normal=[[1.25, -0.75], [0.75, -0.75], [0.375, -0.375]], gap=[1.2e-6, 2.1e-6, 4.9e-6],
+        tangent=[[0.0, 1.0], [1.5, 0.25], [0.75, 0.125]], friction=[1.0, 0.125, 0.125],
+        slip_origin=[[-9.5e-7], [-4.1e-6], [-5.8e-6]], tie=[[-1.0, 0.5], [0.5, 0.5]], tie_value=[-4.8e-7, -3.3e-6],
+    )  # fmt: skip
+    pushed, rubbed = [0, 2.9514191065171256e27, 0], [0, -3.689273883146407e26, 0]
+    judged = cq.certify(problem, np.zeros(2), pushed, rubbed, [2.6439796162549247e27, 1.9676127376780836e27])
+    assert not judged.passed
+    assert judged.tie > 0.1
+    assert judged.complementarity > 0.1

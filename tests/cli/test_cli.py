@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import contactqp
 from contactqp.cli import main
 from contactqp.solving.methods.method import Method
 from contactqp.study.footprint import Footprint
@@ -291,3 +292,38 @@ def test_what_comes_in_wrong_on_standard_input_is_exit_2(capsys, monkeypatch, ar
     assert code == 2
     assert words in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "ending"),
+    [
+        (("run", "nowhere.toml"), "invalid-scene", 2),
+        (("run", WALL, "--method", "penalty", "--option", "bet=1"), "invalid-problem", 2),
+        (("run", WALL, "--method"), "usage", 2),
+        (("oracle", "nowhere.toml"), "invalid-scene", 2),
+        (("explain", "nowhere.toml"), "invalid-scene", 2),
+        (("check", WALL, "nowhere.json"), "invalid-problem", 2),
+        (("gallery",), "invalid-problem", 2),
+        (("methods", "--jsn"), "usage", 2),
+    ],
+)
+def test_with_json_errors_are_json_as_well(capsys, arguments, code, ending):
+    exit_code, out, err = run(capsys, *arguments[:1], "--json", *arguments[1:])
+    data = json.loads(out)
+    assert (data["code"], data["exit"], exit_code) == (code, ending, ending)
+    assert data["error"] in " ".join(err.split())
+    assert run(capsys, *arguments)[1] == ""
+
+
+def test_a_problem_without_an_answer_has_the_code_of_its_error(capsys, tmp_path):
+    contactqp.write_problem(tmp_path / "pulled", contactqp.ContactProblem([[0.0]], [-1.0], [[1.0]], [0.0]))
+    (data,) = json.loads(run(capsys, "run", tmp_path / "pulled", "--json")[1])
+    assert data["code"] == "no-equilibrium"
+    assert "drives" in data["failure"]
+
+
+def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
+    stopped = ("--method", "osqp", "--option", "max_iter=1", "--option", "polish=false")
+    (data,) = json.loads(run(capsys, "run", WALL, *stopped, "--json")[1])
+    assert data["code"] == "not-converged"
+    assert "maximum iterations reached" in data["failure"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from contactqp.cli.output import explained
@@ -17,7 +19,9 @@ def run(python_on_ranks, tmp_path, kind, rank=1, *more):
     plot = ["--plot", tmp_path / "p.png", "--vtu", tmp_path / "v.vtu"] if kind != "no_file" else []
     done = python_on_ranks(2, FAILING, kind, rank, "run", case.name, "--engine", "petsc", "--json", *plot, *more)
     assert sorted(tmp_path.iterdir()) == before
-    assert done.out == ""
+    if done.out:  # what --json prints of an error
+        assert json.loads(done.out)["exit"] == done.code
+        assert json.loads(done.out)["error"] in done.err
     return done
 
 

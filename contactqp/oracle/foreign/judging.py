@@ -7,6 +7,7 @@ from contextlib import suppress
 import numpy as np
 
 from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import Condensation
@@ -15,7 +16,7 @@ from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.recovery import Recovery, recoveries
 from contactqp.solving.equilibria import equilibria
-from contactqp.solving.solve import begin, solve
+from contactqp.solving.solve import begin, of_problem, solve
 
 
 def judge(
@@ -72,5 +73,7 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
 
 def _from(problem: ContactProblem, answer: Answer) -> Solution:
     """What Newton's method finds from the answer."""
+    if (near := near_one(problem)) is not None:
+        return of_problem(near, _from(near.problem, near.answer(answer)))
     start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
     return begin(problem, start=start).finish()

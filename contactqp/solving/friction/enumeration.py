@@ -159,10 +159,13 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
     count, slope = len(free), change @ free.T
     moving = np.any(abs(slope) > ROUNDING * np.max(abs(slope), initial=0.0), axis=1)
     step = float(np.median(size[moving])) if np.any(moving) else 1.0
+    rows, rest = np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]), (room + change @ start) / size
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(rest))):
+        return start
     answer = linprog(
         np.append(np.zeros(count), -1.0),
-        A_ub=np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]),
-        b_ub=(room + change @ start) / size,
+        A_ub=rows,
+        b_ub=rest,
         bounds=[(None, None)] * count + [(None, 1.0)],
         method="highs",
     )

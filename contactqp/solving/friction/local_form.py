@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import natural_map
 from contactqp.model.local_problem import LocalProblem
@@ -51,6 +52,16 @@ class LocalForm:
         self.V = problem.bilateral.toarray() * np.outer(self._contact_scale, self._joint_scale)
         self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale) / force_size
         self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size / force_size
+        self._refuse_beyond_doubles()
+
+    def _refuse_beyond_doubles(self) -> None:
+        entries = self.W.data if self.sparse else self.W
+        for name, values in (("delassus", entries), ("offset", self.q), ("bilateral", self.V), ("offset", self.s)):
+            if not np.all(np.isfinite(values)):
+                raise InvalidProblem(
+                    f"{name}: an entry is no double in units in which every contact's own compliance is one and what "
+                    "drives it is one; state the problem in units in which its numbers are nearer to each other"
+                )
 
     @property
     def joints(self) -> int:
