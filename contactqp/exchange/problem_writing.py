@@ -175,6 +175,8 @@ def _write_matrix(path: FilePath, part: str, value: Any) -> None:
     with open(path, "wb") as file:
         if part in MATRICES:
             scipy.io.mmwrite(file, sp.coo_matrix(value), symmetry=symmetry, precision=17)
+        elif np.size(value) == 0:  # SciPy 1.12 to 1.15 write for ever
+            file.write(b"%%MatrixMarket matrix array real general\n%\n0 1\n")
         else:
             scipy.io.mmwrite(file, np.asarray(value, dtype=float).reshape(-1, 1), symmetry=symmetry, precision=17)
 
