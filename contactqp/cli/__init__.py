@@ -19,10 +19,9 @@ from contactqp.cli.output import (
     NOT_INSTALLED,
     NOT_MET,
     Ending,
-    error_data,
     explained,
     leave_to_the_first,
-    print_json,
+    print_error,
     speakers,
 )
 from contactqp.cli.solving import run_command
@@ -102,7 +101,7 @@ def _ended(arguments: Sequence[str] | None) -> Ending:
         leave_to_the_first()
         error.show()
         if speakers.as_json:
-            print_json(error_data(error.format_message(), "usage", BAD_INPUT))
+            print_error(error.format_message(), "usage", BAD_INPUT)
         return Ending(BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
         return INTERRUPTION

@@ -61,9 +61,16 @@ def complain(message: str) -> None:
     click.echo(f"contactqp: {' '.join(message.split())}", err=True)
 
 
-def error_data(message: str, code: str, ending: int) -> dict[str, Any]:
-    """Return what --json prints of an error that ends a command: its line, its kind and the exit code."""
-    return {"error": " ".join(message.split()), "code": code, "exit": ending}
+def print_error(message: str, code: str, ending: int) -> None:
+    """Print, as JSON, an error that ends a command: its line, its kind and the exit code.
+
+    Where nobody reads it or the disk is full, the line on the standard error is all there is.
+    """
+    try:
+        print_json({"error": " ".join(message.split()), "code": code, "exit": ending})
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 T = TypeVar("T")
@@ -188,7 +195,7 @@ def _say(ending: Ending, rank: int | None) -> None:
         print(ending.traceback, file=sys.stderr)
     complain(ending.message if rank is None else f"rank {rank}: {ending.message}")
     if speakers.as_json and ending.error:
-        print_json(error_data(ending.message, ending.error, ending.code))
+        print_error(ending.message, ending.error, ending.code)
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
 

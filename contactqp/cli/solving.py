@@ -81,7 +81,7 @@ def run_command(
         from contactqp.scene.judging import Failure, judge_all
 
         found = judge_all(scene, methods, knobs, engine, checkpoint)
-        speakers.meet(_failed(outcome.message for outcome in found if isinstance(outcome, Failure)))
+        speakers.meet(_failed((outcome.message, outcome.code) for outcome in found if isinstance(outcome, Failure)))
         met = met and all(outcome.met for outcome in found)
         data += _print_outcomes(found, files, as_json)
     if foreign:
@@ -89,7 +89,7 @@ def run_command(
 
         shows = speakers.speaks and sys.stderr.isatty()
         solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=shows, engine=engine)
-        speakers.meet(_failed(outcome.failure for outcome in solved if outcome.failure is not None))
+        speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
             data += _print_files(solved, as_json)
@@ -124,9 +124,13 @@ def _read(
     return scenes, answer_files(scenes, plot, vtu, every_method=every_method)
 
 
-def _failed(messages: Iterable[str]) -> Ending:
-    """Return the ending of a rank that alone has no answer, for which the others wait in some exchange."""
-    return Ending(NOT_MET, "; ".join(messages))
+def _failed(failures: Iterable[tuple[str, str]]) -> Ending:
+    """Return the ending of a rank that alone has no answer, for which the others wait in some exchange.
+
+    Of each failure its message and its code; the first code stands for all.
+    """
+    known = list(failures)
+    return Ending(NOT_MET, "; ".join(message for message, _ in known), error=known[0][1] if known else "")
 
 
 def _print_outcomes(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:

@@ -327,3 +327,13 @@ def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
     (data,) = json.loads(run(capsys, "run", WALL, *stopped, "--json")[1])
     assert data["code"] == "not-converged"
     assert "maximum iterations reached" in data["failure"]
+
+
+@pytest.mark.parametrize("arguments", ["run nowhere.toml --json", "methods --jsn --json"])
+@pytest.mark.parametrize("reader", ["> /dev/full", "| true"])
+def test_an_error_that_nobody_reads_leaves_no_traceback(arguments, reader):
+    command = f"sleep 0.5; {sys.executable} -m contactqp {arguments}; echo code $? >&2"
+    done = subprocess.run(["bash", "-c", f"({command}) {reader}"], capture_output=True, text=True, check=False)
+    assert "code 2" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception" not in done.stderr

@@ -56,7 +56,8 @@ class LocalForm:
 
     def _refuse_beyond_doubles(self) -> None:
         entries = self.W.data if self.sparse else self.W
-        for name, values in (("delassus", entries), ("offset", self.q), ("bilateral", self.V), ("offset", self.s)):
+        joints = {"bilateral": self.V, "bilateral_delassus": self.R, "bilateral_offset": self.s}
+        for name, values in {"delassus": entries, "offset": self.q, **joints}.items():
             if not np.all(np.isfinite(values)):
                 raise InvalidProblem(
                     f"{name}: an entry is no double in units in which every contact's own compliance is one and what "

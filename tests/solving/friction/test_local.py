@@ -398,3 +398,20 @@ def test_what_enumeration_of_a_local_problem_refuses() -> None:
         cq.solve(many, algorithm="lemke")
     with pytest.raises(cq.InvalidProblem, match="enumeration: unknown option 'facets'"):
         cq.solve(many, algorithm="enumeration", facets=8)
+
+
+def test_a_contact_without_compliance_beside_numbers_of_any_size_has_its_answer():
+    """The second contact has no compliance and a speed of 1e-247; the scales of both are doubles all the same."""
+    W = np.zeros((4, 4))
+    W[:2, :2] = [[24.0, -6.0], [-6.0, 3.0]]
+    problem = cq.LocalProblem(delassus=W, offset=[-3.5e56, 7e-76, 8e-168, 1e-247], friction=0.3, dimension=2)
+    assert np.all(np.isfinite(problem.contact_scale))
+    force = cq.solve(problem).force
+    assert force[0, 0] == pytest.approx(3.5e56 / (24 - 6 * 0.3), rel=1e-9)  # slides against the bound 0.3 N
+    assert np.all(force[1] == 0)
+
+
+def test_local_numbers_that_no_common_size_brings_within_doubles_are_refused_by_name():
+    problem = cq.LocalProblem(delassus=np.eye(4), offset=[-1e-160, 0.0, 1e200, 0.0], friction=0.3, dimension=2)
+    with pytest.raises(cq.InvalidProblem, match="offset: an entry is no double"):
+        cq.solve(problem)
