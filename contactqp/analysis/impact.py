@@ -126,7 +126,7 @@ def impact(
     settings = _settings(entry, theta, restitution, penalty)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
-    if time_step**2 < np.finfo(float).tiny:
+    if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
         raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
     if not is_number(start_time) or not np.isfinite(start_time):
         raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")

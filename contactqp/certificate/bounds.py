@@ -41,6 +41,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair
 from contactqp.certificate.energy_norm import (
@@ -56,10 +58,10 @@ from contactqp.certificate.energy_norm import (
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
-from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
+from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.iteration import ContactIteration, Iteration, Limits
-from contactqp.linalg.measures import lengths_that_meet, own_compliance, rigid_part
+from contactqp.linalg.measures import lengths_that_meet, own_compliance, parts, rigid_part
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
@@ -129,7 +131,68 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
         return no_bounds(FRICTION_HAS_NONE)
     if isinstance(way, Iteration):
         return iterated_bounds(problem, answer, way)
+    elastic = _in_elastic_parts(problem)
+    if np.any(elastic) and not np.all(elastic):
+        return _apart(problem, answer, elastic)
     return _condensed(problem, answer, left, way)
+
+
+def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
+    """(n,) whether an unknown belongs to a part, bodies connected by contacts and ties, where anything is elastic."""
+    stiff = problem.diagonal > 0
+    if np.all(stiff) or not np.any(stiff):
+        return stiff
+    part = parts(problem)
+    return np.asarray(np.isin(part, part[stiff]))
+
+
+def _apart(problem: ContactProblem, answer: Answer, elastic: NDArray[np.bool_]) -> Bounds:
+    """The bounds of the parts where something is elastic, and the forces of single contacts in the others.
+
+    In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
+    """
+    found = []
+    for mask in (elastic, ~elastic):
+        unknowns = np.flatnonzero(mask)
+        contacts, ties = (np.unique(rows[:, unknowns].tocoo().row) for rows in (problem.normal, problem.tie))
+        part = _part(problem, unknowns, contacts, ties)
+        own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
+        found.append((unknowns, contacts, _condensed(part, own, residuals(part, own), condense(part))))
+    (at, mine, known), (beside, theirs, rigid) = found
+    bound = relative = solution = None
+    if known.force_bound is not None and rigid.force_bound is not None:
+        bound = np.zeros(problem.contacts)
+        bound[mine], bound[theirs] = known.force_bound, rigid.force_bound
+    if known.relative_force_bound is not None:
+        relative = np.zeros(problem.contacts)
+        relative[mine] = known.relative_force_bound
+    if known.solution is not None and rigid.solution is not None:
+        solution = Extended(np.zeros(problem.dimension))
+        for place, one in ((at, known.solution), (beside, rigid.solution)):
+            solution.hi[place], solution.lo[place] = one.hi, one.lo
+    return replace(
+        known,
+        energy_error=None if rigid.energy_error is None else known.energy_error,
+        force_error=None if rigid.force_error is None else known.force_error,
+        force_bound=bound,
+        relative_force_bound=relative,
+        solution=solution,
+        suspicious=known.suspicious or rigid.suspicious,
+        reasons=tuple(dict.fromkeys((*known.reasons, *rigid.reasons))),
+    )
+
+
+def _part(
+    problem: ContactProblem, unknowns: NDArray[np.intp], contacts: NDArray[np.intp], ties: NDArray[np.intp]
+) -> ContactProblem:
+    """The problem of these unknowns alone, with the contacts and ties that act there."""
+    K = sp.csr_array(problem.stiffness_rows)[unknowns][:, unknowns]
+    return ContactProblem(
+        K if sp.issparse(problem.stiffness) else K.toarray(), problem.load[unknowns],
+        problem.normal[contacts][:, unknowns], problem.gap[contacts],
+        tie=problem.tie[ties][:, unknowns], tie_value=problem.tie_value[ties],
+        contact_names=[problem.contact_name(int(i)) for i in contacts],
+    )  # fmt: skip
 
 
 def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:

@@ -126,9 +126,11 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     # in the truth as in the error, unless the contact forces say how little that is.
     beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
     strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
+    # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
+    rigidly = 4 * known.force_rounding
     pairs = (
         ("energy_error", "displacement", known.energy_scale, beside_forces, strain, known.free_distance),
-        ("force_error", "contact forces", known.force_scale, 0.0, pushed, known.force_rounding),
+        ("force_error", "contact forces", known.force_scale, 0.0, pushed, rigidly),
     )
     for name, what, scale, none, absolute, forgiven in pairs:
         value = getattr(known, name)

@@ -75,6 +75,11 @@ class ActingRows:
         friction = None if answer.friction_force is None else answer.friction_force[self.contacts]
         return Answer(answer.displacement, answer.normal_force[self.contacts], friction, answer.tie_force[self.ties])
 
+    def whole_answer(self, answer: Answer) -> Answer:
+        """An answer of the problem with the rows that act, as one of the whole problem: no force on the others."""
+        friction = None if answer.friction_force is None else self.friction(answer.friction_force)
+        return Answer(answer.displacement, friction_force=friction, **self._both(answer))
+
     def start(self, solution: Any) -> Any:
         """What a solution of the whole problem, to start from, says of the rows that act."""
         friction = None if solution.friction_force is None else solution.friction_force[self.contacts]

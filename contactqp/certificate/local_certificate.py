@@ -110,7 +110,10 @@ def _dependent(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[
     inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
     matrix = np.block([[B.T @ (problem.scaled_delassus @ B), coupling], [coupling.T, inner]])
     size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), np.finfo(float).tiny))
-    values = np.linalg.svd(matrix / np.outer(size, size), compute_uv=False)
+    scaled = matrix / np.outer(size, size)
+    if not np.all(np.isfinite(scaled)):
+        return False  # forces beyond the floats, along which nothing can be said
+    values = np.linalg.svd(scaled, compute_uv=False)
     return bool(values[-1] <= DEPENDENT_CONTACTS * values[0])
 
 

@@ -59,6 +59,10 @@ class NearOne:
         """An answer of the problem in these units."""
         return Answer(**self._scaled(answer))
 
+    def whole_answer(self, answer: Answer) -> Answer:
+        """An answer in these units as one of the problem; InvalidProblem where it is beyond doubles."""
+        return Answer(**self.parts(answer), friction_force=self.friction(answer.friction_force))
+
     def start(self, solution: Any) -> Any:
         """A solution to start from in these units."""
         return replace(solution, problem=self.problem, **self._scaled(solution))
@@ -231,7 +235,22 @@ def _near(values: Array, least: int = -FARTHEST) -> bool:
 
 
 def _matrices_are_near_one(problem: ContactProblem) -> bool:
-    return _near(problem.diagonal) and all(_near(_largest(matrix)) for matrix in _matrices(problem))
+    matrices = _matrices(problem)
+    return (
+        _near(problem.diagonal)
+        and all(_near(_largest(matrix)) for matrix in matrices)
+        and _near(_largest_without_stiffness(problem, matrices))
+    )
+
+
+def _largest_without_stiffness(problem: ContactProblem, matrices: list[Any]) -> Vector:
+    """(n,) the largest entry of the rows at each unknown without stiffness, whose unit rows alone say; zeros else."""
+    largest = np.zeros(problem.dimension)
+    if np.all(problem.diagonal > 0):
+        return largest
+    for matrix in matrices:
+        np.maximum.at(largest, matrix.indices, abs(matrix.data))
+    return np.where(problem.diagonal > 0, 0.0, largest)
 
 
 def _matrices(problem: ContactProblem) -> list[Any]:

@@ -196,7 +196,7 @@ def _values(what: str, values: Any, x: NDArray[np.float64], shape: tuple[int, ..
         raise InvalidProblem(
             f"signed distance: {what} of points of shape {x.shape}: expected shape {shape}, got {got.shape}"
         )
-    wrong = np.flatnonzero(~np.isfinite(got.reshape(len(x), -1)).all(axis=1))
+    wrong = np.flatnonzero(~np.isfinite(got.reshape(len(x), int(np.prod(shape[1:])))).all(axis=1))
     if wrong.size:
         raise InvalidProblem(
             f"signed distance: {what} at {x[wrong[0]].tolist()}: expected a finite value, got {got[wrong[0]]}"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.checked_arrays import positive_number, real_array
-from contactqp.elements.scalars import unit_vector
+from contactqp.elements.scalars import lengths, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import computes
 
@@ -154,12 +154,12 @@ def _check(name: str, what: str, vector: Any, dimension: int) -> None:
 
 
 def _distance(radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:
-    outside: NDArray[np.float64] = np.linalg.norm(radial, axis=1) - radius
+    outside: NDArray[np.float64] = lengths(radial) - radius
     return -outside if inside else outside
 
 
 def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:
-    length = np.linalg.norm(radial, axis=1)
+    length = lengths(radial)
     central = np.flatnonzero(length <= CENTRE * radius)
     if central.size:
         i = int(central[0])
@@ -221,7 +221,7 @@ class Paraboloid:
         """Return the gaps of the (p, dimension) points by the chosen measure, positive when open, (p,) [length]."""
         z, radial = self._coordinates(points)
         if self.measure == "axis":
-            along: NDArray[np.float64] = z + self._sign * (radial**2).sum(axis=1) / (2 * self.radius)
+            along: NDArray[np.float64] = z + self._sign * (radial * (radial / (2 * self.radius))).sum(axis=1)
             return along
         foot, normals = self._foot(z, radial)
         apart = np.outer(z, self._along) + radial - foot
@@ -259,12 +259,12 @@ class Paraboloid:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the nearest points on the surface, from the apex, and the unit normals there.
 
-        The foot at the distance rho from the axis satisfies rho^3 + p rho = q, p = 2 R (R + s z), q = 2 R^2 r, with
-        s = 1 for a solid and -1 for a bowl; the nearest is the largest root.
+        In units of R the foot at the distance rho from the axis satisfies rho^3 + p rho = q, p = 2 (1 + s z), q = 2 r,
+        with s = 1 for a solid and -1 for a bowl; the nearest is the largest root.
         """
         R, s = float(self.radius), self._sign
-        r = np.linalg.norm(radial, axis=1)
-        p, q = 2 * R * (R + s * z), 2 * R**2 * r
+        r = lengths(radial)
+        p, q = 2 * (1 + s * (z / R)), 2 * (r / R)
         lost = np.flatnonzero((r == 0) & (p <= 0))
         if lost.size:
             raise InvalidProblem(
@@ -273,13 +273,19 @@ class Paraboloid:
             )
         rho = _largest_root(p, q)
         outwards = radial / np.where(r > 0, r, 1.0)[:, np.newaxis]
-        foot = rho[:, np.newaxis] * outwards - np.outer(s * rho**2 / (2 * R), self._along)
-        normals = self._along + s * (rho / R)[:, np.newaxis] * outwards
-        return foot, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        foot = (R * rho)[:, np.newaxis] * outwards - np.outer(s * R * (rho * (rho / 2)), self._along)
+        normals = self._along + s * rho[:, np.newaxis] * outwards
+        return foot, normals / lengths(normals)[:, np.newaxis]
 
 
 def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest root of x^3 + p x = q >= 0, by Newton's method from above, monotone as the cubic is convex."""
+    """Return the largest root of x^3 + p x = q >= 0, by Newton's method from above, monotone as the cubic is convex.
+
+    It is found in units of x itself, in which no power leaves the floats.
+    """
+    size = np.maximum(np.cbrt(q), np.sqrt(np.abs(p)))
+    size = np.ldexp(1.0, np.frexp(np.where(size > 0, size, 1.0))[1])
+    p, q = p / size / size, q / size / size / size
     x: NDArray[np.float64] = np.cbrt(q) + np.sqrt(np.maximum(-p, 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         x = np.where(p > 0, np.minimum(x, q / p), x)
@@ -289,4 +295,4 @@ def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.
         x = x - step
         if np.all(np.abs(step) <= 4 * np.finfo(float).eps * x):
             break
-    return x
+    return x * size

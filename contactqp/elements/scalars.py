@@ -71,8 +71,27 @@ def unit_vector(vector: Any, what: str) -> Numbers:
     array([Fraction(3, 5), Fraction(4, 5)], dtype=object)
     """
     v = np.asarray(vector)
+    if v.dtype.kind == "f":
+        v = _near_one(v)
     square = squared_length(v)
     if not square > 0:
         raise InvalidProblem(f"{what}: expected a vector of positive length, got {[float(c) for c in v]}")
     n: Numbers = v / square_root(square)
     return n
+
+
+def _near_one(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a vector of floats times the power of two that brings it near one, so that no square leaves the floats."""
+    _, power = np.frexp(np.max(np.abs(vector), initial=0.0))
+    scaled: NDArray[np.float64] = np.ldexp(vector, -power)
+    return scaled
+
+
+def lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Euclidean lengths of the rows, whose squares may be beyond the floats.
+
+    >>> lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]])).tolist()
+    [5e+200, 5e-200]
+    """
+    together: NDArray[np.float64] = np.hypot.reduce(vectors, axis=-1)
+    return together

@@ -24,6 +24,8 @@ _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 # A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
 FLAT = 1e-10
+# Lengths of a surface, whose fourth powers are squares of areas.
+SMALLEST, LARGEST = 1e-75, 1e75
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,6 +288,7 @@ def check_surface(surface: Surface) -> None:
     wrong = nodes[~np.isfinite(points[nodes]).all(axis=1)]
     if wrong.size:
         raise InvalidProblem(f"{name}: node {wrong[0]}: expected finite coordinates, got {points[wrong[0]].tolist()}")
+    _refuse_beyond_range(surface)
     if unknowns[nodes].min() < 0:
         negative = nodes[(unknowns[nodes] < 0).any(axis=1)][0]
         raise InvalidProblem(f"{name}: node {negative}: expected unknowns from 0, got {unknowns[negative].tolist()}")
@@ -320,6 +323,21 @@ def check_distances(reach: float | None, overlap: float | None) -> None:
         raise InvalidProblem(f"reach: expected a positive length, got {reach}")
     if overlap is not None and not (np.isfinite(overlap) and overlap >= 0):
         raise InvalidProblem(f"overlap: expected a length, zero or positive, got {overlap}")
+
+
+def _refuse_beyond_range(surface: Surface) -> None:
+    """Refuse lengths whose fourth powers, squares of areas, are beyond the floats."""
+    corners = surface.points[surface.facets]
+    size = np.abs(corners - corners[:, :1]).max(axis=(1, 2))
+    far, flat = np.abs(corners).max(axis=(1, 2)), np.where(size > 0, size, SMALLEST)
+    bad = (far > LARGEST) | (flat < SMALLEST)
+    if bad.any():
+        f = int(np.argmax(bad))
+        got = far[f] if far[f] > LARGEST else size[f]
+        raise InvalidProblem(
+            f"{surface.name}: facet {f} (nodes {surface.facets[f].tolist()}): expected lengths from {SMALLEST:g} to "
+            f"{LARGEST:g}, got {got:.3g}: choose another unit of length"
+        )
 
 
 def _refuse_degenerate(surface: Surface) -> None:

@@ -153,7 +153,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
 
     `elastic` (n,) is the displacement without its rigid part.
     """
-    D, part = scale_of_unknowns(problem), _parts(problem)
+    D, part = scale_of_unknowns(problem), parts(problem)
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
@@ -218,7 +218,7 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
     return of_stiffness.bodies
 
 
-def _parts(problem: ContactProblem) -> NDArray[np.intp]:
+def parts(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the part, bodies connected by contacts and ties, that each unknown belongs to."""
     from scipy.sparse.csgraph import connected_components
 

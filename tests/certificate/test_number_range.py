@@ -172,3 +172,29 @@ def test_a_start_is_one_in_the_units_of_the_problem() -> None:
     again = cq.solve(far.replace(load=far.load * 1.01), warm_start=first)
     assert again.certificate.proven
     assert again.work.iterations == 1
+
+
+def test_unknowns_without_stiffness_are_measured_by_their_own_entries() -> None:
+    # The column of the second unknown alone says what its unit is; the squares of its entries are none.
+    far = cq.ContactProblem(np.diag([1.0, 0.0]), [1.0, 0.0], [[1.0, 1e-170]], [0.0])
+    found = cq.solve(far)
+    assert found.normal_force == pytest.approx([0.0], abs=1e-12)
+    assert far.normal @ found.displacement <= 1e-12
+    assert found.displacement[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("force", [[0.0, 0.0, 0.0], [0.0, 1e200, 1.0], [1.0, 1e-160, 1e-300]])
+def test_what_is_missing_is_recovered_in_any_units(force: list[float]) -> None:
+    far = cq.ContactProblem([[0.0]], [0.0], [[0.0], [1.0], [1e-198]], [0.0, 0.0, 0.0])
+    assert cq.certify(far, displacement=[0.0]).passed
+    assert cq.certify(far, normal_force=force).passed == (force[1] == 0.0)
+
+
+@pytest.mark.parametrize("length", [2.0**300, 2.0**-330])
+def test_recovered_forces_have_the_units_of_the_problem(length: float) -> None:
+    force = 2.0**200
+    right = cq.solve(in_units(DATA, 1.0, 1.0))
+    judged = cq.certify(in_units(DATA, length, force, 2.0**-100), displacement=right.displacement * length)
+    assert judged.passed
+    assert judged.answer.normal_force * 2.0**-100 / force == pytest.approx(right.normal_force, rel=1e-9)
+    assert judged.answer.tie_force / force == pytest.approx(right.tie_force, rel=1e-9)

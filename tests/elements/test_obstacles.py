@@ -1,5 +1,7 @@
 """Rigid obstacles: distances that are exact, normals that are their gradients, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,32 @@ def test_normals_are_the_gradients_of_the_distance(name):
     np.testing.assert_allclose(n, np.array(slopes).T, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1, atol=1e-14)
     assert np.abs(n).max() > 0.1
+
+
+def in_units(obstacle, unit):
+    """The obstacle with all lengths in another unit; directions may have any length."""
+    if isinstance(obstacle, cq.SignedDistance):
+        return cq.SignedDistance(lambda x: unit * obstacle.function(x / unit), obstacle.dimension)
+    lengths = {"point", "centre", "apex", "radius", "axis", "normal"}
+    named = {name: np.asarray(value) * unit for name, value in vars(obstacle).items() if name in lengths}
+    return replace(obstacle, **named)
+
+
+@pytest.mark.parametrize("power", [-900, -600, -480, 480, 600, 900])
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_units_change_no_distance_and_no_normal(name, power):
+    obstacle, unit = OBSTACLES[name], 2.0**power
+    other, x = in_units(obstacle, unit), some_points(obstacle.dimension)
+    np.testing.assert_allclose(other.distance(x * unit) / unit, obstacle.distance(x), rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(other.normals(x * unit), obstacle.normals(x), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_no_points_have_no_distances(name):
+    obstacle = OBSTACLES[name]
+    none = np.zeros((0, obstacle.dimension))
+    assert obstacle.distance(none).shape == (0,)
+    assert obstacle.normals(none).shape == (0, obstacle.dimension)
 
 
 @pytest.mark.parametrize("name", OBSTACLES)

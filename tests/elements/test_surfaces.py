@@ -206,3 +206,24 @@ def test_revolved_areas_are_those_of_rings(nodes):
     np.testing.assert_allclose(areas.sum(), 4 * np.pi, rtol=1e-13)
     if nodes == 2:
         np.testing.assert_allclose(areas[0], np.pi / 3, rtol=1e-13)
+
+
+@pytest.mark.parametrize("unit", [1e80, 1e-80])
+def test_lengths_whose_areas_have_no_square_are_refused_with_the_cure(unit):
+    side = surface(SQUARE * unit, [[0, 1, 2, 3]])
+    with pytest.raises(InvalidProblem, match=r"side: facet 0 .*from 1e-75 to 1e\+75, got .*another unit of length"):
+        cq.pair_mortar(side, side)
+
+
+@pytest.mark.parametrize("unit", [2.0**240, 2.0**-240])
+def test_pairs_are_the_same_in_other_units(unit):
+    def pairs(unit):
+        other = SQUARE[::-1] - [0, 0, 0.1]
+        slave = surface(SQUARE[::-1] * unit, [[0, 1, 2, 3]], "slave")
+        master = cq.Surface(other[::-1] * unit, np.array([[0, 1, 2, 3]]), np.arange(12, 24).reshape(4, 3), "master")
+        return [f(slave, master) for f in (cq.pair_mortar, cq.pair_node_to_segment)]
+
+    for one, other in zip(pairs(1.0), pairs(unit), strict=True):
+        assert one.gap == pytest.approx(0.1)
+        np.testing.assert_allclose(other.gap / unit, one.gap, rtol=1e-12)
+        np.testing.assert_allclose(other.normal.toarray(), one.normal.toarray(), rtol=0, atol=1e-12)

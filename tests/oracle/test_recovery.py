@@ -135,3 +135,19 @@ def test_values_that_are_not_finite_recover_nothing_and_fail() -> None:
     assert judged.recovered == ()
     assert any("not finite" in note for note in judged.notes)
     assert judged.failures == ("displacement: nan at unknown 0",)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 4.0])
+@pytest.mark.parametrize("friction", [None, 0.5])
+def test_rows_that_constrain_nothing_have_no_force(stiffness: float, friction: float | None) -> None:
+    rubs = {} if friction is None else dict(tangent=[[0.0, 1.0]] * 3, friction=friction)
+    problem = cq.ContactProblem(
+        [[stiffness, 0.0], [0.0, 1.0]], [3.0, 0.0], [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], [0.0, 0.5, np.inf],
+        tie=[[0.0, 0.0]], tie_value=[0.0], **rubs,
+    )  # fmt: skip
+    judged = cq.certify(problem, displacement=[0.5, 0.0])
+    assert judged.passed
+    assert judged.answer.normal_force == pytest.approx([0.0, 3.0 - 0.5 * stiffness, 0.0])
+    assert not cq.certify(problem, displacement=[0.6, 0.0]).passed
+    force = judged.answer.normal_force
+    assert cq.certify(problem, normal_force=force, friction_force=judged.answer.friction_force).passed

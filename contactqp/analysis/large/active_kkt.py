@@ -148,7 +148,7 @@ def positive_semidefinite(K: Any) -> bool:
     pivots elsewhere.
     """
     diagonal = np.asarray(K.diagonal(), dtype=float)
-    if np.any(diagonal < 0):
+    if not np.all(diagonal >= 0):
         return False
     if K.shape[0] <= DENSE_SIZE:
         scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

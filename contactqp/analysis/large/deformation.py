@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
+from contactqp.errors import NotConverged
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -100,11 +101,19 @@ class LoadedBody:
         return Forces(np.zeros(self.contacts), np.zeros(self.tie.shape[0]))
 
     def hessian(self, now: Instant, forces: Forces) -> Any:
-        """Return K + curvature of the contacts under their forces, (n, n) CSC, symmetric [force / length]."""
+        """Return K + curvature of the contacts under their forces, (n, n) CSC, symmetric [force / length].
+
+        Raises
+        ------
+        NotConverged
+            An entry is beyond doubles.
+        """
         K = sp.csc_array(self.body.tangent(now.displacement))
         if self.contact is not None and np.any(forces.normal):
             curvature = self.contact.curvature(now.displacement, forces.normal)
             K = K if curvature is None else sp.csc_array(K + curvature)
+        if not np.all(np.isfinite(K.data)):
+            raise NotConverged("the tangent has entries beyond 1.8e308; state the body in other units")
         return K
 
     def out_of_balance(self, now: Instant, load: Vector, forces: Forces | None = None) -> Vector:

@@ -19,13 +19,15 @@ and the displacement that holds the pushing contacts closed. The certificate jud
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
@@ -195,20 +197,41 @@ def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery
 
     Raises
     ------
+    InvalidProblem
+        What is recovered is beyond doubles.
     Unsupported
         Forces alone were given and the body is too large to factorise.
     """
     missing = missing_parts(problem, given)
     if not missing:
         yield Recovery(given.filled(problem), ())
+    elif (twin := acting_rows(problem) or near_one(problem)) is not None:
+        yield from _recovered_there(twin, problem, given)
     elif not given.finite():
-        yield Recovery(given.filled(problem), (), ("nothing was recovered: the given values are not finite",))
+        yield Recovery(
+            given.filled(problem), (), ("nothing was recovered: the given values are not finite, or absurdly large",)
+        )
     elif "displacement" in missing:
         for known, how in _displaced(problem, given, missing):
             yield Recovery(known, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
     else:
         for known, how in _pressed(problem, given, missing):
             yield Recovery(known, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
+
+
+_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
+
+
+def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
+    """Complete answers of the rows that act, or in units in which numbers are near one, as those of the problem.
+
+    What was given stays as it was.
+    """
+    names = [name for name in _PARTS if getattr(given, name) is not None]
+    there = twin.answer(given.filled(problem))
+    for found in recoveries(twin.problem, replace(given, **{name: getattr(there, name) for name in names})):
+        whole = twin.whole_answer(found.answer)
+        yield replace(found, answer=replace(whole, **{name: getattr(given, name) for name in names}))
 
 
 def _words(names: tuple[str, ...]) -> str:

@@ -101,7 +101,7 @@ def default_penalty(problem: ContactProblem, rows: Matrix, stiffening: float) ->
     beta finds the answer in one iteration and 1 is taken.
     """
     diagonal = problem.diagonal
-    stiffest = float(diagonal.max()) or 1.0
+    stiffest = float(diagonal.max(initial=0.0)) or 1.0
     softness = rows.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
     return np.asarray(stiffening / np.where(softness > 0, softness, stiffening))
 

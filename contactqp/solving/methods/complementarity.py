@@ -61,7 +61,7 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
     rigid = _rigid_motions(problem)
     n, k = problem.dimension, ties.size
     # Rigid motions are measured in the stiffness's own numbers, so that they are pivots as large as the others.
-    Z = rigid * (float(np.max(K.diagonal())) or 1.0)
+    Z = rigid * (float(np.max(K.diagonal(), initial=0.0)) or 1.0)
     system = np.block([[K, A.T, Z], [A, np.zeros((k, k + Z.shape[1]))], [Z.T, np.zeros((Z.shape[1], k + Z.shape[1]))]])
     loads = np.column_stack([problem.load, E.T])
     loads -= rigid @ (rigid.T @ loads)  # what drives rigid motions is balanced apart

@@ -271,6 +271,8 @@ def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
 
 # Parts of a dependent row of unit length, and what such rows feel of unit motions, below this are rounding.
 NEGLIGIBLE = 1e-10
+# Rows that share motions worse conditioned than this do not pass the rounding of one to another.
+PASSED_ON = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,10 +318,15 @@ class FloatingBodies:
         return bool(np.count_nonzero(felt > NEGLIGIBLE) == r)
 
     def carried(self, rows: Any, forces: Vector) -> Vector:
-        """What rounding of forces (n,) makes of the forces of rows: a floating body hands all to its contacts."""
+        """What rounding of forces (n,) makes of the forces of rows: a floating body hands all to its contacts.
+
+        Each row has the part of the motions that it feels, and what other rows then leave to it: the forces F balance
+        the bodies by (E Z)'F = Z'f, and |pinv (E Z)'| times the rounding of Z'f is theirs.
+        """
         if not self.rigid.shape[1]:
             return np.zeros(rows.shape[0])
-        felt = abs(self.unit(rows) @ self.rigid) > NEGLIGIBLE
+        moved = self.unit(rows) @ self.rigid
+        shared = (abs(moved) > NEGLIGIBLE) + abs(np.linalg.pinv(moved.T, rcond=PASSED_ON))
         length = np.linalg.norm((rows @ sp.diags(self.scale)).toarray(), axis=1)
-        noise = 16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (self.scale * forces)))
+        noise = 16 * np.finfo(float).eps * (shared @ (abs(self.rigid).T @ (self.scale * forces)))
         return np.asarray(noise / np.where(length > 0, length, 1.0))
