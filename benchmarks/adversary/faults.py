@@ -6,16 +6,24 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
+import contactqp as cq
 from contactqp.certificate import certificate, number_range
-from contactqp.errors import NotCertified
+from contactqp.certificate.state_answer import StateVerdict
+from contactqp.cli import output
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
+from contactqp.exchange import answer_json
 from contactqp.solving import runs
 
 Fault = Callable[[], AbstractContextManager[Any]]
@@ -83,6 +91,47 @@ def _swallowed(finish: Any) -> Any:
     return changed
 
 
+def _law_forgiven(measured: Any) -> Any:
+    """Coulomb's law is not judged: friction forces of any size and direction pass where they balance the load."""
+    nothing = {name: np.zeros_like(getattr(measured.found, name)) for name in ("cone", "slip_direction")}
+    law, verdict = (None if measured.law is None else np.zeros_like(measured.law)), StateVerdict(measured.state.basis)
+    return replace(measured, found=replace(measured.found, **nothing), law=law, state=verdict)
+
+
+def _absence_claimed(solve: Any) -> Any:
+    """What an algorithm does not find is said not to exist."""
+
+    def changed(*args: Any, **options: Any) -> Any:
+        try:
+            return solve(*args, **options)
+        except NotConverged as error:
+            raise NoEquilibrium(str(error)) from error
+
+    return changed
+
+
+def _warns(measured: Any) -> Any:
+    """A warning of NumPy leaves where a contact is open."""
+    if np.any(measured.found.gap > 0):
+        warnings.warn("invalid value encountered in divide", RuntimeWarning, stacklevel=1)
+    return measured
+
+
+def _none(_: Any) -> Any:
+    """Nothing is found."""
+    return lambda *_: None
+
+
+def _unrefused(_: Any) -> Any:
+    """A reader takes for JSON what is none: the error of Python's own reader leaves."""
+    return lambda path, _: json.loads(Path(path).read_bytes())
+
+
+def _unjson(_: Any) -> Any:
+    """An error is printed as a sentence where JSON was asked for."""
+    return lambda message, code, ending: print(message, code, ending)
+
+
 FAULTS: dict[str, Fault] = {
     "none": contextlib.nullcontext,
     "tension": _certificate_with(_tension_forgiven),
@@ -90,4 +139,17 @@ FAULTS: dict[str, Fault] = {
     "bound": _certificate_with(_bound_too_small),
     "scale": lambda: _patched(number_range.NearOne, "parts", _wrong_scale),
     "swallowed": lambda: _patched(runs.Run, "finish", _swallowed),
+    # Rounding is judged against rounding: nothing counts as nothing.
+    "floor": lambda: _patched(certificate, "ROUNDING_OF_ANSWERS", lambda _: 0.0),
+    # What counts as nothing is a thousandth of the size of problem and answer.
+    "size": lambda: _patched(certificate, "ROUNDING_OF_ANSWERS", lambda _: 1e6),
+    "law": _certificate_with(_law_forgiven),
+    "absence": lambda: _patched(cq, "solve", _absence_claimed),
+    # Units of length and force are those of single unknowns and rows, which are rounded otherwise.
+    "units": lambda: _patched(number_range, "_uniform_units", _none),
+    # Numbers of any size are computed with as they are.
+    "range": lambda: _patched(sys.modules["contactqp.solving.solve"], "near_one", _none),
+    "warning": _certificate_with(_warns),
+    "reader": lambda: _patched(answer_json, "load_json", _unrefused),
+    "json": lambda: _patched(output, "print_error", _unjson),
 }

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import sys
 import tempfile
 import warnings
 from pathlib import Path
+from unittest.mock import patch
 
+import contactqp as cq
 from benchmarks.adversary.judging import Judge
 from benchmarks.bricks import Generator
 from benchmarks.fuzz_readers import JUDGED, REFUSED, run_format
 from benchmarks.mutations import mutate
-from benchmarks.valid_files import SLOW, Seed, seeds
+from benchmarks.valid_files import SLOW, Seed, problem, seeds
 from contactqp.cli import main
 
 CASES = Path(__file__).parents[2] / "cases"
 # Cases of a few unknowns, and the commands that take them; answers in milliseconds.
 SMALL = ("bar_wall.toml", "seed_2_18.toml", "beam_on_stops.toml")
-COMMANDS = (("run",), ("explain",), ("oracle",), ("run", "--json"))
-# Mutated files of one trial.
+COMMANDS = (("run",), ("explain",), ("oracle",), ("run", "--json"), ("oracle", "--json"))
+# Mutated files of one trial; of formats that take a process of their own one, and in one trial of so many.
 FILES = 20
+SLOW_TRIALS = 0.02
 # What commands end with: done, not certified, refused, something is missing.
 EXITS = (0, 1, 2, 3)
 
@@ -31,17 +36,25 @@ class Files:
     def __init__(self) -> None:
         self._root = tempfile.TemporaryDirectory()
         self.folder = Path(self._root.name)
-        self.seeds = [seed for seed in seeds(self.folder) if not seed.name.startswith(SLOW)]
+        found = seeds(self.folder)
+        self.seeds = [seed for seed in found if not seed.name.startswith(SLOW)]
+        self.slow = [seed for seed in found if seed.name.startswith(SLOW)]
+        self.problem = cq.write_problem(self.folder / "checked", problem(), cq.solve(problem()))
 
     def judge(self, judge: Judge, rng: Generator) -> None:
-        """Mutate the files of one format, or one case file, and ask about each."""
-        if rng.random() < 0.5:
-            self._read(judge, self.seeds[int(rng.integers(0, len(self.seeds)))], rng)
-        else:
+        """Mutate the files of one format, one case file or one answer, and ask about each."""
+        drawn = rng.random()
+        if self.slow and drawn < SLOW_TRIALS:
+            self._read(judge, self.slow[int(rng.integers(0, len(self.slow)))], rng, 1)
+        elif drawn < 0.5:
+            self._read(judge, self.seeds[int(rng.integers(0, len(self.seeds)))], rng, FILES)
+        elif drawn < 0.8:
             self._command(judge, rng)
+        else:
+            self._check(judge, rng)
 
-    def _read(self, judge: Judge, seed: Seed, rng: Generator) -> None:
-        numbers = rng.integers(0, 2**31, FILES).tolist()
+    def _read(self, judge: Judge, seed: Seed, rng: Generator, files: int) -> None:
+        numbers = rng.integers(0, 2**31, files).tolist()
         for number, what, outcome in run_format(seed, self.folder / seed.name, numbers):
             judge.judgements += 1
             if outcome not in (JUDGED, REFUSED):
@@ -55,21 +68,50 @@ class Files:
             changed, what = mutate(original, rng)
             file.write_bytes(changed)
             command = COMMANDS[int(rng.integers(0, len(COMMANDS)))]
-            code, said = _ended([*command[:1], str(file), *command[1:]])
-            judge.judgements += 1
-            if code not in EXITS or "Traceback" in said:
-                judge.found("crashed", f"{' '.join(command)} ({what})", f"exit {code}: {said[-300:]}")
+            piped = rng.random() < 0.3
+            _judge_command(judge, [command[0], "-" if piped else str(file), *command[1:]], what, changed)
+
+    def _check(self, judge: Judge, rng: Generator) -> None:
+        original = (self.problem / "answer.json").read_bytes()
+        file = self.folder / "answer.json"
+        for _ in range(FILES):
+            changed, what = mutate(original, rng)
+            file.write_bytes(changed)
+            piped = rng.random() < 0.5
+            command = ["check", str(self.problem), "-" if piped else str(file), *["--json"] * int(rng.integers(0, 2))]
+            _judge_command(judge, command, what, changed)
 
 
-def _ended(arguments: list[str]) -> tuple[object, str]:
-    """The exit code of a command in this process, and what it said on standard error."""
+def _judge_command(judge: Judge, command: list[str], what: str, piped: bytes) -> None:
+    """A command ends with an exit code that it promises; its errors are JSON where that was asked for."""
+    code, out, err = _ended(command, piped)
+    judge.judgements += 1
+    words = " ".join(word for word in command if "/" not in word)
+    if code not in EXITS or "Traceback" in err:
+        judge.found("crashed", f"{words} ({what})", f"exit {code}: {err[-300:]}")
+    elif code == 2 and "--json" in command and not _is_json(out):
+        judge.found("printed", f"{words} ({what})", f"no JSON: {out[-300:]}")
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _ended(arguments: list[str], piped: bytes) -> tuple[object, str, str]:
+    """The exit code of a command in this process, and what it said on standard output and standard error."""
     out, err = io.StringIO(), io.StringIO()
-    with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    stdin = io.TextIOWrapper(io.BytesIO(piped), encoding="utf-8", errors="surrogateescape")
+    streams = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
+    with warnings.catch_warnings(), patch.object(sys, "stdin", stdin), streams[0], streams[1]:
         warnings.simplefilter("error")
         try:
             main(arguments)
         except SystemExit as ended:
-            return ended.code, err.getvalue()
+            return ended.code, out.getvalue(), err.getvalue()
         except Exception as error:  # noqa: BLE001  whatever leaves is what is looked for
-            return type(error).__name__, str(error)
-    return None, err.getvalue()
+            return type(error).__name__, out.getvalue(), str(error)
+    return None, out.getvalue(), err.getvalue()

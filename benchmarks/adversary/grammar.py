@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 import contactqp as cq
 from benchmarks.bricks import Array, Generator, blocks, chain, few_bits, lattice, magnitudes, springs, units
@@ -75,6 +76,11 @@ def _bare(rng: Generator) -> Array:
     return np.zeros((1, 1)) if rng.random() < 0.5 else _chain(rng)
 
 
+def _loose(rng: Generator) -> Array:
+    """Unknowns that no stiffness sees, neither their own nor one another's."""
+    return np.zeros((n := int(rng.integers(1, 4)), n))
+
+
 def _bed(rng: Generator) -> Array:
     """A chain in a stiff bed: what acts at one end decays along it."""
     K = chain(magnitudes(rng, 0, 0.5, int(rng.integers(5, 11))), False)
@@ -83,7 +89,7 @@ def _bed(rng: Generator) -> Array:
 
 BODIES: dict[str, Callable[[Generator], Array]] = {
     "chain": _chain, "lattice": _lattice, "network": _network, "full": _full, "masses": _masses, "bare": _bare,
-    "bed": _bed,
+    "loose": _loose, "bed": _bed,
 }  # fmt: skip
 HELD = ("ground", "ground", "ground", "one spring", "ties", "contact")
 CONTACTS = ("nodes", "nodes", "between", "skew", "opposite")
@@ -202,7 +208,9 @@ def _append(draft: Draft, row: Array, twin: int, factor: float) -> None:
 def _around_an_answer(draft: Draft, _: str) -> None:
     """Load, gaps and values that a chosen answer belongs to, exactly; contacts closed, open, grazing, at any force."""
     rng, (n, m) = draft.rng, (len(draft.K), len(draft.normal))
-    u = rng.integers(-8, 9, n) / 8
+    body = connected_components(draft.K != 0, directed=False)[1]
+    at_rest = rng.random(n)[body] < 0.2  # some bodies, without load but for that of their contacts
+    u = np.where(at_rest, 0.0, rng.integers(-8, 9, n) / 8)
     closed, grazes = rng.random(m) < 0.6, rng.random(m) < 0.2
     lightest = float(rng.choice([0, 3, 10]))
     pressed = np.where(closed & ~grazes, rng.integers(4, 17, m) / 8 * 2.0 ** -rng.integers(0, lightest + 1, m), 0.0)

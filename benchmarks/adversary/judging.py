@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 import contactqp as cq
+from benchmarks.adversary.grammar import in_units
 from benchmarks.exact_truth import Truth
-from benchmarks.friction_families import Posed
+from benchmarks.friction_families import Posed, Units
 from benchmarks.friction_law import broken, plain_answer, seen
 from benchmarks.judging import PER_CONDITION, REPRESENTABLE, WRONG, bounded, exact_truth, spoiled
 from contactqp.solving.methods import find
@@ -24,6 +25,8 @@ from contactqp.solving.methods import find
 Array = np.ndarray
 # Seconds within which everything that is asked must be answered.
 PATIENCE = 5.0
+# Seconds that an iteration may take which is asked for by name.
+ITERATES = 60.0
 # Time limits that methods are given, so that those which know none of their own stop.
 TIME_LIMIT = 2.0
 # Conditions from which rounding of the data decides what is right.
@@ -31,6 +34,8 @@ WORST_CONDITION = 1e12
 # An answer that breaks the law by this part of the largest force or length is wrong.
 BREAKS = 1e-9
 SAME = 1e-7
+# Of the largest displacement or force, what rounding in other units may change: a factorisation that pivots otherwise.
+SAME_DIGITS = 1e-13
 # Rational enumeration of more contacts takes seconds.
 MOST_EXACT = 3
 # A gap that is rational and that nothing closes.
@@ -47,7 +52,7 @@ FORGED = 1e-6
 class Finding:
     """Something that must not be."""
 
-    kind: str  # crashed, wrong, denied, refused, forgery, bound, slow, printed
+    kind: str  # crashed, wrong, denied, refused, forgery, bound, units, slow, printed
     what: str  # the call
     text: str
 
@@ -62,7 +67,7 @@ class Judge:
     judgements: int = 0
     exact: bool = False  # whether the truth is known
 
-    def ask(self, what: str, question: Callable[[], Any]) -> tuple[Any, Exception | None]:
+    def ask(self, what: str, question: Callable[[], Any], patience: float = PATIENCE) -> tuple[Any, Exception | None]:
         """What a call returns, or the error of this package that it raises; anything else is a finding."""
         self.judgements += 1
         started, error, answer = time.process_time(), None, None
@@ -76,7 +81,7 @@ class Judge:
                 error = raised
                 self.found("crashed", what, f"{type(raised).__name__}: {str(raised)[:200]}")
         seconds = time.process_time() - started
-        if seconds > PATIENCE:
+        if seconds > patience:
             self.found("slow", what, f"{seconds:.0f} s")
         return answer, error
 
@@ -101,7 +106,8 @@ def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | N
     if find(method).kind == "quadratic program" and "no time limit" not in find(method).note:
         options["time_limit"] = TIME_LIMIT
     fresh = judge.posed.problem.replace(stiffness=judge.posed.problem.stiffness)
-    return judge.ask(f"solve {method}", lambda: cq.solve(fresh, method, **options))
+    name, patience = (options["algorithm"], ITERATES) if "algorithm" in options else (method, PATIENCE)
+    return judge.ask(f"solve {name}", lambda: cq.solve(fresh, method, **options), patience)
 
 
 # ------------------------------------------------------------------------------- without friction
@@ -110,6 +116,7 @@ def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | N
 def judge_frictionless(judge: Judge, methods: list[tuple[str, dict[str, Any]]]) -> None:
     """Every method's answer, its bounds, and forged answers, against the answer in rational numbers."""
     first = judge.ask("solve plain", lambda: cq.solve(judge.posed.plain))
+    _judge_units(judge, first)
     gap = judge.posed.plain.gap
     finite = judge.posed.plain.replace(gap=np.where(np.isinf(gap), NEVER, gap))
     truth, known = exact_truth(finite, first[0] or getattr(first[1], "solution", None))
@@ -124,6 +131,31 @@ def judge_frictionless(judge: Judge, methods: list[tuple[str, dict[str, Any]]]) 
     for method, options in methods:
         _judge_answer(judge, truth, method, *solve(judge, method, **options), threshold, posed)
     _forge(judge, truth, threshold, posed)
+
+
+def _judge_units(judge: Judge, first: tuple[Any, Any]) -> None:
+    """The same problem in other units of length and force has the same verdict, and the same digits where it is solved.
+
+    Where several answers exist either may be found. The units are powers of four: the root of a stiffness, too, is the
+    same but for its exponent.
+    """
+    plain, rng = judge.posed.plain, np.random.default_rng([judge.seed, 4])
+    length, force = 4.0 ** float(rng.integers(-165, 166)), 4.0 ** float(rng.integers(-165, 166))
+    twin = in_units(plain, Units(np.ones(plain.dimension), np.ones(plain.contacts), length, force), True).problem
+    other = judge.ask("solve in other units", lambda: cq.solve(twin))
+    verdicts = [type(answer if answer is not None else error).__name__ for answer, error in (first, other)]
+    if verdicts[0] != verdicts[1]:
+        text = f"{verdicts[1]} in units of {length:.0e} and {force:.0e}, where it is {verdicts[0]}: {other[1]}"
+        judge.found("units", "solve in other units", text[:300])
+    elif first[0] is not None and not first[0].certificate.uniqueness:
+        here = np.concatenate([first[0].displacement, first[0].normal_force])
+        there = np.concatenate([other[0].displacement / length, other[0].normal_force / force])
+        sizes = np.repeat([np.max(abs(one), initial=0.0) for one in (first[0].displacement, first[0].normal_force)],
+                          [plain.dimension, plain.contacts])  # fmt: skip
+        worst = float(np.max(abs(there - here)[sizes > 0] / sizes[sizes > 0], initial=0.0))
+        if worst > SAME_DIGITS:
+            text = f"other digits, by {worst:.2g} of the largest, in units of {length:.0e} and {force:.0e}"
+            judge.found("units", "solve in other units", text)
 
 
 def _judge_answer(
@@ -189,10 +221,27 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
         if name == "truth" and not certificate.passed and posed:
             judge.found("refused", "certify truth", "; ".join(certificate.failures)[:300])
     u, force = truth.rounded()
+    _judge_parts_alone(judge, u, force)
     for name, wrong_u, wrong in against_the_law(judge.posed.plain, u, force):
         certificate = judge.certify(f"certify {name}", wrong_u, wrong, None, tie)
         if certificate is not None and certificate.passed:
             judge.found("forgery", f"certify {name}", "passed")
+
+
+def _judge_parts_alone(judge: Judge, u: Array, force: Array) -> None:
+    """Displacements alone and forces alone: what is missing is found, or not; a wrong one does not pass."""
+    units, problem = judge.posed.units, judge.posed.problem
+    parts = dict(displacement=u * units.unknown * units.length, normal_force=force * units.force / units.row)
+    for name, values in parts.items():
+        judge.ask(f"certify {name} alone", lambda name=name, values=values: cq.certify(problem, **{name: values}))
+    if np.any(problem.stiffness) and np.all(problem.diagonal > 0) and np.any(u):
+        at = int(np.argmax(abs(u) * np.sqrt(judge.posed.plain.diagonal)))
+        wrong = np.where(np.arange(len(u)) == at, 1 + 1e3 * FORGED, 1.0) * parts["displacement"]
+        if np.any(judge.posed.plain.normal.toarray()[:, at]) or problem.ties:
+            return  # a contact or a tie may have what is missing
+        judged = judge.ask("certify displacement alone, off", lambda: cq.certify(problem, displacement=wrong))[0]
+        if judged is not None and judged.passed:
+            judge.found("forgery", "certify displacement alone, off", "passed")
 
 
 def _strains_nothing(truth: Truth, u: Array) -> bool:
@@ -263,7 +312,7 @@ def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
     root = np.sqrt(np.where(np.diag(problem.stiffness) > 0, np.diag(problem.stiffness), np.inf))
     outer = abs(problem.load) + abs(problem.normal).T @ abs(force)
     size = max(float(np.max(np.where(np.isfinite(root), root, 0.0) * abs(u))), float(np.max(outer / root)))
-    return np.where(np.isfinite(root), size * root, 0.0)
+    return size * np.where(np.isfinite(root), root, 0.0)
 
 
 def with_tension(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array | None:
@@ -291,6 +340,7 @@ def judge_friction(judge: Judge, algorithms: list[str]) -> None:
     flat = posed.plain.slip_origin is not None and posed.plain.slip_origin.shape[1] == 1
     known, exists = _equilibria(judge) if flat else (None, posed.solvable)
     judge.exact = known is not None or posed.solvable
+    _judge_units(judge, judge.ask("solve plain", lambda: cq.solve(posed.plain)))
     for name in algorithms:
         returned, error = _solve_friction(judge, name, flat)
         if returned is None:

@@ -73,6 +73,9 @@ def judge_wild(judge: Judge, rng: Generator) -> None:
             judge.found("printed", what, said.getvalue()[:100])
         return answer if error is None else getattr(error, "solution", None)
 
+    if rng.random() < 0.15:
+        _judge_local(ask, rng)
+        return
     with np.errstate(all="ignore"):
         arguments = draw(rng)
     problem = ask("ContactProblem", lambda: cq.ContactProblem(**arguments))
@@ -97,6 +100,26 @@ def judge_wild(judge: Judge, rng: Generator) -> None:
             ask(function.__name__, lambda function=function: function(problem))
         if not problem.frictional:  # with friction a step that has no answer takes seconds, and a path has many
             ask("follow_path", lambda: cq.follow_path(problem, [problem.load, 2 * problem.load]))
+
+
+def _judge_local(ask: Callable[[str, Callable[[], Any]], Any], rng: Generator) -> None:
+    """The same with forces alone, whose compliance, offset and friction have any size."""
+    m, d = int(rng.integers(1, 4)), int(rng.integers(2, 4))
+    reach = float(rng.choice(REACHES))
+    with np.errstate(all="ignore"):
+        shape = rng.normal(size=(m * d, m * d - int(rng.random() < 0.3)))
+        own = 10.0 ** rng.uniform(-reach / 2, reach / 2, m * d) if rng.random() < 0.4 else np.ones(m * d)
+        W = shape @ shape.T * np.outer(own, own) * _size(rng, reach)
+        q = rng.normal(size=m * d) * own * _size(rng, reach)
+        friction = float(10.0 ** rng.uniform(-300, 6)) if rng.random() < 0.3 else 0.5
+        force = rng.normal(size=m * d) * _size(rng, 300)
+    problem = ask("LocalProblem", lambda: cq.LocalProblem(W, q, friction, d))
+    if problem is None:
+        return
+    if m * d <= 4:  # in space without an answer it takes seconds
+        ask("solve local", lambda: cq.solve(problem))
+    for function in (cq.certify_local, cq.fclib_merit_1, cq.siconos_local_error, cq.acary_bremond_huber_error):
+        ask(function.__name__, lambda function=function: function(problem, force))
 
 
 def _candidate(rng: Generator, problem: cq.ContactProblem, solution: Any) -> tuple[Any, ...]:

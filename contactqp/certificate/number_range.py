@@ -208,7 +208,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
     if twin == BROUGHT or (near and _vectors_are_near_one(problem)):
         return None
     if twin is None:
-        twin = _rescaled(problem)
+        twin = _rescaled(problem, _uniform_units(problem) or _row_units(problem))
         computed.near_one = (near, twin)
     return _under_load(problem, *twin)
 
@@ -262,7 +262,13 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
     gap = problem.gap[np.isfinite(problem.gap)]
     parts = (problem.load, gap, problem.tie_value, np.zeros(0) if problem.slip_origin is None else problem.slip_origin)
     largest = np.array([np.max(abs(part), initial=0.0) for part in parts])
-    return _near(largest, NONE) and _near(np.max(largest, keepdims=True))
+    return _near(largest, NONE) and _near(np.max(largest, keepdims=True)) and _force_is_near_length(problem)
+
+
+def _force_is_near_length(problem: ContactProblem) -> bool:
+    """Whether one unit of energy suits loads and lengths where no stiffness relates them to each other."""
+    forces, lengths = _largest_force_and_length(problem)
+    return bool(np.any(problem.diagonal)) or min(forces, lengths) < LEAST or abs(forces - lengths) <= FARTHEST
 
 
 def _largest(rows: Any) -> Vector:
@@ -274,10 +280,40 @@ def _largest(rows: Any) -> Vector:
     return largest
 
 
-def _rescaled(problem: ContactProblem) -> tuple[ContactProblem, tuple[Index, Index, Index, Index]]:
-    """The matrices of a problem in units near one, and the exponents of D and of normal, tangential and tie rows."""
+def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
+    """The exponents of D and of all rows where one unit of length and one of force bring the matrices near one.
+
+    Rows stay as they are then, and what depends on the sizes of unknowns beside each other, such as the motion of least
+    norm of a body that nothing holds, is the same in all units of length and force. None where units of single unknowns
+    and rows are needed.
+    """
+    diagonal, rows = problem.diagonal[problem.diagonal > 0], _matrices(problem)
+    if diagonal.size:
+        unit = -(int(_exponent(np.max(diagonal))) // 2)
+    else:
+        forces, lengths = _largest_force_and_length(problem)
+        unit = (lengths - forces) // 2 if min(forces, lengths) > LEAST else 0
+    exponents = _exponent(diagonal) + 2 * unit
+    near = bool(np.all(abs(exponents) <= FARTHEST)) and all(_near(_largest(matrix)) for matrix in rows)
+    if not (near and _near(_largest_without_stiffness(problem, rows))):
+        return None
+    return np.full(problem.dimension, unit), np.full(sum(matrix.shape[0] for matrix in rows), unit)
+
+
+def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:
+    """The exponents of the largest load and of the largest finite gap, tie or slip origin."""
+    lengths = [_exponent(problem.gap[np.isfinite(problem.gap)]), _exponent(problem.tie_value)]
+    if problem.slip_origin is not None:
+        lengths.append(_exponent(problem.slip_origin).ravel())
+    return int(np.max(_exponent(problem.load), initial=NONE)), int(np.max(np.concatenate(lengths), initial=NONE))
+
+
+def _rescaled(
+    problem: ContactProblem, units: tuple[Index, Index]
+) -> tuple[ContactProblem, tuple[Index, Index, Index, Index]]:
+    """The matrices of a problem in units, and the exponents of D and of normal, tangential and tie rows."""
     m, k = problem.contacts, problem.ties
-    unknowns, sizes = _row_units(problem)
+    unknowns, sizes = units
     normal, tie = sizes[:m], sizes[m : m + k]
     width = (len(sizes) - m - k) // m if m else 0
     across = sizes[m + k :].reshape(m, width).max(axis=1) if width else normal

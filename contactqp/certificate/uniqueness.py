@@ -52,7 +52,10 @@ SAME = 1e-6
 
 
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
-    """Whether more than one answer is found, or a family of them; None where too many systems leave something free."""
+    """Whether more than one answer is found, or a family of them.
+
+    None where too many systems leave something free, or where their signs are beyond the range of doubles.
+    """
     system = _Systems(problem, condensation)
     status = combinations(system.mu)
     matrices, right = system.assembled(status)
@@ -76,7 +79,9 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     if len(loose) > MOST_LOOSE:
         return None
     for signs in loose:
-        found += signs.extremes()
+        if (extremes := signs.extremes()) is None:
+            return None
+        found += extremes
     return any(system.differ(one, found[0]) for one in found[1:])
 
 
@@ -189,8 +194,11 @@ class _Signs:
         """Whether all signs that no c changes hold."""
         return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
 
-    def extremes(self) -> list[Vector]:
-        """Return the solutions whose signs hold that move the contacts furthest apart; none where no signs hold."""
+    def extremes(self) -> list[Vector] | None:
+        """Return the solutions whose signs hold that move the contacts furthest apart; none where no signs hold.
+
+        None where the signs cannot be put in doubles.
+        """
         from scipy.optimize import linprog
 
         size = self._allowed / DOUBTFUL
@@ -199,12 +207,15 @@ class _Signs:
         size = np.where(size > 0, size, step)
         moving = self._moving
         wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(self._free)))
+        slope, room = -self._slope * (step / size)[:, None], self._left / size + DOUBTFUL
+        if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(room)) and np.all(np.isfinite(moving))):
+            return None
         found = []
         for row in wanted:
             answer = linprog(
                 -row,
-                A_ub=-self._slope * (step / size)[:, None],
-                b_ub=self._left / size + DOUBTFUL,
+                A_ub=slope,
+                b_ub=room,
                 bounds=[(-1e3, 1e3)] * len(self._free),  # beyond a thousand times its size a family is a family
                 method="highs",
             )

@@ -90,8 +90,8 @@ def _near_one(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 def lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the Euclidean lengths of the rows, whose squares may be beyond the floats.
 
-    >>> lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]])).tolist()
-    [5e+200, 5e-200]
+    >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
+    ['5e+200', '5e-200']
     """
     together: NDArray[np.float64] = np.hypot.reduce(vectors, axis=-1)
     return together

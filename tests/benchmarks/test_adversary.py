@@ -30,6 +30,15 @@ SEEN_AS = {
     "bound": {"bound"},
     "scale": {"wrong", "refused", "bound"},
     "swallowed": {"wrong", "forgery"},
+    "floor": {"refused"},
+    "size": {"forgery", "wrong"},
+    "law": {"forgery", "wrong"},
+    "absence": {"denied"},
+    "units": {"units"},
+    "range": {"crashed", "units", "refused", "bound"},
+    "warning": {"crashed"},
+    "reader": {"crashed"},
+    "json": {"printed"},
 }
 
 

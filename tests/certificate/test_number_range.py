@@ -198,3 +198,38 @@ def test_recovered_forces_have_the_units_of_the_problem(length: float) -> None:
     assert judged.passed
     assert judged.answer.normal_force * 2.0**-100 / force == pytest.approx(right.normal_force, rel=1e-9)
     assert judged.answer.tie_force / force == pytest.approx(right.tie_force, rel=1e-9)
+
+
+# A mass that no spring holds beside a bar, and two unknowns without any stiffness, on a floor with friction.
+BESIDE_A_BAR: dict[str, Any] = dict(
+    stiffness=np.diag([4.0, 0.0, 0.0]), load=[1.0, 3.0, 0.5], normal=[[0.0, 1.0, 0.0]], gap=[0.25],
+    tangent=[[0.0, 0.0, 1.0]], friction=0.5,
+)  # fmt: skip
+BARE: dict[str, Any] = dict(
+    stiffness=np.zeros((2, 2)), load=[3.0, 0.5], normal=[[1.0, 0.0]], gap=[0.25], tangent=[[0.0, 1.0]], friction=0.5
+)
+BAR = np.array([[1.0, -1.0], [-1.0, 1.0]])
+FREE: dict[str, Any] = dict(  # two bars that nothing holds; what moves them least is the same in all units
+    stiffness=np.kron(np.diag([2.0, 64.0]), BAR),
+    load=[1.0, 0.0, 0.0, 0.0], normal=[[0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]], gap=[0.5, 0.25],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("length", "force"), [*SIZES, (2.0**-332, 2.0**332), (2.0**52, 2.0**-222)])
+@pytest.mark.parametrize("data", [BESIDE_A_BAR, BARE, FREE], ids=["beside a bar", "bare", "free"])
+def test_what_no_stiffness_sees_is_the_same_in_all_units(data: dict[str, Any], length: float, force: float) -> None:
+    near, far = cq.solve(in_units(data, 1.0, 1.0)), cq.solve(in_units(data, length, force))
+    assert np.any(near.normal_force > 0)
+    assert far.displacement / length == pytest.approx(near.displacement, rel=1e-14)
+    assert far.normal_force / force == pytest.approx(near.normal_force, rel=1e-14)
+    assert list(far.contact_status) == list(near.contact_status)
+    assert far.certificate.passed
+
+
+def test_where_other_answers_are_beyond_doubles_nothing_is_said_of_them() -> None:
+    problem = cq.ContactProblem(
+        stiffness=[[0.0]], load=[2.5e-200], normal=[[5.3e-170], [-6.3e138]], gap=[1.7e-243, 5.1e65],
+        tangent=[[2.7e-170], [6.3e138]], friction=0.5, slip_origin=[[-4.3e111], [-1.5e111]],
+    )  # fmt: skip
+    judged = cq.certify(problem, displacement=[0.0], normal_force=[0.0, 0.0], friction_force=[[0.0], [0.0]])
+    assert not judged.passed
