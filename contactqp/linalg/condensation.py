@@ -58,6 +58,8 @@ FAR_APART = 4
 FEW_MORE, PART_MORE = 48, 0.125
 # A printed stiffness that was changed along rigid motions resists none by so little of that change.
 LOST = 1e-2
+# Entries, zeros included, of rows that are cheaper to write out than to look up.
+WRITTEN_OUT = 2**14
 # Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
 # of one, get an unknown more to hold them.
 HARDLY_HELD = 1e-4
@@ -95,8 +97,8 @@ class Condensation:
                 "may have made; state the rigid motions as near_null_space, or print more digits"
             )
         self._clear_rigid_motions()
-        self.normal = problem.normal[:, self.retained].toarray()
-        self.tie = problem.tie[:, self.retained].toarray()
+        self.normal = columns_of(problem.normal, self.retained)
+        self.tie = columns_of(problem.tie, self.retained)
         self.tangent = None if problem.tangent is None else problem.tangent[:, self.retained]
 
     def fits(self, problem: ContactProblem) -> bool:
@@ -371,6 +373,13 @@ def _orthonormal_by_body(motions: Array) -> Array:
         unit = motions @ coordinates
         coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T
     return np.asarray(coordinates)
+
+
+def columns_of(rows: Any, columns: NDArray[np.intp]) -> Array:
+    """Return some columns of CSR rows as an array; of few rows all are written out first, which costs less."""
+    if rows.shape[0] * rows.shape[1] <= WRITTEN_OUT:
+        return np.asarray(rows.toarray()[:, columns])
+    return np.asarray(rows[:, columns].toarray())
 
 
 def unknown_scale(problem: ContactProblem) -> Array:

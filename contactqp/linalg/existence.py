@@ -190,7 +190,13 @@ def _unit(rows: Any, Z: Array) -> Array:
 
 
 def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
-    """The coordinates, at most one each, that gain most energy and that no row resists; None: not to be had."""
+    """The coordinates, at most one each, that gain most energy and that no row resists; None: not to be had.
+
+    Where every row resists a single coordinate, each is taken on its own; else they are found by a linear program.
+    """
+    if touch_one_each(normal) and touch_one_each(tie):
+        ahead = np.sign(drive)
+        return np.where(np.any(normal * ahead > 0, axis=0) | np.any(tie != 0, axis=0), 0.0, ahead)
     from scipy.optimize import linprog
 
     answer = linprog(
@@ -204,6 +210,11 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
         options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     return None if answer.x is None else np.asarray(answer.x)
+
+
+def touch_one_each(rows: Array) -> bool:
+    """Whether no row (r, q) has more than one entry."""
+    return bool(np.all(np.count_nonzero(rows, axis=1) <= 1))
 
 
 def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:

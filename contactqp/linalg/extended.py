@@ -28,6 +28,8 @@ EPS = 2.0**-104
 SHORT = 2**11
 # Rows with more entries are summed on their own, in pairs.
 LONG = 2**9
+# Matrices of at most so many places, as wide as their longest row, are one block.
+ONE_BLOCK = 2**11
 _SPLITTER = 2.0**27 + 1.0
 
 
@@ -125,6 +127,10 @@ class SparseRows:
         rows = matrix if getattr(matrix, "format", "") == "csr" else sp.csr_matrix(matrix)
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
+        widest = int(np.max(lengths, initial=0))
+        if widest * len(lengths) <= ONE_BLOCK:
+            self._blocks, self._long = ([_block(rows, np.flatnonzero(lengths))] if widest else []), []
+            return
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
         short = (lengths > 0) & (lengths <= LONG)
         classes = np.unique(width_class[short])
@@ -136,6 +142,8 @@ class SparseRows:
 
     def __matmul__(self, vector: Extended) -> Extended:
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
+        if not (self._blocks or self._long):
+            return Extended(hi, lo)
         doubles = not np.any(vector.lo)
         for block in self._blocks:
             total, rest = np.zeros(len(block.members)), np.zeros(len(block.members))
@@ -224,7 +232,7 @@ class ExtendedRows:
         self.normal = SparseRows(problem.normal)
         self.tie = SparseRows(problem.tie)
         self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
-        self._outward = SparseRows(sp.hstack([problem.normal.T, problem.tie.T]))
+        self._outward = SparseRows((sp.vstack([problem.normal, problem.tie]) if problem.ties else problem.normal).T)
         self._tangent_transposed = None if problem.tangent is None else SparseRows(problem.tangent.T)
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:

@@ -70,9 +70,12 @@ class DenseCholesky:
             self._factor = cho_factor(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        from scipy.linalg import cho_solve
+        from scipy.linalg.lapack import dpotrs
 
-        return np.asarray((cho_solve(self._factor, (right.T * self._scale).T, check_finite=False).T * self._scale).T)
+        if not right.size:
+            return np.zeros(right.shape)
+        factor, lower = self._factor
+        return np.asarray((dpotrs(factor, (right.T * self._scale).T, lower=lower)[0].T * self._scale).T)
 
 
 class SuperLU:

@@ -61,9 +61,9 @@ def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     """Return the sizes of rows over unknowns with these entries K_jj."""
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     size = abs(rows)
-    squares = size.copy()
-    squares.data **= 2
-    return RowSizes(size, size.T, np.asarray(squares @ compliance))
+    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    found = np.bincount(row, weights=size.data**2 * compliance[rows.indices], minlength=rows.shape[0])
+    return RowSizes(size, size.T, found.astype(float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +225,9 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
     if problem._computed.parts is None:
         body = bodies(problem)
         count = int(body.max(initial=-1)) + 1
+        if count == 1:
+            problem._computed.parts = body
+            return body
         joints = sp.vstack([rows for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None])
         joints = sp.csr_matrix(joints)
         places = (np.ones(joints.nnz), body[joints.indices], joints.indptr)

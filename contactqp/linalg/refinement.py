@@ -287,13 +287,13 @@ def _wrong(
     gap, push = answer.gap.double(), answer.doubles.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
-    penetrated = np.flatnonzero(-gap > rounding)
-    tension = np.zeros(0, dtype=np.intp)
-    if np.any(push < 0):
-        tension = np.flatnonzero(_push(problem, answer.doubles) < -WITHIN_ROUNDING)
+    penetrated = -gap > rounding
+    penetrated[closed] = False
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
-    apart = np.flatnonzero((gap > rounding) & (push > 0))
-    return np.union1d(tension, apart).astype(np.intp), np.setdiff1d(penetrated, closed)
+    opening = (gap > rounding) & (push > 0)
+    if np.any(push < 0):
+        opening |= _push(problem, answer.doubles) < -WITHIN_ROUNDING
+    return np.flatnonzero(opening), np.flatnonzero(penetrated)
 
 
 def _regular(answer: OnSet) -> bool:
@@ -315,14 +315,14 @@ def _decided(
     compliance = delassus(condensation).compliance[: len(push)]
     settled = answer.nothing[: len(compliance)]
     noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
-    length = np.where(np.isin(np.arange(len(noise)), closed), push * compliance, gap)
+    is_closed = np.zeros(len(noise), dtype=bool)
+    is_closed[closed] = True
+    length = np.where(is_closed, push * compliance, gap)
     if np.any((abs(length) > settled) & (abs(length) <= noise)):
         answer = answer_on(problem, condensation, closed, caution=CAUTION)
         noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
         push, gap = answer.doubles.normal_force, answer.gap.double()
-    tension = np.flatnonzero(push * compliance < -noise)
-    penetrated = np.flatnonzero(gap < -noise)
-    return np.union1d(np.setdiff1d(closed, tension), np.setdiff1d(penetrated, closed)).astype(np.intp)
+    return np.flatnonzero(np.where(is_closed, push * compliance >= -noise, gap < -noise))
 
 
 def _reached_by_drive(

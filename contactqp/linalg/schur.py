@@ -196,20 +196,22 @@ class BackSubstitution:
 
     def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
         self._retained = retained
-        self._interior = np.setdiff1d(np.arange(stiffness.shape[0]), retained)
-        self._coupling = stiffness[self._interior][:, retained]
+        inner = np.ones(stiffness.shape[0], dtype=bool)
+        inner[retained] = False
+        self._interior = np.flatnonzero(inner)
+        self._coupling = _block(stiffness, self._interior, retained)
         self._factor: Factorization | None = None
         self.half_substitutions = 0
         if self._interior.size:
-            self._factor = factorise(stiffness[self._interior][:, self._interior])
+            self._factor = factorise(_block(stiffness, self._interior, self._interior))
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
         self.schur = self._schur_complement(stiffness)
 
     def _schur_complement(self, stiffness: Any) -> Array:
-        S = stiffness[self._retained][:, self._retained].toarray()
-        for start in range(0, len(self._retained), BLOCK):
+        S = _dense(_block(stiffness, self._retained, self._retained))
+        for start in range(0, len(self._retained) if self._interior.size else 0, BLOCK):
             columns = slice(start, start + BLOCK)
-            right = self._coupling[:, columns].toarray()
+            right = _dense(self._coupling[:, columns])
             S[:, columns] -= self._coupling.T @ self._solve(right)
         return np.asarray((S + S.T) / 2)
 
@@ -237,6 +239,17 @@ class BackSubstitution:
         u[self._retained] = retained
         u[self._interior] = -self._solve(self._coupling @ retained)
         return u
+
+
+def _block(stiffness: Any, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
+    """K of these rows and columns: an array where K is small, else CSR."""
+    if stiffness.shape[0] <= DENSE_SIZE:
+        return stiffness.toarray()[np.ix_(rows, columns)]
+    return stiffness[rows][:, columns]
+
+
+def _dense(matrix: Any) -> Array:
+    return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
 
 
 class LastBlock:

@@ -26,6 +26,7 @@ from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import (
+    csr_rows,
     read_array,
     read_friction,
     read_gap,
@@ -318,7 +319,7 @@ class ContactProblem:
         kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
-        rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
+        rows = {name: csr_rows(matrix) for name, matrix in (("normal", normal), ("tie", tie))}
         return ContactProblem._of_checked(kept | frictionless | data | rows | dict(load_sum=load_size), Computed())
 
     @cached_property
@@ -341,7 +342,8 @@ class ContactProblem:
         if of_stiffness.rows is None:
             K = self.stiffness
             columns = sp.issparse(K) and K.format == "csc"
-            arrays = (K.data, K.indices, K.indptr) if columns else K
+            by_rows = K if columns else csr_rows(K)
+            arrays = by_rows.data, by_rows.indices, by_rows.indptr
             of_stiffness.rows = read_only(sp.csr_matrix(arrays, shape=K.shape))
         return of_stiffness.rows
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
-from contactqp.model.printed_stiffness import clear_of_printing
+from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 
@@ -169,10 +169,26 @@ def _sparse(name: str, value: Any) -> Any:
         dense = read_array(name, value)
         if dense.ndim != 2:
             raise InvalidProblem(f"{name}: expected a matrix, got {dense.ndim} dimension(s) of shape {dense.shape}")
-        rows = sp.csr_array(dense)
+        _finite(name, dense)
+        return csr_rows(dense)
     rows.sum_duplicates()
     _finite(name, rows.data)
     rows.eliminate_zeros()
+    return rows
+
+
+def csr_rows(matrix: Any) -> Any:
+    """Return a matrix as a CSR array; one of an array in the order of its rows, without explicit zeros."""
+    if isinstance(matrix, sp.csr_array):
+        return matrix
+    if sp.issparse(matrix):
+        return sp.csr_array(matrix)
+    dense = np.asarray(matrix)
+    filled = dense != 0
+    indptr = np.zeros(len(dense) + 1, dtype=np.int32)
+    np.cumsum(np.count_nonzero(filled, axis=1), out=indptr[1:])
+    rows = sp.csr_array((dense[filled], np.nonzero(filled)[1].astype(np.int32), indptr), shape=dense.shape)
+    rows.has_canonical_format = True
     return rows
 
 
@@ -229,7 +245,10 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
                 f"of sqrt(K[{i}, {i}] K[{j}, {j}]) (at most {SYMMETRY_TOLERANCE:g} is symmetrised)"
             )
         K = sp.csr_array((K + K.T) / 2)
-    cleared = clear_of_printing(K, read_motions("near_null_space", motions, n))
+    stated = read_motions("near_null_space", motions, n)
+    if n <= DEFINITENESS_CHECK_SIZE and _resists_every_motion(K.toarray()):
+        return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, 0.0
+    cleared = clear_of_printing(K, stated)
     K, change = (K, 0.0) if cleared is None else (cleared.stiffness, cleared.change)
     if n <= DEFINITENESS_CHECK_SIZE:
         _refuse_indefinite(K.toarray())
@@ -238,9 +257,24 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
 
 def _symmetric(K: Any) -> bool:
     """To the last digit, K in canonical CSR."""
+    if K.shape[0] <= DEFINITENESS_CHECK_SIZE:
+        dense = K.toarray()
+        return np.array_equal(dense, dense.T)
     other = K.T.tocsr()
     pairs = ((K.indptr, other.indptr), (K.indices, other.indices), (K.data, other.data))
     return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def _resists_every_motion(K: NDArray[np.float64]) -> bool:
+    """Whether K is definite, and no motion is so soft that lost digits might be all that resists it.
+
+    `clear_of_printing` scales by the powers of two nearest to 1/sqrt(K_jj): its eigenvalues are at least half of these.
+    """
+    diagonal = np.diag(K)
+    if not np.all(diagonal > 0):
+        return False
+    root = np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(K / np.outer(root, root))[0] > 2 * SOFT)
 
 
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:

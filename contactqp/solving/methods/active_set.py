@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
+from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, saddle_point
 from contactqp.linalg.scaling import nondimensional
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings
@@ -95,8 +96,6 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
     none = np.zeros(len(load))
     if not motions.shape[1] or np.linalg.norm(drive) <= OPERATOR_ROUNDING * np.linalg.norm(scaled_load):
         return none
-    from scipy.optimize import linprog
-
     rows, m = operator.rows, problem.contacts
     length = np.linalg.norm(rows, axis=1)
     limit = np.concatenate([problem.gap, problem.tie_value]) / length
@@ -104,6 +103,10 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
     if reach == 0:
         return none
     rows = (rows / length[:, None]) @ motions
+    if not problem.ties and touch_one_each(rows):
+        return np.asarray(reach * (motions @ _furthest(drive, rows, limit / reach)))
+    from scipy.optimize import linprog
+
     answer = linprog(
         -drive / np.linalg.norm(drive),
         A_ub=rows[:m],
@@ -114,6 +117,16 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
         method="highs",
     )
     return none if answer.x is None else np.asarray(reach * (motions @ answer.x))
+
+
+def _furthest(drive: Vector, rows: Array, limit: Vector) -> Vector:
+    """max d'a over R a <= g, each row of which bounds one coordinate; zero where there is no such place."""
+    bound = np.divide(limit[:, None], rows, out=np.full(rows.shape, np.nan), where=rows != 0)
+    most = np.min(np.where(rows > 0, bound, np.inf), axis=0, initial=np.inf)
+    least = np.max(np.where(rows < 0, bound, -np.inf), axis=0, initial=-np.inf)
+    aim = np.where(drive > 0, most, np.where(drive < 0, least, np.clip(0.0, least, most)))
+    nowhere = np.any(least > most) or not np.all(np.isfinite(aim)) or np.any(limit[~np.any(rows, axis=1)] < 0)
+    return np.zeros(len(drive)) if nowhere else aim
 
 
 def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
