@@ -8,6 +8,7 @@ which some of them press.
 import os
 import signal
 from collections import Counter
+from zlib import crc32
 
 import pytest
 
@@ -18,9 +19,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 pytest_plugins = ["pytester"]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--share", metavar="K/N", help="the K-th of N parts of the tests, from 0, the same ones every time"
+    )
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a long list of tests that is `sampled` one in so many runs every time, the others with `-m slow`."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a long list of tests that is `sampled` one in so many runs every time, the others with `-m slow`.
+
+    Of a share only the tests are kept whose names have its remainder.
+    """
     seen: Counter[str] = Counter()
     for item in items:
         mark = item.get_closest_marker("sampled")
@@ -30,3 +40,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if seen[name] % mark.args[0]:
             item.add_marker("slow")
         seen[name] += 1
+    if (share := config.getoption("--share")) is not None:
+        part, parts = (int(number) for number in share.split("/"))
+        kept = [crc32(item.nodeid.encode()) % parts == part for item in items]
+        config.hook.pytest_deselected(items=[item for item, keep in zip(items, kept, strict=True) if not keep])
+        items[:] = [item for item, keep in zip(items, kept, strict=True) if keep]

@@ -17,6 +17,7 @@ from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
+from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
@@ -154,11 +155,12 @@ def impact(
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
     M = _mass(entry, read_mass(mass, n), problem)
     body = Body(problem, M, float(time_step))
-    run = MotionRun(entry.make(body, settings), _loads(problem, load), float(start_time), method, options)
-    if entry.explicit:
-        run.check_critical_step(penalty)
-    run.start(u, v)
-    return run.lasting(duration)
+    with one_blas_thread(problem):
+        run = MotionRun(entry.make(body, settings), _loads(problem, load), float(start_time), method, options)
+        if entry.explicit:
+            run.check_critical_step(penalty)
+        run.start(u, v)
+        return run.lasting(duration)
 
 
 def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHistory:

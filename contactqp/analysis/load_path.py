@@ -18,6 +18,7 @@ from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
@@ -120,7 +121,7 @@ def follow_path(
         return of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
-    with problem.lock:
+    with problem.lock, one_blas_thread(problem):
         if problem.frictional:
             chosen = find(method)
             if chosen.springs is not None:

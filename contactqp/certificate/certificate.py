@@ -35,7 +35,7 @@ from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import bodies, own_compliance, ratio
-from contactqp.linalg.runtime import CERTIFY, stage
+from contactqp.linalg.runtime import CERTIFY, one_blas_thread, stage
 from contactqp.linalg.saddle import dependent_sparse_ties, dependent_ties
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
@@ -107,7 +107,7 @@ def compute_certificate(
     if not answer.finite():
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
-    with stage(CERTIFY):
+    with one_blas_thread(problem), stage(CERTIFY):
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
             whole: Certificate = rows.certificate(judged, answer)

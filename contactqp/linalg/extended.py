@@ -40,7 +40,7 @@ class Extended:
 
     def __init__(self, hi: Any, lo: Any = None) -> None:
         self.hi: Array = np.array(hi, dtype=float)
-        self.lo: Array = np.zeros_like(self.hi) if lo is None else np.array(lo, dtype=float)
+        self.lo: Array = np.zeros(self.hi.shape) if lo is None else np.array(lo, dtype=float)
 
     def __len__(self) -> int:
         return len(self.hi)

@@ -32,7 +32,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.condensation import WRITTEN_OUT, Condensation
 from contactqp.linalg.factorization import DenseCholesky, orthonormal
 from contactqp.linalg.krylov import IndependentRows
 from contactqp.model.arrays import Array, Vector
@@ -58,7 +58,8 @@ class Delassus:
         # Of S with a diagonal of ones; beneath REGULAR its inverse has lost half of the digits.
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
         response = self.solve(self.rows.T)
-        W = sp.csr_array(self.rows) @ response  # a contact touches few unknowns
+        few = self.rows.size <= WRITTEN_OUT
+        W = (self.rows if few else sp.csr_array(self.rows)) @ response  # a contact touches few unknowns
         self.row_scale = 1.0 / np.sqrt(np.diag(W))
         self.compliance = np.asarray(1.0 / self.row_scale**2)  # W_ii of every contact and tie [length / force]
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)

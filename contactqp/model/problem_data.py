@@ -38,6 +38,8 @@ def read_only(value: T) -> T:
     Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
     """
     found: Any = value
+    if found is None or isinstance(found, (float, int, str)):
+        return value
     if isinstance(found, np.ndarray):
         if isinstance(found.base, np.ndarray) and found.base.flags.writeable:
             found = found.copy()

@@ -64,3 +64,31 @@ def test_paths_of_one_body_in_threads():
         forces = list(pool.map(lambda history: history.normal_forces, histories))
     for found in forces:
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15 * expected.max())
+
+
+@pytest.mark.parametrize("ask", ["solve", "certify", "follow_path", "impact"])
+def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str, monkeypatch) -> None:
+    """On a membrane of 737 unknowns with 217 contacts two threads of BLAS spun; the body was thought too small."""
+    m = runtime.WORTHWHILE + 8
+    chain = 2 * np.eye(m) - np.eye(m, k=1) - np.eye(m, k=-1)
+    problem = cq.ContactProblem(stiffness=chain, load=np.ones(m), normal=np.eye(m), gap=np.linspace(0.1, 500.0, m))
+    rest, seen = np.zeros(m), set()
+    solution = cq.solve(problem)
+
+    def cholesky(*args, **options):
+        seen.update(library["num_threads"] for library in runtime._openblas().info())
+        return original(*args, **options)
+
+    from contactqp.linalg import factorization
+
+    original = factorization.DenseCholesky.__init__
+    monkeypatch.setattr(factorization.DenseCholesky, "__init__", cholesky)
+    fresh = problem.replace(stiffness=chain)
+    with threadpoolctl.threadpool_limits(2, "blas"):
+        {
+            "solve": lambda: cq.solve(fresh),
+            "certify": lambda: cq.certify(fresh, solution.displacement, solution.normal_force),
+            "follow_path": lambda: cq.follow_path(fresh, [fresh.load], steps=2),
+            "impact": lambda: cq.impact(fresh, np.eye(m), rest, rest, 0.02, 0.01),
+        }[ask]()
+    assert seen == {1}
