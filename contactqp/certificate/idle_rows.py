@@ -98,7 +98,7 @@ class ActingRows:
         """A solution of the problem with the rows that act, as one of the whole problem."""
         changed = self.forces(found) | dict(certificate=self._judged(found))
         if found.raw is not None:
-            changed["raw"] = replace(found.raw, **self._both(found.raw), certificate=self._judged(found.raw))
+            changed["raw"] = replace(found.raw, problem=self.whole, **self._raw(found.raw))
         return replace(found, **changed)
 
     def forces(self, found: Any) -> dict[str, Any]:
@@ -125,6 +125,10 @@ class ActingRows:
     def tie(self, force: Any) -> Any:
         """Forces (..., k) of the ties that act, as those of all."""
         return _spread(self.whole.ties, self.ties, force)
+
+    def _raw(self, raw: Any) -> dict[str, Any]:
+        friction = None if raw.friction_force is None else self.friction(raw.friction_force)
+        return dict(friction_force=friction, **self._both(raw))
 
     def _both(self, found: Any) -> dict[str, Any]:
         return dict(normal_force=self.normal(found.normal_force), tie_force=self.tie(found.tie_force))

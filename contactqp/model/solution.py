@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -219,14 +221,21 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Raw(ReadOnly):
-    """A method's answer before polish, and what the certificate says of it."""
+    """A method's answer before polish, and what the certificate says of it, found out when it is asked for."""
 
+    problem: ContactProblem = field(repr=False)
     displacement: Vector
     normal_force: Vector
+    friction_force: NDArray[np.float64] | None  # (m, d-1), zeros: there is a raw answer without friction alone
     tie_force: Vector
     claimed: bool
     status: str
-    certificate: Certificate
+    judge: Callable[..., Certificate] = field(repr=False)  # `contactqp.certificate.certificate.compute_certificate`
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The certificate of this answer."""
+        return self.judge(self.problem, self.displacement, self.normal_force, self.friction_force, self.tie_force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +281,7 @@ class Solution(ReadOnly):
     free_motions: tuple[FreeMotion, ...]
     certificate: Certificate
     method: str
-    seconds: float  # to the certified answer, without the certificate of the raw one
+    seconds: float  # to the certified answer
     certify_seconds: float  # of these, for the certificate
     work: Work
     raw: Raw | None = field(default=None, repr=False)  # before polish, where the answer was polished

@@ -188,9 +188,16 @@ class Run:
 
     def _raw(self, friction: Any) -> Raw:
         candidate = self.expanded
-        values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
-        certificate = compute_certificate(self.problem, values[0], values[1], friction, values[2])
-        return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)
+        return Raw(
+            self.problem,
+            candidate.displacement,
+            candidate.normal_force,
+            friction,
+            candidate.tie_force,
+            claimed=candidate.claimed,
+            status=candidate.status,
+            judge=compute_certificate,
+        )
 
 
 def _unmet(problem: ContactProblem, solution: Solution) -> bool:

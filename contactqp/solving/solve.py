@@ -36,7 +36,7 @@ from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, Raw, Solution, Work
+from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
@@ -103,17 +103,15 @@ def _of_all(
     answered = time.perf_counter()
     no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
 
-    def judged(answer: Solution | Raw) -> dict[str, Any]:
-        force = spread(answer.normal_force)
-        certificate = compute_certificate(problem, answer.displacement, force, no_friction, answer.tie_force)
-        return dict(normal_force=force, certificate=certificate)
-
-    whole = replace(solution, problem=problem, friction_force=no_friction, **judged(solution))
+    force, raw = spread(solution.normal_force), solution.raw
+    changes: dict[str, Any] = dict(problem=problem, friction_force=no_friction)
+    certificate = compute_certificate(problem, solution.displacement, force, no_friction, solution.tie_force)
+    whole = replace(solution, normal_force=force, certificate=certificate, **changes)
     certified = time.perf_counter()
     return replace(
         whole,
         contact_status=contact_status(problem, whole.certificate),
-        raw=None if solution.raw is None else replace(solution.raw, **judged(solution.raw)),
+        raw=None if raw is None else replace(raw, normal_force=spread(raw.normal_force), **changes),
         seconds=certified - started,
         certify_seconds=certified - answered,
         work=solution.work.after(spent),
@@ -346,17 +344,14 @@ def of_problem(near: NearOne, found: Solution) -> Solution:
     """
     near.refuse_far_gap(found)
 
-    def judged(answer: Solution | Raw, friction: Any) -> dict[str, Any]:
-        parts, of_answer = near.parts(answer), answer.certificate
-        tolerances = of_answer.tolerance, of_answer.error_tolerance
-        judged_parts = (parts["displacement"], parts["normal_force"], friction, parts["tie_force"])
-        return parts | dict(certificate=compute_certificate(near.whole, *judged_parts, *tolerances))
-
-    friction = near.friction(found.friction_force)
+    parts, friction = near.parts(found), near.friction(found.friction_force)
+    judged = (parts["displacement"], parts["normal_force"], friction, parts["tie_force"])
+    tolerances = found.certificate.tolerance, found.certificate.error_tolerance
+    parts["certificate"] = compute_certificate(near.whole, *judged, *tolerances)
     raw = None
     if found.raw is not None and not near.whole.frictional:
-        raw = replace(found.raw, **judged(found.raw, None))
-    whole = replace(found, problem=near.whole, friction_force=friction, raw=raw, **judged(found, friction))
+        raw = replace(found.raw, problem=near.whole, friction_force=None, **near.parts(found.raw))
+    whole = replace(found, problem=near.whole, friction_force=friction, raw=raw, **parts)
     return replace(whole, free_motions=near.motions(found.free_motions))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -206,6 +208,28 @@ def test_the_raw_answer_is_kept_beside_the_polished_one() -> None:
     assert solution.certificate.force_error is not None
     assert solution.raw.certificate.force_error > solution.certificate.force_error
     assert cq.solve(truss()).raw is None
+
+
+def test_the_raw_answer_is_judged_when_it_is_asked_for_and_travels_with_what_judges_it() -> None:
+    """A certificate of the raw answer costs as much as that of the answer, and most people never look at it."""
+    raw = cq.solve(truss(), "clarabel", tolerance=1e-3).raw
+    assert raw is not None
+    assert "certificate" not in vars(raw)
+    copied = pickle.loads(pickle.dumps(raw))
+    assert copied.certificate.force_error == raw.certificate.force_error
+    assert not raw.certificate.passed
+
+
+def test_the_raw_answer_of_a_problem_with_idle_rows_has_a_force_for_every_row() -> None:
+    known = truss()
+    normal = sp.vstack([known.normal, np.zeros((1, known.dimension))])
+    problem = cq.ContactProblem(known.stiffness, known.load, normal, np.append(known.gap, 1.0))
+    raw = cq.solve(problem, "clarabel", tolerance=1e-3).raw
+    assert raw is not None
+    assert raw.normal_force.shape == (problem.contacts,)
+    again = cq.certify(problem, raw.displacement, raw.normal_force)
+    assert raw.certificate.force_error == again.force_error
+    assert raw.certificate.failures == again.failures
 
 
 def test_unknown_names_and_options_are_refused() -> None:
