@@ -29,6 +29,8 @@ DEFAULTS_OVERRIDDEN, ORDERING, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 
 NESTED_DISSECTION, SCHUR_ONLY = 2, 1
 # Of an unsymmetric one: rows and columns are scaled and matched, so that large entries come onto the diagonal.
 SCALING, MATCHING = 10, 12
+# The variable by which people state to pypardiso where the library is.
+STATED = "PYPARDISO_MKL_RT"
 # Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
 LEAST_PIVOT = 13
 
@@ -48,9 +50,26 @@ def _library() -> Any:
         raise BackendMissing("pardiso: pypardiso is not installed: pip install 'contactqp[fast]'")
     # Its threads would wait for more work by spinning, which slows down whatever runs between two calls.
     os.environ.setdefault("KMP_BLOCKTIME", "0")
+    path = None if os.environ.get(STATED) else _installed()
+    if path is not None:
+        return ctypes.CDLL(path)
     from pypardiso.scipy_aliases import pypardiso_solver
 
     return ctypes.CDLL(pypardiso_solver.libmkl._name)
+
+
+def _installed() -> str | None:
+    """The library where the package mkl says that it has installed it, on Linux and macOS.
+
+    pypardiso goes through every folder of the environment for it, which takes a second and more where these are many.
+    """
+    from importlib.metadata import PackageNotFoundError, files
+
+    try:
+        paths = [file.locate() for file in files("mkl") or () if file.name.startswith("libmkl_rt.")]
+    except PackageNotFoundError:
+        return None
+    return next((str(path) for path in paths if os.path.exists(path)), None)
 
 
 class Pardiso:

@@ -1,5 +1,7 @@
 """All ways of eliminating interior unknowns against the dense formula, and the solver that is taken by itself."""
 
+import os
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -11,7 +13,7 @@ from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg import condensation, schur
+from contactqp.linalg import condensation, pardiso, schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.factorization import connected_parts, null_space
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
@@ -302,3 +304,14 @@ def test_connected_parts_are_those_of_the_graph(rows):
     count, label = connected_parts(sp.block_diag([chain, sp.identity(rows)], format="csr"))
     assert count == 1 + rows
     assert np.all(label[:6] == label[0])
+
+
+@needs_pardiso
+def test_the_library_of_the_package_mkl_is_the_one_that_pypardiso_finds() -> None:
+    """Where another were taken, two of them with threads of their own would be loaded in one process."""
+    from pypardiso.scipy_aliases import pypardiso_solver
+
+    path = pardiso._installed()
+    if path is None:
+        pytest.skip("mkl was not installed as a Python package")
+    assert os.path.samefile(path, pypardiso_solver.libmkl._name)
