@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import DENSE_SIZE, SuperLU, inverse_root
+from contactqp.linalg.factorization import DENSE_SIZE, SuperLU, inverse_root, with_added_diagonal
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -51,7 +51,7 @@ class StiffnessFactor:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._K = problem.stiffness_rows
-        lifted = self._K + CURVED * sp.diags(problem.diagonal)
+        lifted = with_added_diagonal(self._K, CURVED * problem.diagonal)
         if problem.dimension > LARGE and pardiso.available():
             by_pardiso = pardiso.Pardiso(lifted, np.zeros(0, dtype=np.intp))
             self._solve, self.smallest_pivot = by_pardiso.solve_all, by_pardiso.smallest_pivot

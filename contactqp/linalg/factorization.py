@@ -133,6 +133,18 @@ def inverse_root(diagonal: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 
+def with_added_diagonal(matrix: Any, added: Array) -> Any:
+    """A square CSR matrix with something (n,) added to its diagonal; where all of that is stored, its pattern stays."""
+    by_rows = sp.csr_matrix(matrix)
+    rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
+    at = np.flatnonzero(by_rows.indices == rows)
+    if not np.array_equal(rows[at], np.arange(len(added))):
+        return sp.csr_matrix(by_rows + sp.diags(added))
+    data = by_rows.data.copy()
+    data[at] += added
+    return sp.csr_matrix((data, by_rows.indices, by_rows.indptr), shape=by_rows.shape)
+
+
 def factorise(matrix: Any) -> Factorization:
     """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` says how near to singular it is.
 

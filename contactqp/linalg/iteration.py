@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
 from contactqp.linalg.measures import force_measure
-from contactqp.linalg.multigrid import Hierarchy, available
+from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.schur import CHOICE
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Vector
@@ -247,7 +247,10 @@ class Iteration(ContactIteration):
         bare = np.flatnonzero(problem.diagonal == 0)
         if bare.size:
             raise Unsupported(f"pyamg: {problem.dof_name(int(bare[0]))} has no stiffness; {_INSTEAD}")
-        hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space)
+        rows = sp.vstack([problem.normal, problem.tie], format="csr")
+        mostly = 2 * len(np.unique(rows.indices)) > problem.dimension
+        coarsest = COARSEST_TOUCHED if mostly else None
+        hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest)
         floating = np.flatnonzero(hierarchy.held <= FLOATING)
         if floating.size:
             member = int(np.flatnonzero(hierarchy.bodies == floating[0])[0])
@@ -260,7 +263,7 @@ class Iteration(ContactIteration):
         self.matrix = hierarchy.levels[0].matrix
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
         self._sizes = problem.stiffness_sizes
-        self._hierarchy = HeldHierarchy(hierarchy, sp.vstack([problem.normal, problem.tie], format="csr"))
+        self._hierarchy = HeldHierarchy(hierarchy, rows)
         self.rows, self.touched = self._hierarchy.rows[0]
         self._row_sizes = abs(self.rows)
         self._near = problem.stiffness_rows[self.touched]

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.model.arrays import Array
 
-# Unknowns of the coarsest level, which is factorised densely.
-COARSEST = 1500
+# Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
+# every set of rows, and beyond some hundred that costs more than another level does.
+COARSEST, COARSEST_TOUCHED = 1500, 400
 MOST_LEVELS = 12
 # Steps of Lanczos' method find the largest eigenvalue to a few per cent; what is missing is allowed for.
 LANCZOS_STEPS, ALLOWANCE = 10, 1.1
@@ -65,6 +66,8 @@ class Hierarchy:
     motions : (n, q) array, optional
         B, motions that cost little energy: the rigid-body motions of elastic bodies. By default the constants, one for
         each unknown of a block where K comes in blocks of three or two. Columns of zeros are left out.
+    coarsest : int, optional
+        Unknowns of the coarsest level at most; by default COARSEST.
 
     Attributes
     ----------
@@ -79,7 +82,7 @@ class Hierarchy:
         pyamg is not installed.
     """
 
-    def __init__(self, stiffness: Any, motions: Array | None = None) -> None:
+    def __init__(self, stiffness: Any, motions: Array | None = None, coarsest: int | None = None) -> None:
         if not available():
             raise BackendMissing("pyamg is not installed: pip install 'contactqp[fast]'")
         try:
@@ -94,7 +97,7 @@ class Hierarchy:
         while True:
             diagonal = _positive(matrix.diagonal())
             largest = largest_eigenvalue(matrix.__matmul__, diagonal)
-            aggregates = _aggregates(matrix) if matrix.shape[0] > COARSEST else None
+            aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None
             if aggregates is None or len(self.levels) == MOST_LEVELS:
                 if not self.levels:
                     self.held = self._least_energy(B, matrix @ B, diagonal)

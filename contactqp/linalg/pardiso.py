@@ -84,7 +84,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any, retained: NDArray[np.intp], kind: int = POSITIVE_DEFINITE) -> None:
-        upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else sp.triu(matrix, format="csr")
+        upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
         upper.sort_indices()
         if upper.nnz > np.iinfo(np.int32).max:
             raise BackendFailed(f"pardiso: {upper.nnz} entries are more than its 32-bit indices can count")
@@ -156,6 +156,15 @@ class Pardiso:
 
 def _pointer(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
+
+
+def upper_triangle(matrix: Any) -> Any:
+    """The entries of a symmetric matrix on its diagonal and right of it, by rows."""
+    by_rows = sp.csr_array(matrix.T if matrix.format == "csc" else matrix)
+    rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
+    kept = by_rows.indices >= rows
+    starts = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=by_rows.shape[0]))])
+    return sp.csr_array((by_rows.data[kept], by_rows.indices[kept], starts), shape=by_rows.shape)
 
 
 def _release(handle: Any, settings: Any, matrix_kind: int) -> None:

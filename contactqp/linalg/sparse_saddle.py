@@ -24,7 +24,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import least_length, mostly_bare
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
-from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE
+from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
 from contactqp.linalg.iteration import held_by_hierarchy
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE
@@ -106,11 +106,16 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
     plane, space = 10 * size**1.5 * (per_row / 5) ** 2, IN_SPACE * size**2
     grid = plane if per_row <= OF_PLANES else max(plane, space)
-    operations = min(grid, size * float(_band(problem)) ** 2)
     by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
-    with_hierarchy = PER_ENTRY * per_row * size + by_solver * operations
-    # Friction takes combinations of states, of which neither an interior point nor a body that floats knows anything.
-    with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
+
+    def predicted(operations: float) -> tuple[float, float]:
+        # Friction takes combinations of states: no interior point knows of them, nor does a body that floats.
+        with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
+        return with_backends, PER_ENTRY * per_row * size + by_solver * operations
+
+    if dense > max(predicted(grid)):
+        return True  # a narrower band only makes it cheaper
+    with_backends, with_hierarchy = predicted(min(grid, size * float(_band(problem)) ** 2))
     if (dense > with_backends) == (dense > with_hierarchy):
         return bool(dense > with_backends)
     return bool(dense > (with_hierarchy if size > LARGE and held_by_hierarchy(problem) else with_backends))
@@ -156,7 +161,7 @@ class SparseSaddle:
         self._left = np.delete(np.arange(self._rows.shape[0]), self._fixing)
         rows = self._rows[self._left][:, self._free]
         stiffness = self._K[self._free][:, self._free] if self._fixed.size else self._K
-        upper = sp.csr_matrix(stiffness + regularisation * sp.identity(len(self._free)))
+        upper = with_added_diagonal(stiffness, np.full(len(self._free), regularisation))
         lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
         self._factor = factorised(matrix, pardiso.INDEFINITE if rows.shape[0] else pardiso.POSITIVE_DEFINITE)

@@ -15,7 +15,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, pardiso, schur
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import connected_parts, null_space
+from contactqp.linalg.factorization import connected_parts, null_space, with_added_diagonal
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
 from contactqp.linalg.schur import BackSubstitution, LastBlock, TrailingBlock, eliminate
 
@@ -315,3 +315,16 @@ def test_the_library_of_the_package_mkl_is_the_one_that_pypardiso_finds() -> Non
     if path is None:
         pytest.skip("mkl was not installed as a Python package")
     assert os.path.samefile(path, pypardiso_solver.libmkl._name)
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo"])
+def test_what_pardiso_and_the_saddle_points_are_given_is_the_matrix(form):
+    """One half of a symmetric matrix, whichever way it is stored, and a diagonal that may not all be stored before."""
+    half = sp.random(60, 60, 0.1, random_state=1)
+    matrix = half + half.T
+    given = matrix.asformat(form)
+    assert np.array_equal(pardiso.upper_triangle(given).toarray(), np.triu(matrix.toarray()))
+    added = np.arange(1.0, 61.0)
+    for known in (given, (matrix + sp.identity(60)).asformat(form)):
+        expected = known.toarray() + np.diag(added)
+        assert np.array_equal(with_added_diagonal(known, added).toarray(), expected)

@@ -45,9 +45,10 @@ LOOSEST = 1e-9
 UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
-# A set that another method goes on from: the error in energy on it, of the energy of the displacement, and steps in all
-# (on membranes of a million nodes it takes 45), beyond which a hierarchy is taken to be of no use.
-IDENTIFIED, IDENTIFYING_STEPS = 1e-6, 150
+# A set that another method goes on from, which changes what is still wrong of it: the error in energy on it, of the
+# energy of the displacement, and steps in all (on membranes of a million nodes it takes 45), beyond which a hierarchy
+# is taken to be of no use.
+IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
 # Forces and lengths of this part of the energy norm of the displacement are nothing
 # (`contactqp.linalg.measures`): a tenth of what the certificate takes for nothing.
 NOTHING = 1e-13
