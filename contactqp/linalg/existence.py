@@ -11,6 +11,7 @@ a motion that only the rest of the cone would allow is not claimed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -42,8 +43,9 @@ PROJECTIONS = 2
 NO_PART = 1e-9
 # Rounding of a length and of the sums behind it, relative to the lengths that meet; of a weighted sum of rows likewise.
 ROUNDING = 8 * np.finfo(float).eps
-# A conflict of more constraints than this is not solved for in rational numbers.
-MOST_EXACT = 60
+# A conflict of more constraints than this is not solved for in rational numbers: its weights are looked for among
+# ratios of whole numbers up to LARGEST_DENOMINATOR, which what a linear program leaves of them determines.
+MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
 # Loads that balance to less than this of their size were meant to balance: the message says how to make them.
 MEANT_TO_BALANCE = 1e-4
 NAMES_IN_A_MESSAGE = 8
@@ -385,11 +387,12 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     own = abs(weight) * np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
     members = np.flatnonzero(own > NO_PART * np.max(own))
     touched = np.unique(rows[members].indices)
-    part, scale = rows[members][:, touched].toarray(), scale[touched]
-    found = _cancelling(part) if len(members) <= MOST_EXACT else None
+    part, scale = sp.csc_matrix(rows[members][:, touched]), scale[touched]
+    few = len(members) <= MOST_EXACT
+    found = _cancelling(part.toarray()) if few else _cancelling_simply(part, weight[members])
     exact = found is not None
     if found is None:
-        found = [Fraction(float(x)) for x in _nearly_cancelling(part * scale)]
+        found = [Fraction(float(x)) for x in _nearly_cancelling(part.toarray() * scale)]
     if sum(x * Fraction(float(w)) for x, w in zip(found, weight[members], strict=True)) < 0:
         found = [-x for x in found]
     largest = max((abs(x) for x in found), default=Fraction(0))
@@ -436,6 +439,21 @@ def _cancelling(rows: Array) -> list[Fraction] | None:
     return weights
 
 
+def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:
+    """The weights as ratios of small whole numbers, if the rows of a CSC matrix then cancel in rational numbers."""
+    largest = float(np.max(abs(weight)))
+    found = [Fraction(float(w) / largest).limit_denominator(LARGEST_DENOMINATOR) for w in weight]
+    return found if all(not sum(terms, Fraction(0)) for terms in _terms(rows, found)) else None
+
+
+def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
+    """The weighted entries of every column of a CSC matrix."""
+    for j in range(rows.shape[1]):
+        at = slice(rows.indptr[j], rows.indptr[j + 1])
+        entries = zip(rows.indices[at].tolist(), rows.data[at].tolist(), strict=True)
+        yield [weights[i] * Fraction(value) for i, value in entries]
+
+
 def _nearly_cancelling(rows: Array) -> Vector:
     """The weights of unit length whose sum of rows is least, each row scaled to unit length on the way."""
     length = np.linalg.norm(rows, axis=1)
@@ -443,11 +461,12 @@ def _nearly_cancelling(rows: Array) -> Vector:
     return np.asarray(rotation[-1] / length)
 
 
-def _cancel_to_rounding(rows: Array, weights: list[Fraction]) -> bool:
-    """Whether the weighted rows cancel, unknown by unknown, to rounding of their entries; the sums are exact."""
-    for j in np.flatnonzero(np.any(rows != 0, axis=0)):
-        terms = [x * Fraction(float(value)) for x, value in zip(weights, rows[:, j], strict=True)]
-        if abs(sum(terms, Fraction(0))) > len(terms) * Fraction(ROUNDING) * sum((abs(x) for x in terms), Fraction(0)):
+def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
+    """Whether the weighted rows of a CSC matrix cancel, unknown by unknown, to rounding of their entries; the sums are
+    exact."""
+    part = rows.shape[0] * Fraction(ROUNDING)
+    for terms in _terms(rows, weights):
+        if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):
             return False
     return True
 

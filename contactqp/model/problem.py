@@ -77,6 +77,8 @@ class Computed:
     locks: dict[int, Any] = field(default_factory=dict)  # by process
     idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
     acting: Any = None  # certificate.idle_rows: the problem without them
+    parallel_rows: Any = None  # solving.presolve
+    presolved: Any = None  # solving.presolve: the problem without rows that it can do without
     near_one: Any = None  # certificate.number_range: whether K and the rows are, and else these in other units
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation

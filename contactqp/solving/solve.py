@@ -38,6 +38,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
+from contactqp.solving.presolve import PresolvedRun, presolved
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
 
@@ -383,10 +384,16 @@ def begin(
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
-        way = next(way for way in WAYS if way.applies(problem, chosen, condense))
-        run = way.run(problem, chosen, settings, condense, algorithm)
+        run = _run(problem, chosen, settings, condense, algorithm)
     run.polish, run.seconds = polish, time.perf_counter() - started
     return run
+
+
+def _run(
+    problem: ContactProblem, method: Method, settings: Settings, condense: bool | str, algorithm: str | None
+) -> Run:
+    way = next(way for way in WAYS if way.applies(problem, method, condense))
+    return way.run(problem, method, settings, condense, algorithm)
 
 
 @dataclass(frozen=True)
@@ -401,6 +408,20 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
     from contactqp.solving.friction_runs import run_friction
 
     return run_friction(problem, method, settings, algorithm)
+
+
+def _has_rows_to_spare(problem: ContactProblem, method: Method, _: Any) -> bool:
+    return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
+
+
+def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, condense: Any, _: Any) -> Run:
+    fewer = presolved(problem)
+    assert fewer is not None
+
+    def run(shown: ContactProblem, changed: Settings) -> Run:
+        return _run(shown, method, changed, condense, None)
+
+    return PresolvedRun(fewer, problem, method, settings, run)
 
 
 def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str) -> bool:
@@ -425,6 +446,8 @@ WAYS = (
         lambda problem, *_: iterated(problem),
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
+    # Rows outnumber the unknowns, and some are not needed.
+    Way(_has_rows_to_spare, _run_presolved),
     # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
     Way(
         lambda problem, method, condense: _stays_sparse(problem, method, condense),

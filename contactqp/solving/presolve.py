@@ -1,0 +1,294 @@
+"""Rows that a method need not see: they are set aside before it runs, and have their forces again afterwards.
+
+Where rows outnumber the unknowns, as in quadratic programs, some follow from others. Contacts and ties that are
+parallel, E_i = c_i E_k, ask for the same displacement along one row: of contacts with c_i > 0 only those with the least
+g_i / c_i can close, and of ties with equal b_i / c_i one holds them all. What the kept row k carries, F, is shared by
+those that close together so that the sum of squares is least: l_i = F c_i / (sum of c_j^2), of one sign. Bounds of one
+unknown are parallel rows, too. A contact with E_i u < g_i wherever the bounds of its unknowns allow u to be cannot
+close: its force is zero.
+
+Nothing here is decided by a tolerance: rows are parallel and gaps equal where they are so in rational numbers, and what
+a row may reach is summed with the rounding of the sum added. The certificate sees all rows all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.errors import NoEquilibrium
+from contactqp.linalg.existence import Conflict
+from contactqp.model.arrays import Indices, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Candidate, Final, Solution, Work
+from contactqp.solving.methods import Method, Settings
+from contactqp.solving.runs import Run
+
+# Places of the random numbers by which rows are told apart before they are compared entry by entry.
+SEED = 0
+# Names of rows that a note lists.
+NAMED = 8
+# Rounding of a sum of q products, and of the bounds in them, is at most (q + ROUNDINGS) eps of the sum of their sizes.
+ROUNDINGS = 4
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """Rows that are parallel: row i is c_i times the first of them."""
+
+    rows: Indices
+    factors: tuple[Fraction, ...]  # c_i, the first of them one
+
+    def tightest(self, limit: Vector) -> tuple[Indices, list[Fraction]]:
+        """The contacts with the least g_i / c_i, which close together, and their factors."""
+        reached = [Fraction(float(limit[i])) / c for i, c in zip(self.rows, self.factors, strict=True)]
+        least = min(reached)
+        at = [place for place, value in enumerate(reached) if value == least]
+        return self.rows[at], [self.factors[place] for place in at]
+
+    def same(self, limit: Vector) -> tuple[Indices, list[Fraction]]:
+        """The ties that are met wherever the first is, and their factors."""
+        first = Fraction(float(limit[self.rows[0]]))
+        pairs = enumerate(zip(self.rows, self.factors, strict=True))
+        at = [place for place, (i, c) in pairs if Fraction(float(limit[i])) == c * first]
+        return self.rows[at], [self.factors[place] for place in at]
+
+
+def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
+    """The parallel rows of a CSR matrix, of one sense where they are signed, as contacts are; ties may be turned."""
+    lengths = np.diff(rows.indptr)
+    filled = np.flatnonzero(lengths)
+    if not filled.size:
+        return ()
+    first = np.zeros(len(lengths))
+    first[filled] = rows.data[rows.indptr[filled]]
+    ratio = rows.data / np.repeat(first, lengths)
+    # Quotients of doubles are rounded alike where they are alike, and so are their sums in the same order.
+    marks = np.random.default_rng(SEED).uniform(1.0, 2.0, rows.shape[1])[rows.indices] * ratio
+    key = np.add.reduceat(marks, rows.indptr[filled])
+    sense = np.sign(first[filled]) if signed else np.ones(len(filled))
+    order = np.lexsort((filled, sense, key))
+    changes = (np.diff(key[order]) != 0) | (np.diff(sense[order]) != 0)
+    groups = np.split(filled[order], np.flatnonzero(changes) + 1)
+    return tuple(found for members in groups if len(members) > 1 for found in _verified(rows, members))
+
+
+def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
+    """Those of some rows that are exactly parallel to the first of them."""
+    entries = [slice(rows.indptr[i], rows.indptr[i + 1]) for i in members]
+    columns, values = rows.indices[entries[0]], rows.data[entries[0]]
+    found, factors = [int(members[0])], [Fraction(1)]
+    for i, at in zip(members[1:], entries[1:], strict=True):
+        factor = _factor(values, rows.data[at]) if np.array_equal(columns, rows.indices[at]) else None
+        if factor is not None:
+            found.append(int(i))
+            factors.append(factor)
+    if len(found) > 1:
+        yield Parallel(np.array(found, dtype=np.intp), tuple(factors))
+
+
+def _factor(values: Vector, others: Vector) -> Fraction | None:
+    """c with others = c * values, in rational numbers; None where there is none."""
+    if np.array_equal(values, others):
+        return Fraction(1)
+    factor = Fraction(float(others[0])) / Fraction(float(values[0]))
+    pairs = zip(values.tolist(), others.tolist(), strict=True)
+    return factor if all(Fraction(other) == factor * Fraction(value) for value, other in pairs) else None
+
+
+def never_close(problem: ContactProblem) -> Indices:
+    """The contacts of several unknowns that cannot close, as far as bounds of single unknowns tell."""
+    E = problem.normal
+    lower, upper = _bounds(problem)
+    with np.errstate(invalid="ignore"):  # 0 times infinity does not occur: entries of zero are not stored
+        farthest = np.where(E.data > 0, E.data * upper[E.indices], E.data * lower[E.indices])
+    lengths, filled = np.diff(E.indptr), np.flatnonzero(np.diff(E.indptr) > 1)
+    if not filled.size:
+        return filled
+    totals, sizes = np.full(len(lengths), np.inf), np.zeros(len(lengths))
+    sums = sp.csr_matrix((farthest, E.indices, E.indptr), shape=E.shape)
+    totals[filled] = np.asarray(sums.sum(axis=1)).ravel()[filled]
+    sizes[filled] = np.asarray(abs(sums).sum(axis=1)).ravel()[filled]
+    rounding = (lengths + ROUNDINGS) * np.finfo(float).eps * sizes
+    return np.flatnonzero((lengths > 1) & np.isfinite(totals) & (totals + rounding < problem.gap))
+
+
+def _bounds(problem: ContactProblem) -> tuple[Vector, Vector]:
+    """(n,), (n,) the least and the largest value that contacts and ties of one unknown leave each."""
+    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
+    for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
+        single = np.flatnonzero(np.diff(rows.indptr) == 1)
+        unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
+        value = limit[single] / entry
+        np.minimum.at(upper, unknown[(entry > 0) | both], value[(entry > 0) | both])
+        np.maximum.at(lower, unknown[(entry < 0) | both], value[(entry < 0) | both])
+    return lower, upper
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How rows that are set aside take part in what others carry: force = matrix @ (forces of the kept rows)."""
+
+    kept: Indices
+    matrix: Any  # (all, kept) CSR
+
+    def restricted(self, force: Vector) -> Vector:
+        """The forces of the kept rows that do what all forces do where those that share close."""
+        weight = np.asarray(self.matrix.multiply(self.matrix).sum(axis=0)).ravel()
+        return np.asarray(self.matrix.T @ force / weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Presolved:
+    """A problem with the rows that a method is shown, and the way back to all of them."""
+
+    problem: ContactProblem
+    contacts: Shares
+    ties: Shares
+    notes: tuple[str, ...]
+
+    def restricted(self, start: Candidate | None) -> Candidate | None:
+        """A place to start from, of all rows, as one of the rows that are left."""
+        if start is None:
+            return None
+        normal, tie = self.contacts.restricted(start.normal_force), self.ties.restricted(start.tie_force)
+        return replace(start, normal_force=normal, tie_force=tie)
+
+    def spread(self, found: Candidate | Final) -> Any:
+        """An answer on the rows that are left as one on all of them."""
+        normal, tie = self.contacts.matrix @ found.normal_force, self.ties.matrix @ found.tie_force
+        return replace(found, normal_force=normal, tie_force=tie)
+
+
+def presolved(problem: ContactProblem) -> Presolved | None:
+    """The problem without rows that it can do without; None where rows do not outnumber the unknowns, or all count."""
+    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
+        return None
+    groups = problem._computed.parallel_rows
+    if groups is None:
+        groups = parallel_rows(problem.normal, True), parallel_rows(problem.tie, False)
+        problem._computed.parallel_rows = groups
+    idle = never_close(problem)
+    notes: list[str] = []
+    contacts = _shares(problem.contacts, [(g.rows, *g.tightest(problem.gap)) for g in groups[0]], idle)
+    together = [g.same(problem.tie_value) for g in groups[1]]
+    ties = _shares(problem.ties, [(same[0], *same) for same in together], np.zeros(0, dtype=np.intp))
+    if len(contacts.kept) == problem.contacts and len(ties.kept) == problem.ties:
+        return None
+    aside = np.setdiff1d(np.arange(problem.contacts), np.concatenate([contacts.kept, idle]))
+    for names, said in (
+        ([problem.contact_name(int(i)) for i in aside[:NAMED]], _more(len(aside), "parallel to nearer or equal ones")),
+        ([problem.contact_name(int(i)) for i in idle[:NAMED]], _more(len(idle), "out of reach within bounds")),
+    ):
+        if names:
+            notes.append(f"set aside: {', '.join(names)}{said}")
+    dropped = np.setdiff1d(np.arange(problem.ties), ties.kept)
+    if dropped.size:
+        names = [problem.tie_name(int(i)) for i in dropped[:NAMED]]
+        notes.append(f"set aside: {', '.join(names)}{_more(len(dropped), 'parallel to equal ones')}")
+    return Presolved(_with(problem, contacts.kept, ties.kept), contacts, ties, tuple(notes))
+
+
+def _more(count: int, said: str) -> str:
+    return f"{f' and {count - NAMED} more' if count > NAMED else ''}, {said}"
+
+
+def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], idle: Indices) -> Shares:
+    """Of `count` rows, of each group (all, those that act together, factors) the first that acts, none of the idle."""
+    owner, share, kept = np.arange(count), np.ones(count), np.ones(count, dtype=bool)
+    for members, acting, factors in groups:
+        first = factors[0]
+        relative = [c / first for c in factors]
+        total = sum((c * c for c in relative), Fraction(0))
+        kept[members], share[members] = False, 0.0
+        kept[acting[0]] = True
+        owner[members] = acting[0]
+        share[acting] = [float(c / total) for c in relative]
+    kept[idle] = False
+    place = np.cumsum(kept) - 1
+    used = np.flatnonzero(kept[owner] & (share != 0))
+    matrix = sp.csr_matrix((share[used], (used, place[owner[used]])), shape=(count, int(np.sum(kept))))
+    return Shares(np.flatnonzero(kept), matrix)
+
+
+def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactProblem:
+    """The problem with these rows alone; what is computed of them is kept for other loads and gaps."""
+    known = problem._computed.presolved
+    if known is None or not (np.array_equal(known[0], contacts) and np.array_equal(known[1], ties)):
+        known = problem._computed.presolved = (contacts, ties, problem.with_contacts(contacts).with_ties(ties))
+    fewer: ContactProblem = known[2].replace(
+        load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties]
+    )
+    return fewer if problem.load_sum is None else fewer.with_load_sum(problem.load, problem.load_size)
+
+
+class PresolvedRun(Run):
+    """A run on the rows that are left, its answer that of all rows.
+
+    Raises
+    ------
+    NoEquilibrium, NotConverged, BackendFailed, Unsupported
+        As the run on the rows that are left.
+    """
+
+    def __init__(
+        self, fewer: Presolved, problem: ContactProblem, method: Method, settings: Settings, begin: Callable[..., Run]
+    ) -> None:
+        super().__init__(problem, method)
+        self._fewer = fewer
+        settings = replace(settings, warm_start=fewer.restricted(settings.warm_start))
+        with self._proofs_of_all_rows():
+            self._run = begin(fewer.problem, settings)
+        self.candidate = fewer.spread(self._run.candidate)
+
+    @contextmanager
+    def _proofs_of_all_rows(self) -> Iterator[None]:
+        """Weights of constraints that conflict are those of all rows, zero where these are set aside."""
+        try:
+            yield
+        except NoEquilibrium as error:
+            if isinstance(error.proof, Conflict):
+                normal, tie = np.zeros(self.problem.contacts), np.zeros(self.problem.ties)
+                normal[self._fewer.contacts.kept], tie[self._fewer.ties.kept] = error.proof.normal, error.proof.tie
+                error.proof = replace(error.proof, normal=normal, tie=tie)
+            raise
+
+    @property
+    def expanded(self) -> Candidate:
+        """The candidate in the unknowns and rows of the problem."""
+        whole: Candidate = self._fewer.spread(self._run.expanded)
+        return whole
+
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from."""
+        whole: Candidate = self._fewer.spread(self._run.start)
+        return whole
+
+    def final(self) -> Final:
+        """The answer that is to be certified, with a force for every row."""
+        self._run.polish = self.polish
+        with self._run.meter.running():
+            whole: Final = self._fewer.spread(self._run.final())
+        return whole
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far, the certificate of all rows apart."""
+        return self._run.work(corrections)
+
+    def refuse_conflict(self) -> None:
+        """Raise NoEquilibrium if the constraints conflict."""
+        with self._proofs_of_all_rows():
+            self._run.refuse_conflict()
+
+    def _certified(self, started: float) -> tuple[Solution, bool]:
+        solution, polished = super()._certified(started)
+        certificate = solution.certificate
+        said = replace(certificate, notes=(*certificate.notes, *self._fewer.notes))
+        return replace(solution, certificate=said), polished
