@@ -4,6 +4,7 @@
     python -m benchmarks.collections FOLDER --method clarabel   # another method of `solve`
     python -m benchmarks.collections FOLDER --limit 60 --only QAFIRO HS118
     python -m benchmarks.collections FOLDER --varied 200       # the small ones in other units, scales and orders
+    python -m benchmarks.collections FOLDER --through piqp clarabel   # what is built round backends, in their own time
 
 A row a problem: `cq.solve` with its certificate (`proven`, `passed`, or why not), what the problem determines, the
 width of the enclosed energy as a part of it, seconds; beside it PIQP and Clarabel as they are, at tolerances of 1e-9,
@@ -11,6 +12,10 @@ by qpsolvers: whether they call it found, and seconds. Each problem is read and 
 small one that loads what is needed, one after another, with the threads of the environment (OMP_NUM_THREADS), and given
 up after the limit. At the end the counts, the shifted geometric means of the seconds (shift 1 s, the limit where
 nothing was found) over PIQP's, and how many problems were passed within 1, 2, 5, 10, ... times the time of the fastest.
+
+With `--through` the rows are of `cq.solve(problem, backend)`: raw answer, set, polish and certificate, over the time of
+the backend alone, both taken in one process, the backend first, in seconds of the processor. Counted are those of the
+problems for which the backend alone takes a tenth of a second and more.
 """
 
 from __future__ import annotations
@@ -29,6 +34,8 @@ import numpy as np
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import pardiso
+from contactqp.solving.methods import Settings, find
 
 BESIDE = {
     "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -37,6 +44,8 @@ BESIDE = {
 TOLERANCE, LIMIT, SHIFT = 1e-9, 60.0, 1.0
 PASSED, DIFFERENT, SMALL = ("proven", "passed"), 1e-5, 1500
 FACTORS = (1, 2, 5, 10, 100, 1000)
+# Backends that take less are not compared with; what all of it may cost, in times of theirs.
+NOTABLE, MOST = 0.1, 3.0
 
 
 def varied(problem: cq.ContactProblem, seed: int) -> tuple[cq.ContactProblem, float]:
@@ -97,6 +106,54 @@ def as_it_is(path: str, backend: str) -> dict[str, Any]:
     return dict(verdict="found" if answer.found else "not found", seconds=seconds, energy=energy)
 
 
+def through(path: str, backend: str) -> dict[str, Any]:
+    """What a backend takes alone, and `cq.solve` by it, in seconds of the processor."""
+    problem, settings = cq.read_problem(path), Settings(TOLERANCE)
+    warm_up = cq.ContactProblem(sp.identity(SMALL) * 2.0, np.ones(SMALL), sp.identity(SMALL), np.zeros(SMALL))
+    cq.solve(warm_up, backend)
+    if pardiso.available():
+        pardiso.Pardiso(sp.identity(2, format="csr"), np.zeros(0, dtype=np.intp))
+    started = time.process_time()
+    try:
+        claimed = find(backend).solve(problem, settings).claimed
+    except cq.ContactQPError as error:
+        return dict(verdict=type(error).__name__, alone=time.process_time() - started, seconds=0.0)
+    alone, started = time.process_time() - started, time.process_time()
+    try:
+        certificate = cq.solve(problem, backend).certificate
+        verdict = "proven" if certificate.proven else "passed"
+    except cq.ContactQPError as error:
+        verdict = type(error).__name__
+    row = dict(verdict=verdict, found=claimed, alone=alone, seconds=time.process_time() - started)
+    return row | dict(unknowns=problem.dimension, rows=problem.contacts, ties=problem.ties)
+
+
+def all_through(files: list[Path], backends: list[str], limit: float) -> int:
+    """A row a problem and backend, and how many times the backend's own time the answer takes."""
+    for backend in backends:
+        factors = []
+        for file in files:
+            row = apart(through, str(file), backend, limit=limit)
+            if "found" not in row:
+                print(f"{file.stem:12s} {backend:9s} {row['verdict']}", flush=True)
+                continue
+            factor = row["seconds"] / max(row["alone"], np.finfo(float).tiny)
+            own = "found" if row["found"] else "not found"
+            print(
+                f"{file.stem:12s} {backend:9s} {row['unknowns']:6d} {row['rows']:6d} {row['ties']:6d}  alone {own:9s} "
+                f"{row['alone']:7.3f}  {row['verdict']:13s} {row['seconds']:7.3f}  {factor:5.1f}",
+                flush=True,
+            )
+            if row["found"] and row["alone"] >= NOTABLE:
+                factors.append(factor)
+        if factors:
+            print(
+                f"{backend}: {len(factors)} problems of {NOTABLE:g} s and more, {np.median(factors):.1f} times its own "
+                f"time in the median, {max(factors):.1f} at most, {sum(f <= MOST for f in factors)} within {MOST:g}"
+            )
+    return 0
+
+
 def _own(value: Any) -> Any:
     """A copy that a backend may write to, sparse matrices by columns."""
     if value is None:
@@ -144,12 +201,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--limit", type=float, default=LIMIT)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--varied", type=int)
+    parser.add_argument("--through", nargs="+", metavar="BACKEND")
     asked = parser.parse_args(arguments)
     files = sorted(file for file in asked.folder.iterdir() if file.suffix in (".mat", ".npz", ".qps", ".mps"))
     files = [file for file in files if not asked.only or file.stem in asked.only]
     if not files:
         parser.error(f"{asked.folder}: no quadratic programs")
     print(f"# {asked.method}; {os.environ.get('OMP_NUM_THREADS', 'all')} threads; limit {asked.limit:g} s")
+    if asked.through:
+        return all_through(files, asked.through, asked.limit)
     if asked.varied:
         return variants(files, asked.method, asked.varied, asked.limit)
     ours: list[dict[str, Any]] = []
