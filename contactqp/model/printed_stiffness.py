@@ -6,8 +6,9 @@ rigid but for that, K + d takes the place of K, d being the least change on the 
 
     (K + d) Z = 0,    d = d',    sum_ij (d_ij / w_ij)^2 = min,    w_ij the rounding of K_ij.
 
-a least-squares problem of as many equations as there are unknowns times motions, solved by LSQR and refined. Turns that
-were recognised are known to the digits of K only, and corrected with it: K + d on a pattern with zeros has no others.
+a least-squares problem of as many equations as there are unknowns times motions, solved by singular values, or by LSQR
+where there are many, and refined. Turns that were recognised are known to the digits of K only, and corrected with it:
+K + d on a pattern with zeros has no others.
 
 A motion is stated by the user, or recognised: K has few decimal digits, and the motion is among those of least energy.
 It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, and has signs that
@@ -59,9 +60,19 @@ DENSE = 600
 MOST_MOTIONS = 12
 # What it costs to correct a turn, beside the rounding of the largest entries: next to nothing.
 TURNED = 10.0
-# Refinements of the change, each by LSQR to a part between these, and its steps.
-REFINEMENTS, SOLVED, HARDLY_SOLVED, MOST_STEPS = 6, 1e-8, 0.1, 1000
+# Refinements of the change; those by LSQR to a part between these, and its steps.
+REFINEMENTS, SOLVED, HARDLY_SOLVED, MOST_STEPS = 8, 1e-8, 0.1, 1000
+# The first half of those by LSQR are damped, so that noise changes nothing; what they leave of the energy of turns
+# falls by a tenth a refinement only, and the others are not.
 DAMPED = 4.0
+# Equations up to which the change is found by singular values: LSQR takes hundreds of steps for what turns lack.
+FEW_EQUATIONS = 700
+# Forces K z of motions of length one, K of unit diagonal, that are rounding of their sums; and the singular value, of
+# the largest, that is: the correction of a turn comes in by its product with the change, a rounding of few digits.
+NOISE, NO_ROOM = EPS / 8, 1e-13
+# The energy z'(K + d)z that half a rounding of every entry makes of a rigid motion, as a part of |z|'|K||z|: beyond
+# twice that (`contactqp.linalg.factorization.RIGID_ENERGY`) a motion is not taken for rigid.
+ROUNDED_ENERGY = EPS / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,25 +256,42 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
     # Most patterns have room for the turns as they were recognised, and then K + d has them to rounding.
     inexact = turns if rigid.shape[1] == motions.shape[1] else 0
     for corrected in (0, inexact) if inexact else (0,):
-        change, left = _least_change(body, weight, rigid.copy(), corrected)
+        change, left = _least_change(body, weight, rigid.copy(), corrected, most)
         allowed = _of_doubles(body, rigid) if corrected else EXACT * (abs(body) @ abs(rigid))
         if abs(change).max() <= most and np.all(abs(left) <= allowed):
             return change
     return None
 
 
-def _least_change(body: Any, weight: Any, rigid: Array, turns: int) -> tuple[Any, Array]:
-    """The least change (p, p), the last `turns` motions corrected with it, and the forces (p, r) that are left."""
-    change = body * 0.0
-    for _ in range(REFINEMENTS):
+def _least_change(body: Any, weight: Any, rigid: Array, turns: int, most: float) -> tuple[Any, Array]:
+    """The least change (p, p), the last `turns` motions corrected with it, and the forces (p, r) that are left.
+
+    Given up where an entry changes by more than `most`, or where the pattern has no room for the motions as they are.
+    """
+    change, before = body * 0.0, np.inf
+    for step in range(REFINEMENTS):
         left = _forces(body + change, rigid)
         nothing = 2 * EPS * (_of_doubles(body, rigid) / EXACT if turns else abs(body) @ abs(rigid))
-        if np.all(abs(left) <= nothing):
+        if np.all(abs(left) <= nothing) and _cost_nothing(body, rigid, left):
             break
-        more, moved = _LeastChange(body + change, weight, rigid, turns).change(-left, nothing)
+        largest = float(np.max(abs(left)))
+        if not turns and largest > before / 2:
+            break
+        before = largest
+        damped = DAMPED if step < REFINEMENTS / 2 else 0.0
+        more, moved = _LeastChange(body + change, weight, rigid, turns).change(-left, nothing, damped)
         change = sp.csr_matrix(change + more)
         rigid[:, rigid.shape[1] - turns :] += moved - rigid @ (rigid.T @ moved)
+        if abs(change).max() > most:
+            break
     return change, _forces(body + change, rigid)
+
+
+def _cost_nothing(body: Any, rigid: Array, forces: Array) -> bool:
+    """Whether no combination of motions (p, r) that meet these forces (p, r) has more than a rounding's energy."""
+    energies, mix = np.linalg.eigh(rigid.T @ forces)
+    size = abs(rigid @ mix)
+    return bool(np.all(abs(energies) <= ROUNDED_ENERGY * np.sum(size * (abs(body) @ size), axis=0)))
 
 
 def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Array:
@@ -331,7 +359,7 @@ def _reach(matrix: Any, motions: Array) -> Array:
 
 
 class _LeastChange:
-    """The least change on the pattern of K that has given forces on motions Z (p, r), by LSQR.
+    """The least change on the pattern of K that has given forces on motions Z (p, r).
 
     Its unknowns are y_ij = d_ij / w_ij for i <= j, and corrections x of the last motions, d Z + K x: by so many
     roundings as K has. The equations of unknown i are scaled to unit covariance.
@@ -359,23 +387,46 @@ class _LeastChange:
             1, 2
         )
 
-    def change(self, forces: Array, nothing: Array) -> tuple[Any, Array]:
-        """d and corrections x (p, turns) with d Z + K x = forces (p, r), but for what is nothing (p, r)."""
+    def change(self, forces: Array, nothing: Array, damped: float) -> tuple[Any, Array]:
+        """d and corrections x (p, turns) with d Z + K x = forces (p, r), but for what is nothing (p, r).
+
+        By LSQR, what a rounding of the entries changes by less than `damped` of that of doubles is not asked for.
+        """
         from scipy.sparse.linalg import LinearOperator, lsqr
 
         shape = (self._motions.size, len(self._weight) + self._turns * len(self._motions))
-        operator = LinearOperator(shape, matvec=self._forces, rmatvec=self._work, dtype=float)
         right = self._whitened(forces).ravel()
+        if shape[0] <= FEW_EQUATIONS:
+            y, x = self._parts(self._by_singular_values(right))
+            return self._matrix(y), TURNED * x
+        operator = LinearOperator(shape, matvec=self._forces, rmatvec=self._work, dtype=float)
         if not self._turns:
             found = lsqr(operator, right, atol=SOLVED, btol=SOLVED, iter_lim=MOST_STEPS)[0]
             return self._matrix(found), np.zeros((len(self._motions), 0))
         part = np.linalg.norm(self._whitened(nothing)) / np.linalg.norm(right)
-        solved = float(np.clip(part / 64, SOLVED, HARDLY_SOLVED))
-        # What a rounding of the entries changes by less than that of doubles is not asked for: it is noise.
-        damp = DAMPED * EPS / self._upper.data.max()
+        solved = float(np.clip(part / 64, SOLVED, HARDLY_SOLVED)) if damped else SOLVED
+        damp = damped * EPS / self._upper.data.max()
         found = lsqr(operator, right, damp=damp, atol=EPS, btol=solved, conlim=0, iter_lim=MOST_STEPS)[0]
         y, x = self._parts(found)
         return self._matrix(y), TURNED * x
+
+    def _by_singular_values(self, right: Array) -> Array:
+        """The least unknowns for whitened forces (e,), where these are no noise and the pattern has room."""
+        left, values, unknowns = np.linalg.svd(self._dense(), full_matrices=False)
+        asked = left.T @ right
+        kept = (abs(asked) > NOISE) & (values > NO_ROOM * values[0])
+        return np.asarray(unknowns.T[:, kept] @ (asked[kept] / values[kept]))
+
+    def _dense(self) -> Array:
+        """Whitened forces of each unknown y, and then x, a column each."""
+        z, whiten = self._motions, self._whiten
+        (size, count), each, beside = z.shape, np.arange(len(self._weight)), self._beside
+        changed = np.zeros((size, count, len(each)))
+        for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, beside)):
+            felt = np.einsum("kab,kb->ka", whiten[mine[kept]], self._weight[kept, None] * z[other[kept]])
+            changed[mine[kept], :, each[kept]] = felt
+        turned = np.einsum("ij,iat->iajt", self._body.toarray(), whiten[:, :, count - self._turns :])
+        return np.concatenate([changed, turned.reshape(size, count, -1)], axis=2).reshape(size * count, -1)
 
     def _parts(self, unknowns: Array) -> tuple[Array, Array]:
         y, x = np.split(unknowns.ravel(), [len(self._weight)])

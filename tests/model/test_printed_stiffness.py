@@ -9,6 +9,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from benchmarks.families_of_printing import print_and_read
 from benchmarks.families_of_stacks import spring_block
+from contactqp.linalg.factorization import null_space
 from contactqp.model.printed_stiffness import clear_of_printing
 
 Array = np.ndarray
@@ -72,6 +73,37 @@ def test_turns_of_regular_lattices_are_recognised_with_the_zeros_of_their_stiffn
     values = np.linalg.eigvalsh(found.stiffness.toarray()) / np.max(exact)
     assert np.sum(abs(values) < 1e-14) == len(sides) + turns
     assert abs(np.linalg.eigvalsh(K.toarray()) / np.max(exact))[0] > 1e-14
+
+
+def lattice(seed: int, sides: tuple[int, ...], held: float = 0.0) -> Array:
+    """K of a lattice whose springs lie along axes and diagonals, a spring at its first unknown, printed to 6 digits."""
+    nodes = np.array(list(np.ndindex(*sides)), dtype=float)
+    K = spring_block(np.random.default_rng(seed), nodes, 1.0) / 3
+    K[0, 0] += held * np.max(K)
+    return print_and_read(K, 6)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 9])
+def test_what_is_cleared_of_printing_is_rigid_to_a_rounding_of_the_energy_too(seed: int) -> None:
+    """Refinement that looks at forces alone leaves turns twice the energy that a rigid motion may have."""
+    found = clear_of_printing(sp.csr_array(lattice(seed, (2, 2, 2))), None)
+    assert found is not None
+    assert null_space(found.stiffness).count == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sides", "digits"), [((4, 4, 4), 6), ((13, 13), 12)])
+def test_so_is_a_body_of_more_equations_than_singular_values_take(sides: tuple[int, ...], digits: int) -> None:
+    nodes = np.array(list(np.ndindex(*sides)), dtype=float)
+    exact = spring_block(np.random.default_rng([digits, *sides, 0]), nodes, 1.0) / 3
+    found = clear_of_printing(sp.csr_array(print_and_read(exact, digits)), None)
+    assert found is not None
+    assert null_space(found.stiffness).count == len(sides) * (len(sides) + 1) // 2
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_spring_of_a_hundred_roundings_is_no_rounding(seed: int) -> None:
+    assert clear_of_printing(sp.csr_array(lattice(seed, (2, 2, 2), held=1e-4)), None) is None
 
 
 @pytest.mark.parametrize("seed", range(30))
