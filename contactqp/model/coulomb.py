@@ -60,11 +60,7 @@ Vectors = NDArray[np.float64]  # (m, d)
 
 def lengths(vectors: Vectors) -> Vector:
     """|v| of every row, infinite where an entry is, and right where squares are no doubles."""
-    if vectors.shape[1] == 1:
-        return np.asarray(abs(vectors[:, 0]))
-    largest = np.max(abs(vectors), axis=1, initial=0.0)
-    scale = np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
-    return np.asarray(scale * np.linalg.norm(vectors / scale[:, None], axis=1))
+    return np.asarray(np.hypot.reduce(vectors, axis=1, initial=0.0))
 
 
 def directions(vectors: Vectors) -> Vectors:

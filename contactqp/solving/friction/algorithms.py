@@ -132,6 +132,8 @@ FIRST_POLISH = 4
 NEARLY = 1e-6
 # What has been tried from an iterate is tried again from one whose error is this part of it.
 NEARER = 0.5
+# Iterates that may come to nothing, at most: where contacts are few, what has not moved for so long has no answer.
+PATIENCE, PATIENCE_A_CONTACT = 40, 20
 # An error that is this part of another is hardly better.
 HARDLY_BETTER = 0.8
 
@@ -166,11 +168,12 @@ def run_algorithm(
     name = algorithm.name if steps is None else f"{algorithm.name} with {method.name}{steps.polygons}"
     deadline = Deadline(settings.time_limit)
     limit = algorithm.limit if settings.max_iter is None else settings.max_iter
+    patience = min(algorithm.patience, PATIENCE + PATIENCE_A_CONTACT * form.m)
     best, history, next_polish, nearly = start, [], FIRST_POLISH, NEARLY
     try:
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
-            last = found.iterations >= limit or deadline.passed or _stagnates(history, algorithm.patience)
+            last = found.iterations >= limit or deadline.passed or _stagnates(history, patience)
             nearest = found
             if polish and (found.iterations >= next_polish or last or found.error <= nearly):
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
