@@ -24,6 +24,7 @@ from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
+from contactqp.model.summary import history_table
 from contactqp.solving.methods import find
 
 # Two events nearer than this part of a leg are one: doubles cannot order them.
@@ -170,6 +171,13 @@ class History(ReadOnly, Sequence[Solution]):
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
+
+    def summary(self) -> str:
+        """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
+        return history_table(self.times, self, self.events)
+
+    def __str__(self) -> str:
+        return self.summary()
 
 
 def contact_changes(

@@ -33,6 +33,7 @@ from contactqp.model.problem_data import (
     read_vector,
 )
 from contactqp.model.solution import LocalCertificate
+from contactqp.model.summary import local_summary
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -260,6 +261,13 @@ class LocalSolution(ReadOnly):
     seconds: float
     iterations: int
     history: tuple[float, ...] = field(default=(), repr=False)  # the algorithm's own measure of progress
+
+    def summary(self) -> str:
+        """Return verdict, forces and velocities as a table of at most 80 columns; what `print` shows."""
+        return local_summary(self)
+
+    def __str__(self) -> str:
+        return local_summary(self)
 
 
 def local_status(problem: LocalProblem, certificate: LocalCertificate) -> NDArray[np.str_]:

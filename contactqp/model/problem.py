@@ -53,6 +53,11 @@ class Units:
     force: str = ""
 
 
+# Names that are units of one and never of the other.
+LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
+FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
+
+
 @dataclass(eq=False)
 class OfStiffness:
     """What has been computed of a stiffness alone; problems with other contacts and ties share it."""
@@ -508,7 +513,9 @@ def _units(value: Units | Mapping[str, str] | None) -> Units:
         return Units()
     if isinstance(value, Units):
         return value
-    try:
-        return Units(**value)
-    except TypeError:
-        raise InvalidProblem(f"units: expected the keys 'length' and 'force', got {value!r}") from None
+    if not isinstance(value, Mapping) or set(value) != {"length", "force"}:
+        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {value!r}")
+    for what, others in (("length", FORCES), ("force", LENGTHS)):
+        if value[what] in others:
+            raise InvalidProblem(f"units: expected a {what}, got {value[what]!r}")
+    return Units(**value)

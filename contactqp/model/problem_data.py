@@ -155,6 +155,7 @@ def _finite(name: str, values: NDArray[np.float64]) -> None:
 
 def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
     vector = read_array(name, value)
+    vector = vector[None] if vector.ndim == 0 and size == 1 else vector
     if vector.shape != (size,):
         raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
     _finite(name, vector)
@@ -174,7 +175,10 @@ def _sparse(name: str, value: Any) -> Any:
         _finite(name, dense)
         return csr_rows(dense)
     rows.sum_duplicates()
-    _finite(name, rows.data)
+    if not np.all(np.isfinite(rows.data)):
+        at = int(np.flatnonzero(~np.isfinite(rows.data))[0])
+        i, j = int(np.searchsorted(rows.indptr, at, side="right")) - 1, int(rows.indices[at])
+        raise InvalidProblem(f"{name}: expected finite numbers, got {rows.data[at]} at [{i}, {j}]")
     rows.eliminate_zeros()
     return rows
 
@@ -196,6 +200,8 @@ def csr_rows(matrix: Any) -> Any:
 
 def read_rows(name: str, value: Any, n: int) -> Any:
     given = value if sp.issparse(value) or isinstance(value, np.ndarray) else read_array(name, value)
+    if not sp.issparse(given) and given.ndim == 1 and len(given) == n > 0:
+        given = given[None, :]  # one row
     if not sp.issparse(given) and given.size == 0:
         return sp.csr_array((0, n))
     rows = _sparse(name, given)
@@ -207,6 +213,7 @@ def read_rows(name: str, value: Any, n: int) -> Any:
 def read_gap(value: ArrayLike, size: int) -> Vector:
     """Initial gaps; infinity is that of a contact that never closes."""
     gap = read_array("gap", value)
+    gap = gap[None] if gap.ndim == 0 and size == 1 else gap
     if gap.shape == (size,) and np.any(gap == np.inf):
         read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
         return read_only(gap)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.summary import html_of, place_of, summary_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -305,3 +306,35 @@ class Solution(ReadOnly):
     def energy(self) -> float:
         """1/2 u'Ku - f'u."""
         return self.problem.energy(self.displacement)
+
+    def at(self, unknown: str | int) -> float:
+        """Return the displacement of an unknown, by its name in `dof_names` or its number [length].
+
+        Raises
+        ------
+        InvalidProblem
+            No unknown is called that; the nearest names are given.
+        """
+        names = [self.problem.dof_name(j) for j in range(self.problem.dimension)]
+        return float(self.displacement[place_of(unknown, names, "unknown")])
+
+    def force_at(self, contact: str | int) -> float:
+        """Return the normal force of a contact, by its name in `contact_names` or its number [force].
+
+        Raises
+        ------
+        InvalidProblem
+            No contact is called that; the nearest names are given.
+        """
+        names = [self.problem.contact_name(i) for i in range(self.problem.contacts)]
+        return float(self.normal_force[place_of(contact, names, "contact")])
+
+    def summary(self) -> str:
+        """Return verdict, contacts and displacements as tables of at most 80 columns; what `print` shows."""
+        return summary_of(self)
+
+    def __str__(self) -> str:
+        return summary_of(self)
+
+    def _repr_html_(self) -> str:
+        return html_of(self)

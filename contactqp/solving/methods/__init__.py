@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
@@ -87,12 +88,33 @@ def find(name: str) -> Method:
     if not isinstance(name, str):
         raise Unsupported(f"method: expected a name, got {name!r}")
     if name not in _REGISTRY:
-        near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
-        raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
+        same = {known.casefold().replace("_", "-"): known for known in _REGISTRY}
+        meant = same.get(name.casefold().replace("_", "-"))
+        if meant is None:
+            near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
+            raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
+        name = meant
     method = _REGISTRY[name]
     if method.packages and not method.installed:
         raise BackendMissing(f"method {name!r} needs {', '.join(method.packages)}: {method.install}")
     return method
+
+
+# Arguments of `solve` that every method has, and what other packages call them.
+ARGUMENTS = ("tolerance", "condense", "polish", "time_limit", "max_iter", "warm_start", "algorithm", "method")
+ELSEWHERE = {"tol": "tolerance", "eps": "tolerance", "eps_abs": "tolerance", "rtol": "tolerance", "atol": "tolerance",
+             "solver": "method", "maxiter": "max_iter", "max_iterations": "max_iter", "timeout": "time_limit",
+             "initvals": "warm_start", "x0": "warm_start", "beta": "penalty", "kappa": "perturbation"}  # fmt: skip
+
+
+def meant_option(name: str, options: Sequence[str]) -> str:
+    """Return a hint at the argument of `solve` or the option of a method that a name may stand for."""
+    meant = ELSEWHERE.get(name.casefold())
+    known = (*ARGUMENTS, *options)
+    if meant is None or meant not in known:
+        near = difflib.get_close_matches(name.casefold(), known, n=1)
+        meant = near[0] if near else None
+    return "" if meant is None else f" (do you mean {meant!r}?)"
 
 
 def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any) -> None:
@@ -130,7 +152,8 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     unknown = sorted(set(settings.options) - set(options))
     if unknown:
         known = ", ".join(options) or "none"
-        raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}; its own options: {known}")
+        hint = meant_option(unknown[0], options)
+        raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}{hint}; its own options: {known}")
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
         raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")

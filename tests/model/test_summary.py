@@ -1,0 +1,138 @@
+"""Answers that print: what moves, what presses, whether it is certified, in 80 columns; names are looked up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+TRUSS = cq.ContactProblem(
+    stiffness=[[59803.0, 6883.1], [6883.1, 77443.0]], load=[60.0, -100.0], normal=[[0.0, -1.0]], gap=[1e-3],
+    units={"length": "m", "force": "kN"}, dof_names=["1.x", "1.y"], contact_names=["floor"],
+)  # fmt: skip
+
+
+def test_a_solution_prints_as_tables() -> None:
+    printed = str(cq.solve(TRUSS))
+    first, title, header, row, *rest = printed.splitlines()
+    assert first.startswith("active-set: passed, proven; energy -0.0986792 kN m; ")
+    assert title == "1 contact; 1 closed"
+    assert header.split() == ["status", "force", "[kN]", "gap", "[m]"]
+    assert row.split() == ["floor", "closed", "30.255", "0"]  # a gap that is the rounding of zero is zero
+    assert [line.split() for line in rest[2:]] == [["1.x", "0.00111839"], ["1.y", "-0.001"]]
+    assert cq.solve(TRUSS).summary().splitlines()[1:] == [title, header, row, *rest]
+
+
+def test_friction_and_its_slip_are_printed_with_their_signs() -> None:
+    solution = cq.solve(TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3))
+    row = str(solution).splitlines()[3].split()
+    assert row == ["floor", "slip", "29.2452", "8.77356", "0", "0.000971683"]
+    back = cq.solve(TRUSS.replace(tangent=[[-1.0, 0.0]], friction=0.3))
+    assert str(back).splitlines()[3].split()[3] == "-8.77356"
+
+
+def test_a_refused_answer_says_so_first_and_no_line_is_wider_than_a_terminal() -> None:
+    soft = cq.solve(TRUSS, "penalty", penalty=1e6)
+    lines = str(soft).splitlines()
+    assert lines[0].startswith("penalty: REFUSED")
+    assert any("penetration: floor" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+
+
+def test_of_many_contacts_those_with_the_largest_forces_are_shown() -> None:
+    m = 60
+    problem = cq.ContactProblem(stiffness=np.eye(m), load=np.arange(m) / 10, normal=np.eye(m), gap=np.full(m, 1.05))
+    lines = str(cq.solve(problem)).splitlines()
+    assert lines[1] == "60 contacts, the 10 largest; 49 closed"
+    assert [line.split()[1] for line in lines[3:13]] == [str(i) for i in range(50, 60)]
+    assert len(lines) <= 40
+
+
+def test_a_local_problem_prints_its_forces_and_velocities() -> None:
+    slides = cq.LocalProblem(delassus=np.eye(3), offset=[-2.0, 5.0, 0.0], friction=0.5, dimension=3)
+    lines = str(cq.solve(slides)).splitlines()
+    assert ": passed; " in lines[0]
+    assert lines[-2].split() == ["status", "r_N", "r_T1", "r_T2", "u_N", "u_T1", "u_T2"]
+    assert lines[-1].split() == ["contact", "0", "slip", "2", "-1", "0", "0", "4", "0"]
+
+
+def test_notebooks_get_html_in_which_names_are_escaped() -> None:
+    html = cq.solve(TRUSS.replace(contact_names=["a<b"]))._repr_html_()
+    assert "<td>a&lt;b</td><td>closed</td><td>30.255</td>" in html
+
+
+def test_numbers_are_had_by_name() -> None:
+    solution = cq.solve(TRUSS)
+    assert solution.at("1.x") == solution.at(0) == solution.displacement[0]
+    assert solution.force_at("floor") == solution.force_at(0) == solution.normal_force[0]
+    with pytest.raises(cq.InvalidProblem, match=r"no unknown is called '1.z'; nearest: 1\.[xy], 1\.[xy]"):
+        solution.at("1.z")
+    with pytest.raises(cq.InvalidProblem, match="no contact is called 'flor'; nearest: floor"):
+        solution.force_at("flor")
+    with pytest.raises(cq.InvalidProblem, match="no contact is called 1"):
+        solution.force_at(1)
+
+
+def test_a_history_prints_its_instants_and_events() -> None:
+    history = cq.follow_path(TRUSS, [TRUSS.load], events="exact")
+    lines = str(history).splitlines()
+    assert lines[0] == f"{len(history)} instants, 1 events"
+    assert lines[1].split() == ["time", "closed", "largest", "force", "[kN]", "at"]
+    assert lines[-2].split() == ["1", "1", "30.255", "floor"]
+    assert lines[-1].startswith("  floor closed at 0.7")
+
+
+@pytest.mark.parametrize(
+    ("units", "words"),
+    [
+        ({"length": "kN", "force": "m"}, "expected a length, got 'kN'"),
+        ({"length": "m", "force": "mm"}, "expected a force, got 'mm'"),
+        ({"length": "m"}, "both of them"),
+        ("m", "both of them"),
+    ],
+)
+def test_units_that_are_none_or_half_given_are_refused(units, words: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match=words):
+        TRUSS.replace(units=units)
+
+
+def test_one_contact_may_be_a_row_and_a_number() -> None:
+    plain = cq.ContactProblem(
+        stiffness=np.eye(2), load=[0.0, 2.0], normal=[0.0, 1.0], gap=0.5, tie=[1.0, 0.0], tie_value=0.1
+    )
+    assert plain.normal.shape == (1, 2)
+    solution = cq.solve(plain)
+    assert (solution.normal_force[0], solution.at(0)) == (1.5, 0.1)
+    with pytest.raises(cq.InvalidProblem, match="gap: expected shape"):
+        cq.ContactProblem(stiffness=np.eye(2), load=[0.0, 2.0], normal=np.eye(2), gap=0.5)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_what_is_no_number_is_named_by_row_and_column(sparse: bool) -> None:
+    import scipy.sparse as sp
+
+    K = np.diag([1.0, 2.0, 3.0])
+    K[1, 2] = np.nan
+    with pytest.raises(cq.InvalidProblem, match=r"stiffness: expected finite numbers, got nan at \[1, 2\]"):
+        cq.ContactProblem(stiffness=sp.csc_array(K) if sparse else K, load=np.ones(3), normal=np.eye(3), gap=np.ones(3))
+
+
+@pytest.mark.parametrize(
+    ("option", "meant"),
+    [
+        ("tol", "tolerance"),
+        ("tolerence", "tolerance"),
+        ("eps_abs", "tolerance"),
+        ("maxiter", "max_iter"),
+        ("polsh", "polish"),
+    ],
+)
+def test_an_unknown_keyword_names_the_one_that_may_be_meant(option: str, meant: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match=f"unknown option '{option}' .do you mean '{meant}'"):
+        cq.solve(TRUSS, **{option: 1})
+
+
+@pytest.mark.parametrize("name", ["Active-Set", "ACTIVE_SET", "active_set"])
+def test_methods_are_found_whatever_their_case(name: str) -> None:
+    assert cq.solve(TRUSS, name).method == "active-set"
