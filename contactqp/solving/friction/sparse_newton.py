@@ -15,6 +15,7 @@ import numpy as np
 from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, without_noise
 from contactqp.linalg.iteration import iteration
+from contactqp.linalg.measures import own_compliance
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -37,6 +38,14 @@ class SparseNewtonAnswer:
     answer: Answer
     steps: int
     back_substitutions: int
+
+
+# Slips on the set that closes without friction are wanted as well as the set.
+SLIPS_KNOWN = 1e-6
+# A contact that slips without friction by so many times what its bound would move its unknowns alone is taken to slip:
+# the surface around it follows. On strips with friction between 0.05 and 1 this saves up to two combinations of six and
+# costs none.
+COMPLIANT = 30.0
 
 
 def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNewtonAnswer:
@@ -78,13 +87,19 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
 
 
 def _first(problem: ContactProblem, settings: Settings) -> Status:
-    """The combination of a known answer, else what closes without friction, stuck."""
+    """The combination of a known answer, else what closes without friction, slipping on where it slips far."""
     if settings.warm_start is not None:
         return combination_of(problem, settings.warm_start)
-    found = identified_by_iteration(problem, iteration(problem), settings)
+    found = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
     if found is None:
         raise NotConverged("newton: the contacts that close without friction were not found")
-    return np.where(found.normal_force > 0, STICK, OPEN).astype(np.int8)
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    assert problem.friction is not None
+    slip = problem.tangent @ found.displacement - problem.slip_origin.ravel()
+    held = COMPLIANT * own_compliance(problem, problem.tangent) * problem.friction * found.normal_force
+    closed = np.where(abs(slip) <= held, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
+    return np.where(found.normal_force > 0, closed, OPEN).astype(np.int8)
 
 
 def _plain(rows: SparseFrictionalRows, status: Status) -> Status:

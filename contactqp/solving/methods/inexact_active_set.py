@@ -65,9 +65,11 @@ def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Setting
     return _Search(problem, way, settings, energy).run()
 
 
-def identified_by_iteration(problem: Limits, way: ContactIteration, settings: Settings) -> Candidate | None:
+def identified_by_iteration(
+    problem: Limits, way: ContactIteration, settings: Settings, error: float = IDENTIFIED
+) -> Candidate | None:
     """The same for a method that goes on from its set: less accurate, and None where a hierarchy is of no use."""
-    search = _Search(problem, way, settings, ENERGY, steps=IDENTIFYING_STEPS)
+    search = _Search(problem, way, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None
     return found if search.steps_left() > 0 else None
 
@@ -76,9 +78,16 @@ class _Search:
     """The displacement of the moment, its set, and what it has cost."""
 
     def __init__(
-        self, problem: Limits, way: ContactIteration, settings: Settings, energy: float, steps: int | None = None
+        self,
+        problem: Limits,
+        way: ContactIteration,
+        settings: Settings,
+        energy: float,
+        steps: int | None = None,
+        identified: float = 0.0,
     ) -> None:
         self.problem, self.way, self.energy = problem, way, energy
+        self.identified = identified
         self.identifies, self._last_step = steps is not None, way.krylov_iterations + (steps or SETS * STEPS)
         self.m = len(problem.gap)
         self.limit = np.concatenate([problem.gap, problem.tie_value])
@@ -197,7 +206,7 @@ class _Search:
                 if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
                     return ""
             elif self.identifies:
-                if run.steps and error <= IDENTIFIED**2 * self._work(run):
+                if run.steps and error <= self.identified**2 * self._work(run):
                     return FOUND
             elif error <= SETTLED**2 * self._work(run):
                 goal = goal or _Goal(self)
