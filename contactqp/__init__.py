@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from contactqp.elements.energies.springs import PlasticHinge as PlasticHinge
     from contactqp.elements.energies.springs import Spring as Spring
     from contactqp.elements.energies.springs import Strut as Strut
+    from contactqp.elements.material import Material as Material
+    from contactqp.elements.mesh import Mesh as Mesh
+    from contactqp.elements.mesh_files import read_mesh as read_mesh
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.nonlinear_solid import NonlinearSolid as NonlinearSolid
@@ -51,6 +54,11 @@ if TYPE_CHECKING:
     from contactqp.elements.round_obstacle import Cylinder as Cylinder
     from contactqp.elements.round_obstacle import Paraboloid as Paraboloid
     from contactqp.elements.round_obstacle import Sphere as Sphere
+    from contactqp.elements.shapes import box as box
+    from contactqp.elements.shapes import rectangle as rectangle
+    from contactqp.elements.solid import Body as Body
+    from contactqp.elements.structure import Structure as Structure
+    from contactqp.elements.structure import Support as Support
     from contactqp.elements.surface import Surface as Surface
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
@@ -104,6 +112,7 @@ _HOME = {
     "AtMost": "elements.energies.limits",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
+    "Body": "elements.solid",
     "Cable": "elements.energies.springs",
     "Certificate": "model.solution",
     "Circle": "elements.round_obstacle",
@@ -125,6 +134,8 @@ _HOME = {
     "LocalCertificate": "model.solution",
     "LocalProblem": "model.local_problem",
     "LocalSolution": "model.local_problem",
+    "Material": "elements.material",
+    "Mesh": "elements.mesh",
     "MotionHistory": "analysis.motion.motion_history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
@@ -145,7 +156,9 @@ _HOME = {
     "Solution": "model.solution",
     "Sphere": "elements.round_obstacle",
     "Spring": "elements.energies.springs",
+    "Structure": "elements.structure",
     "Strut": "elements.energies.springs",
+    "Support": "elements.structure",
     "Supported": "elements.deformable",
     "Surface": "elements.surface",
     "TimeStepWarning": "errors",
@@ -154,6 +167,7 @@ _HOME = {
     "UpdatedTruss": "elements.nonlinear_truss",
     "acary_bremond_huber_error": "certificate.local_certificate",
     "associated_difference": "solving.equilibria",
+    "box": "elements.shapes",
     "certify": "oracle.judged_answer",
     "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
@@ -177,8 +191,10 @@ _HOME = {
     "read_fclib": "exchange.fclib",
     "read_fclib_guesses": "exchange.fclib",
     "read_fclib_solution": "exchange.fclib",
+    "read_mesh": "elements.mesh_files",
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos",
+    "rectangle": "elements.shapes",
     "redistributed_mass": "analysis.motion.mass_matrix",
     "run": "scene.scene",
     "siconos_global_error": "certificate.local_certificate",

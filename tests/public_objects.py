@@ -117,18 +117,19 @@ def objects() -> dict[str, Any]:
             cq.Paraboloid([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], 1.0),
             cq.SignedDistance(from_floor, 2),
         ),
-        "bodies": (free, cq.UpdatedTruss(arch), solid()),
+        "bodies": (free, cq.UpdatedTruss(arch), solid(), block(), cq.Support("block", "top", 0, 0.0)),
         "contacts": cq.ContactGroup([floor]),
         "errors": tuple(example(kind) for kind in sorted(errors(), key=lambda kind: kind.__name__)),
     }
 
 
-def solid() -> cq.NonlinearSolid:
-    from contactqp.elements.material import Material
-    from contactqp.elements.shapes import rectangle
-    from contactqp.elements.solid import Body
+def block() -> cq.Structure:
+    steel = cq.Material(1.0, poisson=0.0)
+    return cq.Structure([cq.Body(cq.rectangle(1.0, 1.0, (1, 1)), steel, "plane-strain", name="block")])
 
-    return cq.NonlinearSolid(Body(rectangle(1.0, 1.0, (1, 1)), Material(1.0, poisson=0.0), "plane-strain"))
+
+def solid() -> cq.NonlinearSolid:
+    return cq.NonlinearSolid(block().solid("block"))
 
 
 def solves(problem: cq.ContactProblem) -> Any:

@@ -42,6 +42,8 @@ def read_problem_with_ledger(
         if folder.is_dir() and not is_problem_folder(folder):
             raise InvalidProblem(f"{path}: expected {EXPECTED}, got a folder without problem.json or stiffness")
         return read_problem_folder(folder) if folder.is_dir() else read_problem_archive(path)
+    if FilePath(path).suffix.lower() == ".toml":
+        raise wrong(path, "content", "a problem", "a case file: contactqp.run solves it, contactqp.load_scene reads it")
     if FilePath(path).suffix.lower() in stiffness_suffixes():
         raise wrong(path, "content", "a folder of this stiffness, a load, and contacts", "the stiffness alone")
     hdf5 = is_hdf5(read_bytes(path, EXPECTED, HEAD)) or FilePath(path).suffix.lower() in HDF5

@@ -171,7 +171,7 @@ def _tables(text: str) -> dict[str, Any]:
 
 @own_floating_point
 def run(
-    scene: Scene,
+    scene: Scene | str | Path,
     method: str = "active-set",
     *,
     engine: str = SERIAL,
@@ -182,11 +182,11 @@ def run(
 
     Parameters
     ----------
-    scene : Scene
-        From `load_scene`, or built in Python. With `path`, loads grow from nothing, together or from corner to corner,
-        and the history has the start, every step and the events; with `motion` it is the `MotionHistory` of `impact`;
-        without both it has one solution. With ``deformation = "large"`` it is the `LargeHistory` of
-        `large_deformation`.
+    scene : Scene, or str or Path
+        A case file, or a scene from `load_scene`, or one built in Python. With `path`, loads grow from nothing,
+        together or from corner to corner, and the history has the start, every step and the events; with
+        `motion` it is the `MotionHistory` of `impact`; without both it has one solution. With ``deformation =
+        "large"`` it is the `LargeHistory` of `large_deformation`.
     method : str
         A name of `contactqp.methods()`.
     engine : str
@@ -208,6 +208,7 @@ def run(
     InvalidProblem
         A `checkpoint` of another scene; and as `contactqp.solve`.
     """
+    scene = load_scene(scene) if isinstance(scene, str | Path) else scene
     return run_model(build_for(scene, engine), method, engine, checkpoint, **options)
 
 

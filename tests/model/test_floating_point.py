@@ -26,6 +26,7 @@ NOT_COMPUTING = {
     "read_fclib",
     "read_fclib_guesses",
     "read_fclib_solution",
+    "read_mesh",
     "read_problem",
     "read_siconos",
     "write_fclib",
