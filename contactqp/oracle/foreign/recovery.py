@@ -50,15 +50,19 @@ DEPENDENT = 1e-12
 DENSE_ROWS = 1500
 # Forces without tension may explain this much less of the residual than any forces would.
 NEARLY_AS_WELL = 1e-9
+# Forces of this part of the largest, which HiGHS' linear programs know to 1e-7, act.
+ACTING = 1e-6
 
 
 def balancing_forces(
-    rows: Any, residual: Vector, pushing_only: NDArray[np.bool_], scale: Vector
+    rows: Any, residual: Vector, pushing_only: NDArray[np.bool_], scale: Vector, left: Vector | None = None
 ) -> tuple[Vector, bool]:
     """Forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
 
     Unknowns are scaled by `scale` (n,), 1/sqrt(K_jj). Where rows are independent the forces are what they are; where
-    they are not, those that only push share the resultant without tension if that explains it as well.
+    they are not, those that only push share the resultant without tension if that explains it as well, and so that
+    l'd is least where the lengths d (q,) are given that the rows leave, g - E u and b - A u: forces with one resultant
+    have the same displacement, and of these the multipliers of the minimum are those of the largest dual energy.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -79,32 +83,65 @@ def balancing_forces(
         if len(members) > DENSE_ROWS:
             force[members] = _iteratively(B, r)
             continue
-        force[members], dependent = _densely(B.toarray(), r, pushing_only[members])
+        cost = np.zeros(len(members)) if left is None else left[members] / length[members]
+        force[members], dependent = _densely(B.toarray(), r, pushing_only[members], cost)
         shared |= dependent
     return force / length, shared
 
 
-def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, bool]:
+def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> tuple[Vector, bool]:
     if len(B) == 1:
         return B @ r, False
     force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT)
     if rank == len(B):
         return np.asarray(force), False
-    from scipy.optimize import nnls
-
     size = float(np.linalg.norm(r))
     if size == 0:
         return np.zeros(len(B)), True
+    share, left = _without_tension(B, r / size, pushing_only)
+    most = np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL
+    if not left <= most:
+        return np.asarray(force), True
+    if np.any(cost):
+        chosen = _of_least_work(B, share, pushing_only, cost)
+        cheaper, left = _without_tension(B[chosen], r / size, pushing_only[chosen])
+        if left <= most:
+            share = np.zeros(len(B))
+            share[chosen] = cheaper
+    return size * share, True
+
+
+def _without_tension(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, float]:
+    """Forces l (q,) that push where they only can, and what |B'l - r| they leave: nan where none were found."""
+    from scipy.optimize import nnls
+
     columns = np.vstack([B, -B[~pushing_only]]).T
     try:
-        share, left = nnls(columns, r / size, maxiter=30 * columns.shape[1])
+        share, left = nnls(columns, r, maxiter=30 * columns.shape[1])
     except RuntimeError:  # SciPy's word for too many steps
-        return np.asarray(force), True
-    if left > np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL:
-        return np.asarray(force), True
-    without_tension = share[: len(B)].copy()
-    without_tension[~pushing_only] -= share[len(B) :]
-    return np.asarray(size * without_tension), True
+        return np.zeros(len(B)), np.nan
+    force = share[: len(B)].copy()
+    force[~pushing_only] -= share[len(B) :]
+    return force, float(left)
+
+
+def _of_least_work(B: Array, force: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> NDArray[np.intp]:
+    """The rows that act where forces with the same resultant B'l as some do the least work l'd, by a linear program."""
+    from scipy.linalg import null_space
+    from scipy.optimize import linprog
+
+    free = null_space(B.T, rcond=DEPENDENT)
+    largest = np.max(abs(force))
+    found = linprog(
+        (cost / np.max(abs(cost))) @ free,
+        A_ub=-free[pushing_only],
+        b_ub=force[pushing_only] / largest,
+        bounds=(None, None),
+        method="highs",
+    )
+    if found.x is None:
+        return np.arange(len(B))
+    return np.flatnonzero(~pushing_only | (force / largest + free @ found.x > ACTING))
 
 
 def _iteratively(B: Any, r: Vector) -> Vector:
@@ -247,7 +284,8 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     residual = residual - rows.friction_force(known.friction_force)
     everything = _Unknowns(problem, missing, np.arange(problem.contacts))
     pulls = np.arange(everything.rows.shape[0]) >= everything.normals
-    found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem))
+    ahead = None if problem.frictional else everything.left(known.displacement)
+    found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(known, found), how
     if shared and problem.frictional and {"normal_force", "friction_force"} <= set(missing):
@@ -282,6 +320,13 @@ class _Unknowns:
             blocks.append(problem.tie)
         none = sp.csr_matrix((0, problem.dimension))
         self.rows = sp.csr_matrix(sp.vstack([sp.csr_matrix(block) for block in blocks])) if blocks else none
+
+    def left(self, displacement: Vector) -> Vector:
+        """The lengths that the rows leave without friction: gaps, and what ties are open by."""
+        rows, u = extended_rows(self._problem), extend(displacement)
+        gap = (extend(self._problem.gap) - rows.normal @ u).double()[self._contacts]
+        tie = (extend(self._problem.tie_value) - rows.tie @ u).double()
+        return np.concatenate([gap if self.normals else gap[:0], tie if "tie_force" in self._missing else tie[:0]])
 
     def filled(self, known: Answer, found: Vector) -> Answer:
         """The known answer with the forces of these rows."""
