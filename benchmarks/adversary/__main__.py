@@ -26,6 +26,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from benchmarks.adversary import judging
 from benchmarks.adversary.faults import FAULTS
 from benchmarks.adversary.judging import Finding
 from benchmarks.adversary.trials import KINDS, Trial, trial, write_smallest
@@ -85,7 +86,8 @@ def parent(options: argparse.Namespace) -> Tally:
     def start(job: int, first: int) -> None:
         left = max(until - time.monotonic(), 0.0) / 60
         command = [sys.executable, "-m", "benchmarks.adversary", "--child", str(first), "--minutes", f"{left:.4f}",
-                   "--seed", str(options.seed), "--jobs", str(options.jobs), "--plant", options.plant]  # fmt: skip
+                   "--seed", str(options.seed), "--jobs", str(options.jobs), "--plant", options.plant,
+                   "--patience", str(options.patience)]  # fmt: skip
         command += [part for kind in options.kind or () for part in ("--kind", kind)]
         command += [] if options.trials is None else ["--trials", str(options.trials)]
         one = processes[job] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -174,10 +176,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, help="no more than these")
     parser.add_argument("--plant", choices=list(FAULTS), default="none", help="a fault that must be found")
     parser.add_argument("--output", type=Path, default=Path("findings"), help="where findings are written")
+    parser.add_argument("--patience", type=float, default=judging.PATIENCE, help="seconds that an answer may take")
     parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     options.seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that are started
+    judging.PATIENCE = options.patience
     if options.child is not None:
         child(options, options.child)
         return 0

@@ -23,7 +23,7 @@ from benchmarks.judging import PER_CONDITION, REPRESENTABLE, WRONG, bounded, exa
 from contactqp.solving.methods import find
 
 Array = np.ndarray
-# Seconds within which everything that is asked must be answered.
+# Seconds of the processor within which everything that is asked must be answered, unless `--patience` says another.
 PATIENCE = 5.0
 # Seconds that an iteration may take which is asked for by name.
 ITERATES = 60.0
@@ -67,7 +67,9 @@ class Judge:
     judgements: int = 0
     exact: bool = False  # whether the truth is known
 
-    def ask(self, what: str, question: Callable[[], Any], patience: float = PATIENCE) -> tuple[Any, Exception | None]:
+    def ask(
+        self, what: str, question: Callable[[], Any], patience: float | None = None
+    ) -> tuple[Any, Exception | None]:
         """What a call returns, or the error of this package that it raises; anything else is a finding."""
         self.judgements += 1
         started, error, answer = time.process_time(), None, None
@@ -81,7 +83,7 @@ class Judge:
                 error = raised
                 self.found("crashed", what, f"{type(raised).__name__}: {str(raised)[:200]}")
         seconds = time.process_time() - started
-        if seconds > patience:
+        if seconds > (PATIENCE if patience is None else patience):
             self.found("slow", what, f"{seconds:.0f} s")
         return answer, error
 
@@ -106,7 +108,7 @@ def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | N
     if find(method).kind == "quadratic program" and "no time limit" not in find(method).note:
         options["time_limit"] = TIME_LIMIT
     fresh = judge.posed.problem.replace(stiffness=judge.posed.problem.stiffness)
-    name, patience = (options["algorithm"], ITERATES) if "algorithm" in options else (method, PATIENCE)
+    name, patience = (options["algorithm"], ITERATES) if "algorithm" in options else (method, None)
     return judge.ask(f"solve {name}", lambda: cq.solve(fresh, method, **options), patience)
 
 
