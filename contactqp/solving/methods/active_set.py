@@ -27,6 +27,8 @@ from contactqp.solving.methods.method import Method, Settings
 # More steps than this mean that the sets alternate; the safeguard is cheaper.
 PRIMAL_DUAL_STEPS = 40
 PROXIMAL_STEPS = 60
+# A row of unit length feels nothing of a motion of which it has this part: HiGHS drops such entries, too.
+UNFELT = 1e-9
 
 
 def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
@@ -103,6 +105,7 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
     if reach == 0:
         return none
     rows = (rows / length[:, None]) @ motions
+    rows[abs(rows) < UNFELT] = 0.0
     if not problem.ties and touch_one_each(rows):
         return np.asarray(reach * (motions @ _furthest(drive, rows, limit / reach)))
     from scipy.optimize import linprog
