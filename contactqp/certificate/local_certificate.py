@@ -340,7 +340,9 @@ def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_
 
 def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
     """|W||r| + |V||l| + |q| (d m,): the velocities that meet."""
-    pushed = abs(problem.delassus) @ abs(force).ravel() + abs(problem.bilateral) @ abs(joint_force)
+    pushed = abs(problem.delassus) @ abs(force).ravel()
+    if problem.joints:
+        pushed = pushed + abs(problem.bilateral) @ abs(joint_force)
     return np.asarray(pushed + abs(problem.offset))
 
 
@@ -374,6 +376,9 @@ class _Measured:
         self.complementarity = np.maximum(np.minimum(_part(u[:, 0], self._along), self.push), 0.0)
         self.cone = self._measure(np.maximum(size - bound, 0.0), 1)
         self.slip_direction = np.minimum(self.slip, self._measure(lengths(wrong), 1))
+        if not problem.joints:
+            self.joints = np.zeros(0)
+            return
         left = abs(problem.bilateral.T @ r.ravel() + problem.bilateral_delassus @ joint + problem.bilateral_offset)
         meeting = abs(problem.bilateral).T @ abs(r).ravel() + abs(problem.bilateral_delassus) @ abs(joint)
         meeting = meeting + abs(problem.bilateral_offset)

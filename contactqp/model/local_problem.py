@@ -193,8 +193,10 @@ class LocalProblem(ReadOnly):
     @cached_property
     def scaled_delassus(self) -> Any:
         """(d m, d m) CSR matrix s_i W_ij s_j, s the `contact_scale`."""
-        scale = sp.diags(np.repeat(self.contact_scale, self.dimension))
-        return read_only(sp.csr_array(scale @ self.delassus @ scale))
+        scale, W = np.repeat(self.contact_scale, self.dimension), self.delassus
+        row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
+        data = (scale[row] * W.data) * scale[W.indices]
+        return read_only(sp.csr_array((data, W.indices, W.indptr), shape=W.shape))
 
     @cached_property
     def scaled_asymmetry(self) -> float:
@@ -244,6 +246,9 @@ def _mean_size(parts: NDArray[np.float64]) -> float:
 
 def _asymmetry(W: Any) -> float:
     largest = np.max(abs(W.data), initial=0.0)
+    if W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
+        dense = W.toarray()
+        return float(np.max(abs(dense - dense.T)) / largest)
     return float(np.max(abs(sp.csr_array(W - W.T)).data, initial=0.0) / largest) if largest > 0 else 0.0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -231,19 +231,16 @@ def run_any(
         if number == SHORT_ATTEMPTS:
             refuse_none()
         from_best = start if best is None or name in FROM_THE_START else best.iterate
-        method = find("clarabel")
-        if ALGORITHMS[name].convex and not method.installed:
-            continue
         try:
             found = run_algorithm(
                 form,
                 ALGORITHMS[name],
-                method,
+                find("clarabel" if ALGORITHMS[name].convex else "active-set"),
                 replace(settings, max_iter=limit, time_limit=deadline.left),
                 from_best,
                 accepted,
             )
-        except (NotConverged, BackendFailed, Unsupported):
+        except (NotConverged, BackendFailed, BackendMissing, Unsupported):
             continue
         if found.accepted:
             return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from typing import Any
 
 import numpy as np
@@ -415,3 +416,11 @@ def test_local_numbers_that_no_common_size_brings_within_doubles_are_refused_by_
     problem = cq.LocalProblem(delassus=np.eye(4), offset=[-1e-160, 0.0, 1e200, 0.0], friction=0.3, dimension=2)
     with pytest.raises(cq.InvalidProblem, match="offset: an entry is no double"):
         cq.solve(problem)
+
+
+def test_where_clarabel_is_missing_the_others_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One attempt of seven takes convex steps; the default asked for its backend before the first of them."""
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "clarabel" else find(name, *a))
+    slides = cq.LocalProblem(delassus=np.diag([2.0, 1.0, 1.0]), offset=[-2.0, 5.0, 0.0], friction=0.5, dimension=3)
+    np.testing.assert_allclose(cq.solve(slides).force, [[1.0, -0.5, 0.0]], rtol=1e-14)
