@@ -12,10 +12,10 @@ import numpy as np
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
-from contactqp.linalg.measures import bodies, forces_that_meet, rigid_part
+from contactqp.linalg.measures import forces_that_meet, rigid_part
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION, correction
 from contactqp.linalg.saddle import REGULAR, delassus, free_motions, saddle_point
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -129,40 +129,31 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
 
 
 def _left_along(
-    problem: ContactProblem, condensation: Condensation, motions: Array, load: Extended, tied: bool
+    problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
 ) -> float:
     """The energy norm of the response to what rounding leaves of a load that motions (n, q) or ties take.
 
-    Orthonormal motions Z are known to a few eps of the most that their body moves, in the energy scale, or to what ties
-    resist of them: Z_j to as much of M_j = D_j max |Z_k| / D_k over the unknowns k of the body of j, D = 1/sqrt(K_jj),
-    zeros too. So are Z Z'f, which is taken away of a load f, and what ties take of it: of the response at most so many
-    |D (|f| + |Z| M'|f| + M |Z|'|f|)| / sqrt(e) is left, with e the least energy of a motion that has strain.
+    Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
+    of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
+    with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
     """
     held = tied and problem.ties > 0
     if not (motions.shape[1] or held):
         return 0.0
-    size, D = abs(load.double()), inverse_root(problem.diagonal)
-    most = _most_moved(problem, motions, D)
-    taken = size + abs(motions) @ (most.T @ size) + most @ (abs(motions).T @ size)
-    known = max(RIGID_ROUNDING, _resisted(problem, motions, most)) if held else RIGID_ROUNDING
-    return float(known * np.linalg.norm(D * taken) / np.sqrt(condensation.rigid.softest))
+    size = abs(load.double())
+    taken = size + abs(motions) @ (abs(motions).T @ size)
+    norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
+    known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
+    return float(known * norm / np.sqrt(condensation.rigid.softest))
 
 
-def _most_moved(problem: ContactProblem, motions: Array, scale: Vector) -> Array:
-    """How far motions (n, q) would move each unknown if it moved as far as any of its body, in these scales (n,)."""
-    body, moved = bodies(problem), abs(motions) / scale[:, None]
-    most = np.zeros((int(body.max(initial=-1)) + 1, motions.shape[1]))
-    np.maximum.at(most, body, moved)
-    return np.asarray(scale[:, None] * most[body])
+def _resisted(problem: ContactProblem, motions: Vector) -> float:
+    """What ties resist of motions (n, q), as a part of these."""
+    most = abs(problem.tie).sum(axis=1)[:, None] * np.max(abs(motions), axis=0, initial=0.0)
+    return float(np.max(abs(problem.tie @ motions) / np.where(most > 0, most, 1.0), initial=0.0))
 
 
-def _resisted(problem: ContactProblem, motions: Array, most: Array) -> float:
-    """What ties resist of motions (n, q), as a part of what they would were all unknowns moved the `most` (n, q)."""
-    felt = abs(problem.tie) @ most
-    return float(np.max(abs(problem.tie @ motions) / np.where(felt > 0, felt, 1.0), initial=0.0))
-
-
-def without_part_along(motions: Array, vector: Extended) -> Extended:
+def without_part_along(motions: Vector, vector: Extended) -> Extended:
     """A vector less its part along orthonormal motions (n, q)."""
     if not motions.shape[1]:
         return vector

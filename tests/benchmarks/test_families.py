@@ -246,7 +246,6 @@ def test_a_start_that_is_exact_measures_no_contraction() -> None:
         ("interference_removed", 132, "daqp"),  # forces of 1e-41, refinement's noise, on bodies that nothing loads
         ("interference_removed", 169, "qpalm"),
         ("interference_removed", 218, "active-set"),  # loads of 1e-30, their neighbours' rounding
-        ("interference_removed", 306, "active-set"),  # zeros of a free motion that a tie leaves, known to rounding
         ("pushed_rigidly", 319, "active-set"),
         ("printed_floating", 34, "active-set"),  # twelve digits resist a rotation by 6e-14 of the stiffness
         ("printed_floating", 92, "proxqp"),  # 4e5 times as far as the solution
