@@ -91,9 +91,12 @@ class Bounds:
     energy_error: float | None = None
     force_error: float | None = None
     force_bound: Vector | None = None
-    relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units
+    # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj), or over `largest_force` where that is known: no units
+    relative_force_bound: Vector | None = None
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
+    # max |l*_i| |E_i D| where bodies float: there |l*|_W has a rigid response in it, which depends on units.
+    largest_force: float = 0.0
     rounding: float = 0.0  # what the refinement cannot tell from zero
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
@@ -258,9 +261,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not np.any(problem.diagonal)
-    relative = None
-    if force_bound is not None and scale > 0:
-        relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(scale, size)
+    relative, own = None, np.sqrt(own_compliance(problem, problem.normal))
+    largest = float(np.max(own * abs(pair.force.double()), initial=0.0)) if condensation.rigid.count else 0.0
+    if force_bound is not None and max(largest, scale) > 0:
+        relative = force_bound * own / (largest or max(scale, size))
     energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
@@ -270,6 +274,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=0.0 if nothing_elastic else energy_error,
         force_error=0.0 if nothing_elastic else error,
         force_scale=scale,
+        largest_force=largest,
         force_bound=force_bound,
         relative_force_bound=relative,
         solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,

@@ -181,7 +181,7 @@ def _measured(
         coulomb_residual(problem, answer, found),
         known,
         (*failed_errors(known, error_tolerance, nothing), *failed_energy(known, tolerance, nothing * nothing)),
-        fails_force_bound(known, error_tolerance),
+        fails_force_bound(known, error_tolerance, nothing),
         grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance),
         dependent,
         others,

@@ -156,10 +156,16 @@ def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
         yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 
 
-def fails_force_bound(known: Bounds, tolerance: float) -> bool:
-    """Whether the bound of a contact force, of those that are here, is beyond the tolerance."""
+def fails_force_bound(known: Bounds, tolerance: float, nothing: float) -> bool:
+    """Whether the bound of a contact force, of those that are here, is beyond the tolerance.
+
+    On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
+    presses them together.
+    """
     relative = known.relative_force_bound
     beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
+    if known.largest_force > 0:
+        beneath = max(known.rounding, nothing) / known.largest_force
     return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
 
 

@@ -371,7 +371,7 @@ def _failed_force_bound(
     problem: DistributedProblem, answer: Answer, bounds: Bounds, error_tolerance: float
 ) -> list[str]:
     relative = bounds.relative_force_bound
-    if not problem.ranks.any(fails_force_bound(bounds, error_tolerance)) or relative is None:
+    if not problem.ranks.any(fails_force_bound(bounds, error_tolerance, 0.0)) or relative is None:
         return []
     message = partial(said_of_force_bound, problem, answer, bounds, tolerance=error_tolerance)
     return [message_of_largest(problem.ranks, relative, problem.contact_number, message)]

@@ -244,3 +244,25 @@ def test_a_displacement_that_is_lost_says_nothing_against_forces_that_are_right(
     assert not certificate.passed
     wrong = cq.certify(problem, far * np.array([1.0, -1.3, 0.7]), [1.0, 2.0 + 1e-6, 1.0 - 1e-6])
     assert wrong.force_error >= 1e-7
+
+
+@pytest.mark.parametrize(
+    ("unknown", "row"),
+    [((1.0, 1.0, 1.0), 1.0), ((2.0**9, 2.0**-13, 2.0**-20), 2.0**-24), ((2.0**-20, 2.0**15, 2.0**9), 2.0**19)],
+)
+def test_a_force_on_a_floating_body_is_judged_beside_the_largest_in_any_units(unknown, row: float) -> None:
+    """A bar under 1e5 at both ends leans on a stop with 1.125: off by 1e-5 it passed where unknowns had other units.
+
+    The energy norm of forces on what floats has the rigid response in it, which depends on the units of unknowns.
+    """
+    d = np.asarray(unknown)
+    K = 1e6 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    problem = cq.ContactProblem(
+        stiffness=K / np.outer(d, d), load=np.array([1e5 + 1.125, 0.0, -1e5]) / d,
+        normal=np.array([[1.0, 0.0, 0.0]]) / d * row, gap=[0.0],
+    )  # fmt: skip
+    right = cq.solve(problem)
+    assert right.normal_force * row == pytest.approx([1.125], rel=1e-10)
+    forged = cq.certify(problem, right.displacement, right.normal_force * (1 + 1.1e-5))
+    assert not forged.passed
+    assert any("the force of contact 0" in failure and "1.1e-05" in failure for failure in forged.failures)
