@@ -205,7 +205,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
     if computed.near_one is None:
         computed.near_one = (_matrices_are_near_one(problem), None)
     near, twin = computed.near_one
-    if twin == BROUGHT or (near and _vectors_are_near_one(problem)):
+    if twin == BROUGHT or (near and _vectors_are_near_one(problem) and _force_is_near_length(problem)):
         return None
     if twin is None:
         twin = _rescaled(problem, _uniform_units(problem) or _row_units(problem))
@@ -215,7 +215,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
 
 def refuse_far_from_one(who: str, problem: ContactProblem) -> None:
     """Raise InvalidProblem where what follows would leave the range of doubles."""
-    if near_one(problem) is not None:
+    if near_one(problem) is not None and not (_matrices_are_near_one(problem) and _vectors_are_near_one(problem)):
         raise InvalidProblem(
             f"{who}: expected stiffnesses, rows, loads and lengths whose sizes are from {2.0**-FARTHEST:.0e} to "
             f"{2.0**FARTHEST:.0e}, got others; state the problem in other units"
@@ -262,7 +262,7 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
     gap = problem.gap[np.isfinite(problem.gap)]
     parts = (problem.load, gap, problem.tie_value, np.zeros(0) if problem.slip_origin is None else problem.slip_origin)
     largest = np.array([np.max(abs(part), initial=0.0) for part in parts])
-    return _near(largest, NONE) and _near(np.max(largest, keepdims=True)) and _force_is_near_length(problem)
+    return _near(largest, NONE) and _near(np.max(largest, keepdims=True))
 
 
 def _force_is_near_length(problem: ContactProblem) -> bool:

@@ -509,7 +509,7 @@ class ContactProblem:
 
 
 def _units(value: Units | Mapping[str, str] | None) -> Units:
-    if value is None:
+    if value is None or value == {}:
         return Units()
     if isinstance(value, Units):
         return value
