@@ -224,10 +224,29 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
             judge.found("refused", "certify truth", "; ".join(certificate.failures)[:300])
     u, force = truth.rounded()
     _judge_parts_alone(judge, u, force)
+    if posed:
+        _judge_noisy(judge, u, force, tie)
     for name, wrong_u, wrong in against_the_law(judge.posed.plain, u, force):
         certificate = judge.certify(f"certify {name}", wrong_u, wrong, None, tie)
         if certificate is not None and certificate.passed:
             judge.found("forgery", f"certify {name}", "passed")
+
+
+def _judge_noisy(judge: Judge, u: Array, force: Array, tie: Array) -> None:
+    """What a plain solve leaves of zero is right: noise of some roundings of what moves most, wherever it is.
+
+    Left out are answers whose strain such noise would spoil: what moves rigidly a million times as far as it strains.
+    """
+    plain, rng = judge.posed.plain, np.random.default_rng([judge.seed, 5])
+    root = np.sqrt(np.where(plain.diagonal > 0, plain.diagonal, np.inf))
+    moved = np.where(np.isfinite(root), root, 0.0) * abs(u)
+    most, strain = float(np.max(moved, initial=0.0)), float(np.sqrt(max(u @ (plain.stiffness @ u), 0.0)))
+    if most == 0 or strain < 1e-6 * most:
+        return
+    noisy = u + 2.0**-51 * most / root * rng.normal(size=len(u))
+    certificate = judge.certify("certify truth with noise", noisy, force, None, tie)
+    if certificate is not None and not certificate.passed:
+        judge.found("refused", "certify truth with noise", "; ".join(certificate.failures)[:300])
 
 
 def _judge_parts_alone(judge: Judge, u: Array, force: Array) -> None:
@@ -391,6 +410,19 @@ def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None
         judge.found("wrong", f"solve {name}", f"passed, and not among all {len(known)} equilibria")
 
 
+def _rougher(judge: Judge, pushing: Array) -> list[tuple[Any, ...]]:
+    """The answer to the problem with a hundredth more friction, which balances, where a contact that presses slips."""
+    plain = judge.posed.plain
+    mu = np.asarray(plain.friction)
+    other = judge.ask("solve rougher", lambda: cq.solve(plain.replace(friction=1.01 * mu)))[0]
+    if other is None or plain.ties:
+        return []
+    size = np.linalg.norm(other.friction_force, axis=1)
+    beyond = (size > 1.005 * mu * other.normal_force) & (mu > 0) & (pushing >= SEEN)
+    answer = other.displacement, other.normal_force, other.friction_force
+    return [("the answer for more friction", *answer)] if np.any(beyond) else []
+
+
 def _forge_friction(judge: Judge, solution: Any) -> None:
     """Answers that break the law by a known part: none passes."""
     if not judge.posed.problem.frictional:
@@ -414,6 +446,7 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
         rubbing = friction.copy()
         rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
         forged.append(("friction beyond its bound", u, normal, rubbing))
+    forged += _rougher(judge, pushing)
     for name, *parts in forged:
         certificate = judge.certify(f"certify {name}", *parts, tie)
         if certificate is not None and certificate.passed:
