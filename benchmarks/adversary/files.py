@@ -23,8 +23,10 @@ CASES = Path(__file__).parents[2] / "cases"
 # Cases of a few unknowns, and the commands that take them; answers in milliseconds.
 SMALL = ("bar_wall.toml", "seed_2_18.toml", "beam_on_stops.toml")
 COMMANDS = (("run",), ("explain",), ("oracle",), ("run", "--json"), ("oracle", "--json"))
-# Mutated files of one trial; of formats that take a process of their own one, and in one trial of so many.
-FILES = 20
+# Mutated files of one trial, and of formats that are read in a process of their own; the slowest of these take seconds
+# a file, and come one at a time in so many of all trials.
+FILES, OWN_PROCESS = 20, 4
+IN_OWN_PROCESS = ("quadratic-program.mat", "quadratic-program.qps")
 SLOW_TRIALS = 0.02
 # What commands end with: done, not certified, refused, something is missing.
 EXITS = (0, 1, 2, 3)
@@ -47,7 +49,8 @@ class Files:
         if self.slow and drawn < SLOW_TRIALS:
             self._read(judge, self.slow[int(rng.integers(0, len(self.slow)))], rng, 1)
         elif drawn < 0.5:
-            self._read(judge, self.seeds[int(rng.integers(0, len(self.seeds)))], rng, FILES)
+            seed = self.seeds[int(rng.integers(0, len(self.seeds)))]
+            self._read(judge, seed, rng, OWN_PROCESS if seed.name in IN_OWN_PROCESS else FILES)
         elif drawn < 0.8:
             self._command(judge, rng)
         else:
