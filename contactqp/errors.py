@@ -6,6 +6,7 @@ imports nothing of the package.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -125,7 +126,6 @@ def _made_again(kind: type[ContactQPError], args: tuple[Any, ...]) -> ContactQPE
 CURES = {
     "Scene": "; contactqp.run(scene) solves a scene, scene.problem() is its problem",
     "str": "; contactqp.run(file) solves a case file, contactqp.read_problem(file) reads matrices and programs",
-    "PosixPath": "; contactqp.run(file) solves a case file, contactqp.read_problem(file) reads matrices and programs",
     "Problem": "; contactqp.ContactProblem.from_qp takes the arrays of a quadratic program",
 }
 
@@ -134,5 +134,5 @@ def refuse_other(who: str, value: object, *kinds: type) -> None:
     """Raise InvalidProblem where a value is of none of the kinds."""
     if not isinstance(value, kinds):
         expected = " or ".join(kind.__name__ for kind in kinds)
-        cure = CURES.get(type(value).__name__, "")
+        cure = CURES.get("str" if isinstance(value, os.PathLike) else type(value).__name__, "")
         raise InvalidProblem(f"{who}: expected a {expected}, got {type(value).__name__}{cure}")

@@ -177,7 +177,10 @@ class History(ReadOnly, Sequence[Solution]):
         return history_table(self.times, self, self.events)
 
     def __str__(self) -> str:
-        return self.summary()
+        try:
+            return self.summary()
+        except ContactQPError as error:  # of a step that is finished only now
+            return f"{self!r}: {error}"
 
 
 def contact_changes(

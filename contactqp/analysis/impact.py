@@ -22,6 +22,7 @@ from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.solving.methods import find as find_method
+from contactqp.solving.methods import registered_name
 
 # A start may overlap or miss a tie by this part of the lengths that meet there.
 ROUNDING = 1e-9
@@ -125,6 +126,7 @@ def impact(
     refuse_other("impact", problem, ContactProblem)
     entry = find(scheme)
     settings = _settings(entry, theta, restitution, penalty)
+    method = registered_name(method)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
     if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:

@@ -18,7 +18,7 @@ from contactqp.elements.deformable import ContactGeometry, Deformable
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
-from contactqp.solving.methods import find
+from contactqp.solving.methods import find, registered_name
 
 # Each way to pick the points of a path, and the arguments that it alone takes.
 CONTROLS: dict[str, tuple[str, ...]] = {
@@ -157,6 +157,7 @@ def large_deformation(
             raise InvalidProblem(f"{called}: expected a positive integer, got {count!r}")
     if not is_number(tolerance) or not 0 < tolerance < 1:
         raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {tolerance!r}")
+    method = registered_name(method)
     exact = find(method).exact
     if loaded.friction is not None and not exact:
         raise Unsupported(

@@ -23,7 +23,7 @@ from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution
-from contactqp.solving.methods import find
+from contactqp.solving.methods import find, registered_name
 from contactqp.solving.solve import begin, solve
 
 DEFAULT_STEPS = 100
@@ -109,7 +109,7 @@ def follow_path(
     ([('closed', 0.0), ('slip', 1.3)], 0.105)
     """
     refuse_other("follow_path", problem, ContactProblem)
-    corners = _corners(problem, loads)
+    method, corners = registered_name(method), _corners(problem, loads)
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)

@@ -28,8 +28,9 @@ EPS = 2.0**-104
 SHORT = 2**11
 # Rows with more entries are summed on their own, in pairs.
 LONG = 2**9
-# Matrices of at most so many places, as wide as their longest row, are one block.
-ONE_BLOCK = 2**11
+# Matrices of at most so many places, as wide as their longest row, are one block, which takes a step for each column
+# of it: no wider than this.
+ONE_BLOCK, NARROW = 2**11, 2**6
 _SPLITTER = 2.0**27 + 1.0
 
 
@@ -128,7 +129,7 @@ class SparseRows:
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
         widest = int(np.max(lengths, initial=0))
-        if widest * len(lengths) <= ONE_BLOCK:
+        if widest * len(lengths) <= ONE_BLOCK and widest <= NARROW:
             self._blocks, self._long = ([_block(rows, np.flatnonzero(lengths))] if widest else []), []
             return
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import html_of, place_of, summary_of
+from contactqp.model.summary import html_of, summary_of, value_at
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -315,8 +315,7 @@ class Solution(ReadOnly):
         InvalidProblem
             No unknown is called that; the nearest names are given.
         """
-        names = [self.problem.dof_name(j) for j in range(self.problem.dimension)]
-        return float(self.displacement[place_of(unknown, names, "unknown")])
+        return value_at(self.displacement, unknown, self.problem.dof_name, "unknown")
 
     def force_at(self, contact: str | int) -> float:
         """Return the normal force of a contact, by its name in `contact_names` or its number [force].
@@ -326,8 +325,7 @@ class Solution(ReadOnly):
         InvalidProblem
             No contact is called that; the nearest names are given.
         """
-        names = [self.problem.contact_name(i) for i in range(self.problem.contacts)]
-        return float(self.normal_force[place_of(contact, names, "contact")])
+        return value_at(self.normal_force, contact, self.problem.contact_name, "contact")
 
     def summary(self) -> str:
         """Return verdict, contacts and displacements as tables of at most 80 columns; what `print` shows."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -188,8 +188,8 @@ def local_summary(solution: Any) -> str:
     return "\n".join([first, *(line for text in said for line in wrapped(text)), Table(title, columns, rows).text()])
 
 
-def place_of(name: str | int, names: Sequence[str], what: str) -> int:
-    """Return the place of a name, or of a number that is one already.
+def value_at(values: Vector, name: str | int, name_of: Callable[[int], str], what: str) -> float:
+    """Return the value that is called by a name, or by its number.
 
     Raises
     ------
@@ -198,9 +198,10 @@ def place_of(name: str | int, names: Sequence[str], what: str) -> int:
     """
     from difflib import get_close_matches
 
-    if isinstance(name, int | np.integer) and -len(names) <= name < len(names):
-        return int(name) % len(names)
+    if isinstance(name, int | np.integer) and -len(values) <= name < len(values):
+        return float(values[name])
+    names = [name_of(i) for i in range(len(values))]
     if isinstance(name, str) and name in names:
-        return names.index(name)
-    near = get_close_matches(str(name), names, n=3) or list(names[:3])
+        return float(values[names.index(name)])
+    near = get_close_matches(str(name), names, n=3) or names[:3]
     raise InvalidProblem(f"no {what} is called {name!r}; nearest: {', '.join(near) or 'there is none'}")

@@ -80,7 +80,7 @@ def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
 
 
 def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
-    """Those of some rows that are exactly parallel to the first of them."""
+    """Yield the rows among `members` that are exactly parallel to the first of them, if there are any."""
     entries = [slice(rows.indptr[i], rows.indptr[i + 1]) for i in members]
     columns, values = rows.indices[entries[0]], rows.data[entries[0]]
     found, factors = [int(members[0])], [Fraction(1)]
@@ -200,7 +200,10 @@ def _more(count: int, said: str) -> str:
 
 
 def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], idle: Indices) -> Shares:
-    """Of `count` rows, of each group (all, those that act together, factors) the first that acts, none of the idle."""
+    """Return which of `count` rows are kept, and how the others take part in what these carry.
+
+    Of each group (all rows, those that act together, their factors) the first that acts is kept, of idle rows none.
+    """
     owner, share, kept = np.arange(count), np.ones(count), np.ones(count, dtype=bool)
     for members, acting, factors in groups:
         first = factors[0]

@@ -37,7 +37,15 @@ from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
-from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
+from contactqp.solving.methods import (
+    Method,
+    Settings,
+    find,
+    refuse_arguments,
+    refuse_unsupported,
+    registered_name,
+    warm_candidate,
+)
 from contactqp.solving.presolve import PresolvedRun, presolved
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
@@ -221,6 +229,7 @@ def solve(
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
     """
+    method = registered_name(method)
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if engine != SERIAL:

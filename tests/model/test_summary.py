@@ -136,3 +136,11 @@ def test_an_unknown_keyword_names_the_one_that_may_be_meant(option: str, meant: 
 @pytest.mark.parametrize("name", ["Active-Set", "ACTIVE_SET", "active_set"])
 def test_methods_are_found_whatever_their_case(name: str) -> None:
     assert cq.solve(TRUSS, name).method == "active-set"
+
+
+def test_a_method_takes_the_same_way_whatever_its_case() -> None:
+    """The default was compared by its name: in other letters a local problem went to the convex methods."""
+    slides = cq.LocalProblem(delassus=np.diag([2.0, 1.0, 1.0]), offset=[-2.0, 5.0, 0.0], friction=0.5, dimension=3)
+    assert cq.solve(slides, "Active-Set").method == cq.solve(slides).method == "newton"
+    rough = TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3)
+    assert cq.solve(rough, "ACTIVE_SET").method == cq.solve(rough).method

@@ -75,6 +75,26 @@ def register(method: Method) -> None:
     _REGISTRY[method.name] = method
 
 
+def registered_name(name: Any) -> str:
+    """Return the name under which a method is registered; case does not count, nor whether - or _ joins its words.
+
+    Raises
+    ------
+    Unsupported
+        There is no such method; the nearest names are given.
+    """
+    if not isinstance(name, str):
+        raise Unsupported(f"method: expected a name, got {name!r}")
+    if name in _REGISTRY:
+        return name
+    same = {known.casefold().replace("_", "-"): known for known in _REGISTRY}
+    meant = same.get(name.casefold().replace("_", "-"))
+    if meant is None:
+        near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
+        raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
+    return meant
+
+
 def find(name: str) -> Method:
     """The installed method of that name.
 
@@ -85,18 +105,9 @@ def find(name: str) -> Method:
     BackendMissing
         It exists and its package is not installed; the pip command is given.
     """
-    if not isinstance(name, str):
-        raise Unsupported(f"method: expected a name, got {name!r}")
-    if name not in _REGISTRY:
-        same = {known.casefold().replace("_", "-"): known for known in _REGISTRY}
-        meant = same.get(name.casefold().replace("_", "-"))
-        if meant is None:
-            near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
-            raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
-        name = meant
-    method = _REGISTRY[name]
+    method = _REGISTRY[registered_name(name)]
     if method.packages and not method.installed:
-        raise BackendMissing(f"method {name!r} needs {', '.join(method.packages)}: {method.install}")
+        raise BackendMissing(f"method {method.name!r} needs {', '.join(method.packages)}: {method.install}")
     return method
 
 
