@@ -31,7 +31,7 @@ from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Certificate, FreeMotion, Nothing, Solution, Violations, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS
-from contactqp.solving.methods import Settings, find, refuse_arguments
+from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 # The error in energy, relative to the energy of the contact forces: on any number of ranks the displacement is that of
@@ -83,7 +83,7 @@ def solve_distributed(
         PETSc gave up.
     """
     started = time.perf_counter()
-    refuse_method(method)
+    method = distributed_method(method)
     refuse_arguments(tolerance, "auto", True, time_limit, max_iter)
     collect_garbage(problem.ranks.comm)
     start = None
@@ -141,10 +141,17 @@ def certified_solution(
     return _certified(problem, answer, _at_rest(problem, iteration, answer)[1], iteration, method)
 
 
-def refuse_method(method: str) -> None:
-    """Raise Unsupported for a method that does not solve over ranks."""
+def distributed_method(name: str) -> str:
+    """Return the name under which a method that solves over ranks is registered; case does not count.
+
+    Raises
+    ------
+    Unsupported
+        There is no such method, or it does not solve over ranks.
+    """
+    method = of_same_letters(name, bounded.METHODS) or registered_name(name)
     if method in bounded.METHODS or find(method).kind == "active set":
-        return
+        return method
     raise Unsupported(f"{method}: engine 'petsc' has active-set, and {', '.join(bounded.METHODS)} to compare it with")
 
 

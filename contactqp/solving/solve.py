@@ -229,7 +229,8 @@ def solve(
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
     """
-    method = registered_name(method)
+    if engine == SERIAL:  # other engines have methods of their own
+        method = registered_name(method)
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if engine != SERIAL:

@@ -22,8 +22,8 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import (
     CollectedSolution,
     collected,
+    distributed_method,
     options_on_ranks,
-    refuse_method,
     solve_distributed,
 )
 from contactqp.errors import (
@@ -123,7 +123,7 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
     InvalidProblem, Unsupported, BackendMissing
         As `run_file` raises, on all ranks with the same message.
     """
-    refuse_method(method)
+    method = distributed_method(method)
     chosen, ranks = options_on_ranks(dict(options)), Ranks()
     outline, share = _read(file, ranks)
     began = time.perf_counter()

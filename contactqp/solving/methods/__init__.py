@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
@@ -29,9 +29,11 @@ __all__ = [
     "Settings",
     "find",
     "methods",
+    "of_same_letters",
     "refuse_arguments",
     "refuse_unsupported",
     "register",
+    "registered_name",
     "warm_candidate",
 ]
 
@@ -87,12 +89,19 @@ def registered_name(name: Any) -> str:
         raise Unsupported(f"method: expected a name, got {name!r}")
     if name in _REGISTRY:
         return name
-    same = {known.casefold().replace("_", "-"): known for known in _REGISTRY}
-    meant = same.get(name.casefold().replace("_", "-"))
+    meant = of_same_letters(name, _REGISTRY)
     if meant is None:
         near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
         raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
     return meant
+
+
+def of_same_letters(name: Any, known: Iterable[str]) -> str | None:
+    """Return the known name that differs in case alone, or in - for _; None where there is none."""
+    if not isinstance(name, str):
+        return None
+    same = {one.casefold().replace("_", "-"): one for one in known}
+    return same.get(name.casefold().replace("_", "-"))
 
 
 def find(name: str) -> Method:

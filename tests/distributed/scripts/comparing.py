@@ -86,7 +86,7 @@ close(bounds.displacement(w), u, "T w")
 from_answer = solve_distributed(part, "vinewtonrsls", warm_start=solve_distributed(part).answer)
 close(from_answer.displacement, known.displacement, "from the answer")
 
-on_all = cq.solve(several, engine="petsc", method="vinewtonrsls")
+on_all = cq.solve(several, engine="petsc", method="VINewtonRSLS")
 assert isinstance(on_all, cq.Solution)
 close(on_all.normal_force, known.normal_force, "engine petsc")
 
