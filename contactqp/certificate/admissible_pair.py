@@ -25,7 +25,7 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
-from contactqp.linalg.measures import lengths_that_meet
+from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, saddle_point
@@ -245,21 +245,25 @@ def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSe
     length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.doubles.displacement)
     excess = np.maximum(-on_set.gap.double(), 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
-    undecided = _of_noise(condensation, on_set, length)
+    undecided = _of_noise(problem, condensation, on_set, length)
     if np.any(excess):
         undecided += _of_penetration(problem, condensation, on_set, excess, length)
     return undecided
 
 
-def _of_noise(condensation: Condensation, on_set: OnSet, length: Vector) -> float:
+def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
     """What gaps may hide that are zero in extended precision alone, where contacts that touch depend on each other.
 
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
+    Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
     """
     gap, force = on_set.gap.double(), np.maximum(on_set.doubles.normal_force, 0.0)
     touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
     if not saddle_point(condensation, touching).redundant:
         return 0.0
+    moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
+    whole = intrinsic_size(problem, on_set.doubles, moved)
+    length = np.maximum(length, of_rows(problem, problem.normal, whole))
     pushing = np.flatnonzero((force > 0) & np.isfinite(length))
     measure = abs(gap) / np.where(length > 0, length, 1.0)
     hidden = np.append(measure[pushing], measure[(gap < 0) & (measure <= ZERO_GAP)])

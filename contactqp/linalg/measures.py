@@ -201,13 +201,19 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         force[bare] = ROUNDING_OF_LOADS * np.max(problem.load_size, initial=0.0)
 
     def lengths(rows: Any) -> Vector:
-        sizes, beside = row_sizes(problem, rows), np.zeros(rows.shape[0])
-        row, unknown = _first_unknowns(rows)
-        beside[row] = size[unknown]
-        return np.asarray(np.maximum(part * beside * np.sqrt(sizes.compliance), HELD_BY_DOUBLES * (sizes.size @ u)))
+        held = HELD_BY_DOUBLES * (row_sizes(problem, rows).size @ u)
+        return np.asarray(np.maximum(part * of_rows(problem, rows, size), held))
 
     tangent = np.zeros(0) if problem.tangent is None else lengths(problem.tangent)
     return Nothing(force, lengths(problem.normal), tangent, lengths(problem.tie))
+
+
+def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
+    """The length S |E_i D| of every row that an intrinsic size S (n,) of the unknowns has there."""
+    beside = np.zeros(rows.shape[0])
+    row, unknown = _first_unknowns(rows)
+    beside[row] = size[unknown]
+    return np.asarray(beside * np.sqrt(row_sizes(problem, rows).compliance))
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:

@@ -78,6 +78,32 @@ def test_a_body_between_walls_that_touch_it_to_rounding_is_right() -> None:
     assert not certificate.proven
 
 
+def wall_beside_a_bed(random: np.random.Generator) -> cq.ContactProblem:
+    """One unknown between two walls without room; beside it a bed of springs that its load holds against stops at 0."""
+    spring, bed = random.uniform(1.0, 3.0, 3), np.zeros((5, 5))
+    for i, stiffness in enumerate(spring, start=1):
+        bed[i : i + 2, i : i + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    stiffness = bed + np.diag([5.0, *random.uniform(50.0, 900.0, 4)])
+    rows = np.eye(5)[[0, 0, 2, 4]] * [[1.0], [-1.0], [1.0], [1.0]]
+    return cq.ContactProblem(stiffness, [6.0, 0.0, 0.07, 0.0, 0.01], rows, [1.0, -1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_noise_of_a_body_at_rest_is_not_measured_by_itself(seed: int) -> None:
+    """u* = (1, 0, 0, 0, 0), λ* = (1, 0, 0.07, 0.01): what hardly moves there hides nothing of the walls' forces."""
+    random = np.random.default_rng(seed)
+    problem = wall_beside_a_bed(random)
+    noise = 2.0**-51 / np.sqrt(problem.diagonal) * random.normal(size=5)
+    truth, force = np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.07, 0.01])
+    certificate = cq.certify(problem, truth + noise, force)
+    assert certificate.passed
+    assert certificate.energy_error is not None
+    assert certificate.energy_error < 1e-14
+    for moved in (1e-4, 1e-6):
+        certificate = cq.certify(problem, truth + noise + [0.0, 0.0, -moved, 0.0, 0.0], force)
+        assert not certificate.passed
+
+
 def test_the_least_retreat_opens_by_what_is_asked() -> None:
     rows, tie = np.array([[3.0, 4.0, 0.0], [6.0, 8.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
     moved = least_retreat(rows, tie, np.array([5.0, 0.0]))
