@@ -7,6 +7,7 @@ import pytest
 TESTS = "import pytest\n@pytest.mark.parametrize('n', range(40))\ndef test_one(n): pass\n"
 
 
+@pytest.mark.slow
 def test_shares_are_disjoint_and_make_up_the_whole(pytester: pytest.Pytester, request: pytest.FixtureRequest) -> None:
     pytester.makeconftest((request.config.rootpath / "tests" / "conftest.py").read_text())
     pytester.makepyfile(TESTS)

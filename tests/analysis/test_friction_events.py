@@ -270,6 +270,7 @@ def test_a_block_pressed_and_pushed(friction: float) -> None:
         assert -0.01 < event.time - first[event.kind, event.contact] < 0.01
 
 
+@pytest.mark.slow
 def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, loads = rolling_block(0.2, (8, 3))
     monkeypatch.setattr(friction_events, "ALL_TRIED", 4096)

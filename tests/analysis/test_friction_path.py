@@ -156,6 +156,7 @@ def test_steps_wait_until_they_are_looked_at_and_share_one_factorisation() -> No
     assert all(solution.method == "newton" for solution in history)
 
 
+@pytest.mark.slow
 def test_a_body_by_newton_and_by_tresca() -> None:
     """The quick way on the contact unknowns and `solve` step by step are the same path."""
     problem, loads = rolling_block(0.3)
@@ -167,6 +168,7 @@ def test_a_body_by_newton_and_by_tresca() -> None:
     assert {event.kind for event in quick.events} >= {"closed", "slip"}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.4])
 def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) -> None:
     problem, loads = rolling_block(friction)
@@ -182,6 +184,7 @@ def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) ->
     assert given > 0
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", [1, 3, 8])
 def test_where_all_contacts_stick_steps_are_exact(steps: int) -> None:
     """mu = 100: nothing slips, each of many contacts sticks where it closed, and no step count moves them."""

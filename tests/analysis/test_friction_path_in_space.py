@@ -82,6 +82,7 @@ def test_after_a_corner_the_slip_turns_along_a_tractrix() -> None:
     np.testing.assert_allclose(errors[0] / errors[1], 2.0, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_small_steps_slip_along_the_velocity_long_after_a_corner() -> None:
     ends = np.array([[4.0, 0.0], [4.0, 16.0]])
     last = led(ends, 30)[-1]
@@ -104,6 +105,7 @@ def test_what_a_corner_dissipates() -> None:
     assert off[1] < 0.6 * off[0]
 
 
+@pytest.mark.slow
 def test_round_a_circle() -> None:
     """R = 2.5, L = 1.5: the block comes to go round a circle of radius 2, its spring tangent to it."""
     corners = 48
@@ -117,6 +119,7 @@ def test_round_a_circle() -> None:
     assert abs(inward) < 0.25 * 3.0 * 2.0
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.4])
 def test_a_jenkins_loop_in_any_direction(angle: float) -> None:
     """Amplitude D = 4: a loop costs 4 mu N (D - mu N / k) = 30, whatever the steps."""

@@ -97,6 +97,7 @@ def test_a_steep_path_is_no_snap():
     assert cq.large_deformation(arch(rise=0.01), [[0.0, 5.0]], steps=3).notes == ()
 
 
+@pytest.mark.slow
 def test_without_an_obstacle_the_arch_hangs_below_its_supports():
     history = cq.large_deformation(arch(), [0.5 * DOWN], steps=5)
     w = -history[-1].displacement[1]
@@ -125,6 +126,7 @@ def test_an_unstable_equilibrium_is_told():
         assert cq.large_deformation(body, [[0.0, 0.0, -0.5 * factor]], steps=1)[-1].stable == stands
 
 
+@pytest.mark.slow
 def test_a_round_obstacle_turns_its_normal_and_convergence_stays_quadratic():
     ball = cq.Circle([0.3, -0.9], 1.0)
     load = np.array([30.0, -10.0])
@@ -258,6 +260,7 @@ def test_a_truss_that_turns_far_is_dragged_along_a_plane_with_friction():
     assert max(solution.negative for solution in history) == 0
 
 
+@pytest.mark.slow
 def test_the_bar_is_compressed_on_the_way_and_its_tangent_indefinite():
     history, truss, _, _ = dragged()
     forces = [truss.axial_force(solution.displacement)[0] for solution in history]

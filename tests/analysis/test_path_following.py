@@ -172,6 +172,7 @@ def test_arcs_in_space_with_many_bars():
     assert history.limit_points[0].load_factor == pytest.approx(arch_limit()[0], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_path_is_resumed_where_it_broke_off():
     whole = cq.large_deformation(arch(), DOWN, **BY_ARC)
     half = cq.large_deformation(arch(), DOWN, **(BY_ARC | dict(steps=10)))

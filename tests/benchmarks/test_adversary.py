@@ -55,6 +55,7 @@ def test_every_word_is_spoken() -> None:
     assert spoken >= {*BODIES, *HELD, *CONTACTS, *LOADS, *REPEATS, *SIZES}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_trials_find_nothing(kind: str) -> None:
     done = [trial(0, number, (kind,)) for number in range(6)]
@@ -77,6 +78,7 @@ def test_problems_shrink_to_what_shows_a_finding() -> None:
     assert (smallest.plain.contacts, smallest.plain.ties, smallest.plain.dimension) == (1, 0, 1)
 
 
+@pytest.mark.slow
 def test_a_finding_is_written_with_the_command_that_shows_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -44,6 +44,7 @@ def test_candidates_are_of_many_kinds_right_and_wrong(reports: list[Judged]) -> 
     assert all(one.passed for one in reports if one.kind == "solver" and one.family == "chain_walls")
 
 
+@pytest.mark.slow
 def test_a_bound_below_the_true_error_is_counted_and_one_far_above_is(reports: list[Judged]) -> None:
     one = next(one for one in reports for known in one.bounds if known.error > 1e-3)
     small = replace(one, bounds=tuple(replace(known, bound=known.error / 2) for known in one.bounds))

@@ -25,6 +25,7 @@ def test_hertz_line_contact(kind, h1):
     assert all(level.half_width < 1 for level in levels)
 
 
+@pytest.mark.slow
 def test_a_parabola_of_another_radius_is_no_limit(monkeypatch):
     """With 5 % off the radius of the obstacle alone, errors stay where they are."""
     monkeypatch.setattr(contact_of_half_planes, "Parabola", WrongObstacle)

@@ -36,6 +36,7 @@ def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) ->
     assert one.load.shape != other.load.shape or not np.array_equal(one.load, other.load)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int) -> None:
@@ -91,6 +92,7 @@ def test_strain_that_is_nothing_beside_the_load_makes_no_answer_wrong() -> None:
     assert [outcome.verdict for outcome in report.outcomes] == ["right"]
 
 
+@pytest.mark.slow
 def test_the_families_are_as_different_as_the_issue_asks() -> None:
     everything = [family(name, seed) for name in SOLVABLE for seed in range(10)]
     gaps = np.concatenate([abs(p.gap[p.gap != 0]) for p in everything])

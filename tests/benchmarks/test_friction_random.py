@@ -34,12 +34,14 @@ def test_what_the_campaign_found(family: str, seed: int) -> None:
     assert judge(family, seed).wrong == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAKERS)
 def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> None:
     for seed in range(3):
         assert cq.exact_equilibria(contact_problem(f"{name} 2D", seed).plain)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("family", "seed"),
     [

@@ -140,6 +140,7 @@ for name, folder, arguments in json.loads(sys.stdin.read()):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on memory to set")
 def test_enormous_files_do_not_fill_the_memory(written):
     """A terabyte of nothing after each file, under two gigabytes of address space and a limit of time."""

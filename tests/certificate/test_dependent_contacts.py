@@ -44,6 +44,7 @@ def test_bounds_cover_the_errors_of_nearly_parallel_contacts(exponent: int) -> N
     assert np.sqrt(resultant @ inverse @ resultant / (whole @ inverse @ whole)) <= certificate.force_error
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("exponent", [43, 44, 45, 46, 47])
 @pytest.mark.parametrize("load", [0.0625, 0.25, 1.0])
 def test_a_wedge_that_hardly_narrows_still_holds(exponent: int, load: float) -> None:

@@ -79,6 +79,7 @@ def test_what_rounding_makes_of_agreeing_values_is_no_conflict():
     assert cq.solve(problem).certificate.passed
 
 
+@pytest.mark.slow
 def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
     """A membrane held over an obstacle, too many contacts to condense: three ties on three nodes in a circle."""
     side = 50

@@ -243,6 +243,7 @@ def test_python_m_is_the_command_line_and_imports_nothing_in_vain():
     assert "active-set" in listed.stdout
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_early_is_no_error():
     command = f"{sys.executable} -m contactqp run {CASES} | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
@@ -329,6 +330,7 @@ def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
     assert "maximum iterations reached" in data["failure"]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("arguments", ["run nowhere.toml --json", "methods --jsn --json"])
 @pytest.mark.parametrize("reader", ["> /dev/full", "| true"])
 def test_an_error_that_nobody_reads_leaves_no_traceback(arguments, reader):

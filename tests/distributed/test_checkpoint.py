@@ -47,6 +47,7 @@ def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(
     assert same(again, case)
 
 
+@pytest.mark.slow
 def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, kept):
     case, folder = kept
     (folder / "step-000006.json").unlink()  # the run ended before this was written
@@ -97,6 +98,7 @@ def test_what_is_no_folder_of_this_case_is_refused_in_one_line(commands, kept, t
         assert said in line
 
 
+@pytest.mark.slow
 def test_words_of_a_case_may_change_between_its_runs(commands, kept):
     case, folder = kept
     case.write_text(case.read_text().replace("Two bars in a row", "Bars, and a wall"))

@@ -55,6 +55,7 @@ def is_that_of_one_process(found: dict, wanted: dict) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_tables_and_files_are_written_once(python_on_ranks, tmp_path):
     case = path_case(tmp_path)
     done = run(python_on_ranks, 2, case, "--plot", tmp_path / "p.png")

@@ -61,6 +61,7 @@ def test_the_first_rank_fails(python_on_ranks, tmp_path):
     assert done.said == ["contactqp: rank 0: PETSc: Unknown Mat type given: no such type"]
 
 
+@pytest.mark.slow
 def test_a_rank_is_killed(python_on_ranks, tmp_path):
     done = run(python_on_ranks, tmp_path, "killed")
     assert done.code == 137

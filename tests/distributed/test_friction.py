@@ -72,6 +72,7 @@ def test_wrong_answers_are_refused(on_ranks: Callable[..., str], count: int) -> 
     assert "refused" in on_ranks("friction_refused.py", count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2])
 def test_a_load_path_keeps_what_has_slipped_as_one_process_does(on_ranks: Callable[..., str], count: int) -> None:
     """Contacts that close on the way count their slip from there; energies and events are the same too."""

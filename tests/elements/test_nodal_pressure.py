@@ -155,6 +155,7 @@ def test_a_node_far_off_the_middle_has_no_pressure():
         nodal_pressure(surface, surface.nodes)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_hertz_at_every_node(model, kind):
     """A node's value is made of the forces of the facets around it and their neighbours: it is off by no more than the
@@ -170,6 +171,7 @@ def test_hertz_at_every_node(model, kind):
     assert r[allowed == 0].min() < 3  # most of the side is held to zero
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_rigid_punch_converges_with_first_order_from_the_axis_to_half_its_radius(model, kind):
     """p = P / (pi sqrt(a^2 - x^2)), P / (2 pi a sqrt(a^2 - r^2)) (Johnson 1985, section 2.8 and 3.7).
@@ -237,6 +239,7 @@ def test_a_uniform_pressure_on_a_floor(model, kind):
     np.testing.assert_allclose(pressure, 7.0, rtol=0.08 if kind == "hex20" else 1e-11)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("kind", PLANE_KINDS)
 def test_a_uniform_pressure_between_facets_of_two_bodies(kind, model):

@@ -42,6 +42,7 @@ def pressed(K: Array, nodes: Array, stated: Array | None) -> cq.ContactProblem:
     return cq.ContactProblem(K, f, E, [0.0, 1e-7, 2e-7], near_null_space=stated)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("digits", [6, 7, 8, 9, 10, 11, 12])
 @pytest.mark.parametrize("seed", range(3))
@@ -202,6 +203,7 @@ def test_the_change_is_kept_when_other_data_are_replaced() -> None:
         assert other.rigid_change == problem.rigid_change
 
 
+@pytest.mark.slow
 def test_large_bodies_are_recognised_too() -> None:
     """A lattice of 900 unknowns, too many for all eigenvalues."""
     rng = np.random.default_rng(0)

@@ -251,6 +251,7 @@ def test_the_least_eigenvalue_of_a_chain_sparse_or_dense(size: int) -> None:
     assert least_eigenvalue(less) is None
 
 
+@pytest.mark.slow
 def test_dense_matrices_of_thousands_are_proven_within_seconds() -> None:
     """Products of dense factors are made by BLAS, not entry by entry."""
     rng = np.random.default_rng(2)

@@ -180,6 +180,7 @@ def test_friction_on_a_ball_is_along_the_tangents_of_now():
     assert abs(model.along_axes(last.friction_force)[0] - along).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_tripod_rubs_over_a_sphere():
     """In space: balance of the bars, the weight and the push with pressure and friction across it, along the slip."""
     feet = [[1.0, 0.0], [-0.5, 0.8], [-0.6, -0.7]]

@@ -108,6 +108,7 @@ def test_a_plate_with_contacts_all_over_stays_sparse() -> None:
     assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not importlib.util.find_spec("pyamg"), reason="pyamg is not installed")
 def test_a_set_that_only_shrinks_does_so_by_layers(monkeypatch: pytest.MonkeyPatch) -> None:
     by_layers = cq.solve(membrane(120, 0.03))

@@ -79,6 +79,7 @@ def stack(seed: int, decades: float) -> cq.ContactProblem:
     return cq.ContactProblem(K, np.concatenate(loads), E, gap)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_steel_on_what_is_softer_by_ten_decades(seed: int) -> None:
     problem = stack(seed, 10.0)
@@ -161,6 +162,7 @@ def test_free_motions_of_a_soft_block_tied_to_a_stiff_one_keep_the_tie() -> None
     assert motions.T @ motions == pytest.approx(np.eye(5), abs=1e-14)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("decades", [0.0, 4.6, 7.0])
 def test_stacks_of_usual_contrast_need_no_other_route(seed: int, decades: float) -> None:

@@ -36,6 +36,7 @@ def test_one_case_writes_the_files_that_were_named(capsys, tmp_path):
     assert f"written: {tmp_path / 'wall.png'}" in out
 
 
+@pytest.mark.slow
 def test_several_cases_put_their_names_before_the_suffix(capsys, tmp_path):
     assert run(capsys, "run", WALL, TRUSS, "--plot", tmp_path / "a.svg")[0] == 0
     assert names(tmp_path) == ["a.bar_wall.svg", "a.truss_floor.history.svg", "a.truss_floor.svg"]

@@ -24,6 +24,7 @@ def wall() -> Footprint:
     return measure(CASES / "bar_wall.toml")
 
 
+@pytest.mark.slow
 def test_stages_sum_to_the_total(wall):
     assert [stage.name for stage in wall.stages] == [IMPORT, READ, BUILD, CONDENSE, METHOD, POLISH, CERTIFY]
     assert sum(stage.seconds for stage in wall.stages) == pytest.approx(wall.seconds, rel=0.05)

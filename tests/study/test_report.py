@@ -123,12 +123,14 @@ def replaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, report.Rep
     return folder, _write(folder, ["active-set"], CASES[:1])
 
 
+@pytest.mark.slow
 def test_an_earlier_report_is_replaced_whole(replaced: tuple[Path, report.ReportResult]) -> None:
     folder, _ = replaced
     assert (folder / "results.csv").read_text().startswith("case,method,")
     assert (folder / "mine.txt").read_text() == "keep"
 
 
+@pytest.mark.slow
 def test_without_its_libraries_no_page_is_left(
     replaced: tuple[Path, report.ReportResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -198,6 +200,7 @@ def test_a_report_that_ends_early_leaves_what_it_found(tmp_path: Path, monkeypat
     assert not list(folder.glob("*unfinished*"))
 
 
+@pytest.mark.slow
 def test_a_bug_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_: cq.ContactProblem, __: Settings) -> Candidate:
         raise RuntimeError("who would have thought")

@@ -53,6 +53,7 @@ def condensed(problem: cq.ContactProblem) -> cq.ContactProblem:
     return twin
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
     problem = pushed(seed)

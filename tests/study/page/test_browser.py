@@ -125,6 +125,7 @@ def _complaints(browser: Any) -> list[str]:
     return [entry["message"] for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
 
 
+@pytest.mark.slow
 def test_charts_are_drawn_when_they_are_near(browser: Any) -> None:
     _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
     drawn = "document.querySelectorAll('.case')[1].querySelectorAll('.js-plotly-plot').length"
@@ -260,6 +261,7 @@ def _faint(found: list[Any]) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 def test_texts_stand_out_from_what_is_behind_them_on_light_and_dark_pages(browser: Any) -> None:
     _open_all(browser)
     _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
@@ -276,6 +278,7 @@ def test_texts_stand_out_from_what_is_behind_them_on_light_and_dark_pages(browse
     assert browser.execute_script(stroke) == "rgb(231, 234, 237)"  # a black curve is light
 
 
+@pytest.mark.slow
 def test_a_telephone_does_not_scroll_sideways(browser: Any) -> None:
     _look(browser, 400, "light")
     _open_all(browser)

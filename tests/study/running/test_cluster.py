@@ -61,6 +61,7 @@ def test_cells_run_there_and_a_crash_costs_its_own(workers: Cluster) -> None:
     assert list(found.values()) == [Number(i / 2) for i in range(6)]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_timed_runs_alone_in_one_process_of_a_worker(workers: Cluster, tmp_path: Path) -> None:
     with workers.alone() as pool:

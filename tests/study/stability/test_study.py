@@ -85,6 +85,7 @@ def test_every_method_is_tried_at_every_value_or_the_row_says_why() -> None:
     assert "tried up to" in slow.message
 
 
+@pytest.mark.slow
 def test_very_many_contacts_are_not_condensed_onto_to_write_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bodies all of whose 10 000 unknowns touch something: as a dense matrix that is 0.8 GB."""
 
