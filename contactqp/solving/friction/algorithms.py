@@ -13,7 +13,7 @@ from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
-from contactqp.solving.friction.iterate import Deadline, Iterate
+from contactqp.solving.friction.iterate import NEARER, Deadline, Iterate
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.friction.newton import solve_newton
 from contactqp.solving.friction.tresca import solve_tresca
@@ -130,8 +130,6 @@ def register(algorithm: Algorithm) -> None:
 FIRST_POLISH = 4
 # And from those that are as near as this, in the scale of the local form.
 NEARLY = 1e-6
-# What has been tried from an iterate is tried again from one whose error is this part of it.
-NEARER = 0.5
 # Iterates that may come to nothing, at most: where contacts are few, what has not moved for so long has no answer.
 PATIENCE, PATIENCE_A_CONTACT = 40, 20
 # An error that is this part of another is hardly better.

@@ -59,6 +59,8 @@ class Deadline:
             raise NotConverged(f"{who}: stopped at the time limit of {self._limit:g} s")
 
 
+# What has been tried from an iterate is tried again from one whose error is this part of it.
+NEARER = 0.5
 # The factor stays between these: a full step, and one small enough for mu = 20 mu_c.
 RELAXATION = (0.05, 1.0)
 

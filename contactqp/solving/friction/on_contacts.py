@@ -15,11 +15,11 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Fr
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.algorithms import ALGORITHMS, NEARER, run_algorithm, run_any
+from contactqp.solving.friction.algorithms import ALGORITHMS, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
-from contactqp.solving.friction.iterate import Deadline, Iterate
+from contactqp.solving.friction.iterate import NEARER, Deadline, Iterate
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Method, Settings
 

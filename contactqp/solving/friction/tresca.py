@@ -28,7 +28,7 @@ from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.iterate import RELAXATION, aitken
+from contactqp.solving.friction.iterate import NEARER, RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 
 # Enough for contractions up to 0.9; what is slower is not getting there.
@@ -78,6 +78,7 @@ def solve_tresca(
     changes: list[float] = []
     relaxation = RELAXATION[1]
     before: Vector | None = None
+    tried: dict[bytes, float] = {}  # combinations, and the change of the bound from which each was last refined
     limit = MAX_STEPS if settings.max_iter is None else settings.max_iter
     for step in range(1, limit + 1):
         try:
@@ -91,13 +92,16 @@ def solve_tresca(
             raise NotConverged(
                 f"tresca: the friction bounds of step {step} lead nowhere: {error}", tuple(changes)
             ) from error
-        status = run.suggested(found, bound)
-        answer = run.answer_in(status, found)
-        if holds(problem, answer):
-            return TrescaAnswer(answer, status, step, tuple(changes))
         missing = run.bound_of(found) - bound
         largest = np.max(abs(bound), initial=np.max(abs(missing), initial=0.0))
-        changes.append(float(np.max(abs(missing), initial=0.0) / largest) if largest > 0 else 0.0)
+        change = float(np.max(abs(missing), initial=0.0) / largest) if largest > 0 else 0.0
+        status = run.suggested(found, bound)
+        if not change >= NEARER * tried.get(status.tobytes(), np.inf):
+            tried[status.tobytes()] = change
+            answer = run.answer_in(status, found)
+            if holds(problem, answer):
+                return TrescaAnswer(answer, status, step, tuple(changes))
+        changes.append(change)
         if changes[-1] <= SETTLED:
             raise NotConverged(
                 "tresca: the bounds have settled where the signs of friction do not hold", tuple(changes)

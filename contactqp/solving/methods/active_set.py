@@ -50,6 +50,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
     doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
+    before: NDArray[np.intp] | None = None
     for _ in range(PROXIMAL_STEPS):
         if steps >= limit:
             raise NotConverged(f"active-set: no contact set was found in {steps} steps")
@@ -62,10 +63,13 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
         steps += taken
         anchor = operator.displaced(free, force)
         closed = np.flatnonzero(force[: problem.contacts] > 0)
-        answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
+        answer = None
+        if before is None or not np.array_equal(closed, before):  # a set that does not hold, does not hold later
+            answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
             x, normal_force, tie_force = answer
             return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+        before = closed
         if not condensation.rigid.count:
             break
     try:
