@@ -226,21 +226,25 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
 
 def parts(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the part, bodies connected by contacts and ties, that each unknown belongs to."""
-    from scipy.sparse.csgraph import connected_components
-
     if problem._computed.parts is None:
         body = bodies(problem)
         count = int(body.max(initial=-1)) + 1
-        if count == 1:
+        joined = [_joined(rows, body) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
+        one, other = np.concatenate(joined, axis=1)
+        apart = one != other
+        if not np.any(apart):
             problem._computed.parts = body
-            return body
-        joints = sp.vstack([rows for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None])
-        joints = sp.csr_matrix(joints)
-        places = (np.ones(joints.nnz), body[joints.indices], joints.indptr)
-        touched = sp.csr_matrix(places, shape=(joints.shape[0], count))
-        graph = sp.bmat([[sp.csr_matrix((count, count)), touched.T], [touched, None]])
-        problem._computed.parts = connected_components(graph, directed=False)[1][:count][body]
+        else:
+            edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
+            problem._computed.parts = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][body]
     return problem._computed.parts
+
+
+def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(2, z) the body of each entry of CSR rows, and the body of the first entry of its row."""
+    counts = np.diff(rows.indptr)
+    first = rows.indices[rows.indptr[:-1][counts > 0]]
+    return np.stack([body[rows.indices], np.repeat(body[first], counts[counts > 0])])
 
 
 def _first_unknowns(rows: Any) -> tuple[Any, Any]:
