@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.large.constrained_newton import NewtonSettings
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LoadedBody
 from contactqp.analysis.large.load_control import LoadControl, Program
+from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_following import PathControl
 from contactqp.elements.checked_arrays import positive_number, real_number
 from contactqp.elements.deformable import ContactGeometry, Deformable
@@ -65,7 +65,8 @@ def large_deformation(
     contact : ContactGeometry, optional
         ObstacleContact, ContactGroup, or anything that gives gaps and rows at u.
     steps : int
-        Equal steps a leg.
+        Equal steps a leg. With control="load" one that does not converge is halved, and so are its halves, four times
+        at most; all of them stand in the history.
     control : "load", "displacement" or "arc-length"
         With the two others the load factor is an unknown: the load is that factor times `loads[0]`, the only corner,
         and the path is followed through limit points, unstable equilibria included. Contacts close and open at points

@@ -57,6 +57,9 @@ class Imbalance:
     force: float  # the largest residual over the largest force that meets it
     length: float  # the largest error of a gap, slip or tie over the largest displacement
     nothing: bool  # both within tolerance, or within rounding
+    lengths_are_met: bool  # of these alone
+    residual: float  # the largest residual [force]
+    largest_force: float  # [force]
 
     @property
     def size(self) -> float:
@@ -162,13 +165,11 @@ class LoadedBody:
         size = max(float(np.max(abs(part), initial=0.0)) for part in parts)
         rounding = ROUNDING * (abs(K) @ abs(now.displacement))
         reach = float(np.max(abs(now.displacement), initial=0.0))
-        nothing = bool(
-            np.all(residual <= tolerance * size + rounding)
-            and np.all(length_error <= tolerance * reach + length_rounding)
-        )
-        force = float(np.max(residual, initial=0.0)) / size if size else 0.0
-        worst = float(np.max(length_error, initial=0.0))
-        return Imbalance(force, worst / reach if reach else worst, nothing)
+        met = bool(np.all(length_error <= tolerance * reach + length_rounding))
+        nothing = bool(np.all(residual <= tolerance * size + rounding)) and met
+        largest, worst = (float(np.max(errors, initial=0.0)) for errors in (residual, length_error))
+        relative = largest / size if size else 0.0, worst / reach if reach else worst
+        return Imbalance(*relative, nothing, met, largest, size)
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
-from contactqp.analysis.large.constrained_newton import (
-    Balance,
-    NewtonSettings,
-    Target,
-    find_balance,
-    in_displacement,
-    slipped,
-)
+from contactqp.analysis.large.constrained_newton import Balance, find_balance
 from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolution, LoadedBody, Snap
+from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Work
 
+# A step that does not converge is halved, its halves likewise, at most so often.
+MOST_HALVINGS = 4
 # Halvings of a step in search of a jump: they bracket its load factor to a millionth of the step.
 HALVINGS = 20
 # The load factor of a jump counts as located where its bracket is below this part of the step.
@@ -60,10 +56,10 @@ class Program:
         """Return load and tie value at a load factor, without anchors."""
         leg = min(int(t), self.end - 1)
         part = t - leg
-        if part == 1:
-            return Target(self.loads[leg + 1], self.tie_values[leg + 1])
-        load = self.loads[leg] + part * (self.loads[leg + 1] - self.loads[leg])
-        return Target(load, self.tie_values[leg] + part * (self.tie_values[leg + 1] - self.tie_values[leg]))
+        ends = [(values[leg], values[leg + 1]) for values in (self.loads, self.tie_values)]
+        load, tie_value = (end if part == 1 else start + part * (end - start) for start, end in ends)
+        largest = [max(float(np.max(abs(v), initial=0.0)) for v in values) for values in (self.loads, self.tie_values)]
+        return Target(load, tie_value, None, *largest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +81,20 @@ class LoadControl:
         solutions: list[LargeSolution] = []
         notes: list[str] = []
         snaps: list[Snap] = []
-        first = times[0]
+        t = times[0]
         try:
             if isinstance(start, LargeSolution):
                 solutions.append(start)
             else:
-                solutions.append(self.first(start, first))
+                solutions.append(self.first(start, t))
             for t in times[1:]:
-                solutions.append(self._next(solutions[-1], t, notes, snaps))
+                solutions += self._to(solutions[-1], t, notes, snaps)
         except NotConverged as error:
-            at = times[len(solutions)]
             so_far = LargeHistory(solutions, notes, snaps=snaps)
             last = solutions[-1] if solutions else None
-            raise NotConverged(f"large_deformation: at load factor {at:.6g}: {error}", so_far, last) from error
+            raise NotConverged(f"large_deformation: at load factor {t:.6g}: {error}", so_far, last) from error
         except NotCertified as error:
-            at = times[len(solutions)]
-            raise NotCertified(f"large_deformation: at load factor {at:.6g}: {error}", error.solution) from error
+            raise NotCertified(f"large_deformation: at load factor {t:.6g}: {error}", error.solution) from error
         return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
@@ -108,9 +102,27 @@ class LoadControl:
         target = self.program.at(t)
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchor = self.loaded.contact.positions(displacement)
-            target = Target(target.load, target.tie_value, anchor)
+            target = replace(target, anchor=anchor)
         balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), target, self.settings)
         return large_solution(self.loaded, balance, target, t, self.settings)
+
+    def _to(
+        self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap], halvings: int = MOST_HALVINGS
+    ) -> list[LargeSolution]:
+        """Return the equilibria on the way to a load factor: of one step, or of the halves of one that does not
+        converge.
+        """
+        try:
+            return [self._next(before, t, notes, snaps)]
+        except NotConverged as error:
+            if not halvings:
+                raise
+            whole = error
+        try:
+            first = self._to(before, (before.load_factor + t) / 2, notes, snaps, halvings - 1)
+            return first + self._to(first[-1], t, notes, snaps, halvings - 1)
+        except NotConverged:
+            raise whole from None
 
     def _next(self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap]) -> LargeSolution:
         target = self.program.at(t)
@@ -125,11 +137,11 @@ class LoadControl:
                     loaded,
                     before.displacement,
                     forces_of(before),
-                    Target(target.load, target.tie_value, anchor),
+                    replace(target, anchor=anchor),
                     self.settings,
                 ),
             )
-            target = Target(target.load, target.tie_value, anchor)
+            target = replace(target, anchor=anchor)
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
         if self.loaded.friction is None and (balance.shifted or self._leaps(before, balance)):
@@ -188,8 +200,8 @@ class LoadControl:
                 low, start, forces = middle, u, found.forces
             else:
                 high, end = middle, u
-        if np.linalg.norm(end - start) < JUMP * whole:
-            return None
+            if np.linalg.norm(end - start) < JUMP * whole:
+                return None
         j = int(np.argmax(abs(end - start)))
         located = high - low <= LOCATED * (t - before.load_factor)
         return Snap(low, high, located, j, float(start[j]), float(end[j]))
@@ -235,6 +247,12 @@ def large_solution(
         note = (
             f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
             "balance and contact are those of the body, its stability is another question"
+        )
+        certificate = replace(certificate, notes=(*certificate.notes, note))
+    if balance.unresolved:
+        note = (
+            f"balance holds to {balance.unresolved:.1e} of the path's largest force: below that the internal force of "
+            "the body is rounding, which follows no tangent"
         )
         certificate = replace(certificate, notes=(*certificate.notes, note))
     spent = time.perf_counter() - started

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import determinant_sign, solve_system
-from contactqp.analysis.large.constrained_newton import Balance, NewtonSettings, Target, stationary_step
+from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody, NewtonIteration
+from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Mask, Vector
 

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 
 from contactqp.analysis.history import Event
 from contactqp.analysis.large.active_kkt import by_signs
-from contactqp.analysis.large.constrained_newton import NewtonSettings
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, LoadedBody
 from contactqp.analysis.large.load_control import LoadControl, Program, forces_of, large_solution
+from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_equations import (
     SHARP,
     Control,

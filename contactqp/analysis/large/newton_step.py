@@ -1,0 +1,265 @@
+"""One step of Newton's method with inequality constraints: a contact problem in the increment (SQP).
+
+The step is the minimum of a convex contact problem where the tangent allows that; elsewhere the tangent is shifted, or
+the closed set is found by signs (`active_kkt`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.large.active_kkt import (
+    by_signs,
+    coulomb_by_signs,
+    lowest_eigenvalue,
+    negative_on,
+    positive_semidefinite,
+)
+from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
+
+# How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
+BEYOND = 1.2
+SINGULAR_SHIFT = 1e-3
+# Stiffnesses along ties that are tried, over the largest diagonal of the tangent.
+ALONG_TIES = (1.0, 1e2)
+# Condensed, the step that is returned is the least where nothing holds: where a cable hangs straight, say.
+LEAST_STEP = {"condense": True}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The loads, tie values and slip origins that are to be brought into balance."""
+
+    load: Vector  # (n,)
+    tie_value: Vector  # (k,) A u
+    anchor: Array | None = None  # (m, d) where the slips of the step are counted from, with friction
+    largest_load: float = 0.0  # of the whole path
+    largest_tie_value: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonSettings:
+    """How the steps are solved, and when they end."""
+
+    method: str = "active-set"
+    exact: bool = True  # whether the method enforces contact, not approximates it
+    options: dict[str, Any] = field(default_factory=dict)
+    tolerance: float = 1e-12
+    max_iter: int = 50
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonStep:
+    """An increment, with the forces after it and the problem that both solve."""
+
+    problem: ContactProblem  # in the increment
+    increment: Vector  # (n,) du
+    forces: Forces
+    shift: float = 0.0  # that a tangent without a way down was given [force / length]
+    springs: float = 0.0  # that an indefinite tangent was given in `problem`, relaxed at du [force / length]
+    solution: Solution | None = None  # where a method of `solve` found it
+
+
+def newton_step(
+    loaded: LoadedBody,
+    now: Instant,
+    K: Any,
+    target: Target,
+    settings: NewtonSettings,
+    before: NewtonStep | None,
+    forces: Forces,
+) -> NewtonStep:
+    """Return the minimum of 1/2 du'K du - r'du over E_N du <= gap and A du = b - A u, with friction if there is any.
+
+    Where K is indefinite across the ties alone, stiffness along them makes the problem convex and is no other problem.
+    Where K is indefinite but has positive energy on the motions that keep the closed contacts closed, that is a local
+    minimum: its closed set is found by signs. Where it has not, no step leads to a minimum; K is then shifted,
+    K + shift 1, which leads down and leaves every equilibrium where it is. The step says so.
+
+    Parameters
+    ----------
+    loaded : LoadedBody
+        The body with its contacts and ties.
+    now : Instant
+        The body at the displacement of the iteration.
+    K : (n, n) matrix
+        Its tangent, with the curvature of the contacts.
+    target : Target
+        Loads, tie values and slip origins.
+    settings : NewtonSettings
+        Method, options and tolerance.
+    before : NewtonStep or None
+        The step before, whose solution starts this one.
+    forces : Forces
+        The forces of the iteration.
+
+    Raises
+    ------
+    Unsupported
+        An indefinite tangent and a method that is convex, or friction in space.
+    NotConverged
+        The step has no answer.
+    """
+    stiff, load = K, target.load
+    if not positive_semidefinite(K):
+        along = _stiffness_along_ties(loaded, K)
+        if along is None:
+            return _indefinite(loaded, now, K, target, settings, forces)
+        # A u = b is known: springs along the ties that are relaxed there change neither the answer nor its forces.
+        stiff = sp.csc_array(K + along * (loaded.tie.T @ loaded.tie))
+        load = load + along * (loaded.tie.T @ (target.tie_value - loaded.tie @ now.displacement))
+    problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
+    try:
+        return _solved(problem, now, settings, before)
+    except NoEquilibrium as error:
+        if settings.method != "active-set" or problem.frictional:
+            raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
+    # A mechanism without stiffness, which its load drives: it gains stiffness as it moves.
+    return _shifted(loaded, now, K, target, settings, SINGULAR_SHIFT * float(np.max(abs(K.diagonal()))))
+
+
+def _stiffness_along_ties(loaded: LoadedBody, K: Any) -> float | None:
+    """Return c so that K + c A'A is positive semidefinite, or None if no stiffness along the ties achieves that."""
+    square = sp.csc_array(loaded.tie.T @ loaded.tie)
+    if not square.nnz:
+        return None
+    unit = float(np.max(abs(K.diagonal())) / np.max(square.diagonal()))
+    for size in ALONG_TIES:
+        if positive_semidefinite(sp.csc_array(K + size * unit * square)):
+            return size * unit
+    return None
+
+
+def slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array | None:
+    """Return the slip of the load step so far, (m, d-1) [length], or None without friction."""
+    if loaded.contact is None or target.anchor is None:
+        return None
+    return loaded.contact.slip_since(now.displacement, target.anchor)
+
+
+def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactProblem:
+    """Restate a problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
+
+    At the end of Newton's method increments are rounding; lengths and forces are to be measured against the whole.
+    """
+    changes: dict[str, Any] = {}
+    if problem.tangent is not None and problem.slip_origin is not None:
+        moved = np.asarray(problem.tangent @ displacement).reshape(problem.slip_origin.shape)
+        changes["slip_origin"] = problem.slip_origin + moved
+    return problem.replace(
+        load=problem.load + problem.stiffness @ displacement,
+        gap=problem.gap + problem.normal @ displacement,
+        tie_value=problem.tie_value + problem.tie @ displacement,
+        **changes,
+    )
+
+
+def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, before: NewtonStep | None) -> NewtonStep:
+    """Solve by a method of `solve`; an answer that its certificate refuses is judged again at the end, in the
+    displacement.
+
+    Without friction the unknown is the increment: what nothing holds stays where it is. With friction it is the
+    displacement, against whose size a slip is told from rounding.
+    """
+    start = None if before is None or not settings.exact else before.solution
+    asked = in_displacement(problem, now.displacement) if problem.frictional else problem
+    try:
+        found = solve(asked, settings.method, warm_start=start, **(LEAST_STEP | settings.options))
+    except NotCertified as error:
+        if not isinstance(error.solution, Solution):
+            raise
+        found = error.solution
+    du = found.displacement - now.displacement if problem.frictional else found.displacement
+    friction = found.friction_force if problem.frictional else None
+    return NewtonStep(problem, du, Forces(found.normal_force, found.tie_force, friction), solution=found)
+
+
+def _indefinite(
+    loaded: LoadedBody, now: Instant, K: Any, target: Target, settings: NewtonSettings, forces: Forces
+) -> NewtonStep:
+    if settings.method != "active-set":
+        raise Unsupported(
+            f"{settings.method}: the tangent is indefinite (lowest eigenvalue {lowest_eigenvalue(K):.3g}) and the "
+            "method is convex; expected method='active-set'"
+        )
+    if target.anchor is not None and loaded.contacts:
+        return _indefinite_with_friction(loaded, now, K, target, forces)
+    contact = now.contact
+    value = target.tie_value - loaded.tie @ now.displacement
+    try:
+        r, closed = target.load - now.internal, forces.normal > 0
+        du, normal, tie, closed = by_signs(K, r, contact.normal, contact.gap, loaded.tie, value, closed)
+    except NotConverged:
+        pass
+    else:
+        rows = sp.vstack([contact.normal[np.flatnonzero(closed)], loaded.tie], format="csr")
+        # On the way to contacts that were open the energy may rise all the same.
+        inside = np.all(contact.gap >= -contact.rounding) and not np.any(value)
+        if not negative_on(K, rows) and (not inside or r @ du >= -float(contact.rounding @ normal)):
+            return stationary_step(loaded, now, K, target, du, Forces(normal, tie))
+    return _shifted(loaded, now, K, target, settings, BEYOND * -min(lowest_eigenvalue(K), 0.0))
+
+
+def _indefinite_with_friction(loaded: LoadedBody, now: Instant, K: Any, target: Target, forces: Forces) -> NewtonStep:
+    """Find the states of stick and slip by signs; friction has no energy that could tell whether the answer is
+    stable.
+    """
+    step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
+    origin = step.problem.slip_origin
+    if origin is not None and origin.shape[1] != 1:
+        raise Unsupported(
+            f"friction with {origin.shape[1]} tangents a contact where the tangent stiffness is indefinite (lowest "
+            f"eigenvalue {lowest_eigenvalue(K):.3g}): states are found by signs in the plane alone"
+        )
+    du, found = coulomb_by_signs(K, step.problem, target.load - now.internal, forces)
+    return stationary_step(loaded, now, K, target, du, found)
+
+
+def _shifted(
+    loaded: LoadedBody, now: Instant, K: Any, target: Target, settings: NewtonSettings, shift: float
+) -> NewtonStep:
+    stiff = sp.csc_array(K + shift * sp.identity(K.shape[0]))
+    problem = loaded.step_problem(now, stiff, target.load, target.tie_value)
+    try:
+        step = _solved(problem, now, settings, None)
+    except NoEquilibrium as error:
+        raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
+    return NewtonStep(problem, step.increment, step.forces, shift=shift, solution=step.solution)
+
+
+def stationary_step(
+    loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces, grazing: int | None = None
+) -> NewtonStep:
+    """Return an increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
+
+    Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
+    r + s du: it has the same balance and the same signs, and says nothing about stability. A contact that grazes, with
+    no force at gap 0, has a gap that is wider by its rounding: on the other side of zero it would have a force.
+
+    Parameters
+    ----------
+    loaded, now, K, target, forces
+        As for `newton_step`.
+    du : (n,) array
+        The increment.
+    grazing : int, optional
+        A contact with no force at gap 0.
+    """
+    springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
+    stiff = sp.csc_array(K + springs * sp.identity(K.shape[0])) if springs else K
+    load = target.load + springs * du
+    problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
+    if grazing is not None:
+        gap = problem.gap.copy()
+        gap[grazing] += now.contact.rounding[grazing]
+        problem = problem.replace(gap=gap)
+    return NewtonStep(problem, du, forces, springs=springs)
