@@ -104,6 +104,7 @@ if TYPE_CHECKING:
     from contactqp.solving.friction.exact_enumeration import exact_equilibria as exact_equilibria
     from contactqp.solving.methods import methods as methods
     from contactqp.solving.solve import solve as solve
+    from contactqp.study.answer_pictures import draw as draw
     from contactqp.study.comparison import compare as compare
 
 _HOME = {
@@ -172,6 +173,7 @@ _HOME = {
     "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
     "critical_friction": "certificate.critical_friction",
+    "draw": "study.answer_pictures",
     "draw_history": "pictures.history_drawing",
     "equilibria": "solving.equilibria",
     "exact": "oracle.exact.exact",

@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from importlib import import_module
 from itertools import chain, combinations, pairwise
+from pathlib import Path
 from typing import Any, NoReturn, Protocol, overload
 
 import numpy as np
@@ -171,6 +173,10 @@ class History(ReadOnly, Sequence[Solution]):
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
+
+    def plot(self, file: str | Path | None = None, **options: Any) -> Any:
+        """Draw the history, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
+        return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
     def summary(self) -> str:
         """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""

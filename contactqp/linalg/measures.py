@@ -226,18 +226,18 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
 
 def parts(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the part, bodies connected by contacts and ties, that each unknown belongs to."""
-    if problem._computed.parts is None:
-        body = bodies(problem)
-        count = int(body.max(initial=-1)) + 1
-        joined = [_joined(rows, body) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
+    found: NDArray[np.intp] | None = problem._computed.parts
+    if found is None:
+        found = bodies(problem)
+        count = int(found.max(initial=-1)) + 1
+        joined = [_joined(rows, found) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
         one, other = np.concatenate(joined, axis=1)
         apart = one != other
-        if not np.any(apart):
-            problem._computed.parts = body
-        else:
+        if np.any(apart):
             edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
-            problem._computed.parts = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][body]
-    return problem._computed.parts
+            found = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][found].astype(np.intp)
+        problem._computed.parts = found
+    return found
 
 
 def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:

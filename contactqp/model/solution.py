@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -330,6 +332,10 @@ class Solution(ReadOnly):
     def summary(self) -> str:
         """Return verdict, contacts and displacements as tables of at most 80 columns; what `print` shows."""
         return summary_of(self)
+
+    def plot(self, file: str | Path | None = None, **options: Any) -> Any:
+        """Draw the answer, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
+        return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
     def __str__(self) -> str:
         return summary_of(self)

@@ -13,7 +13,10 @@ import numpy as np
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.elements.pairing import Pairing
+from contactqp.elements.structure import System
 from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.exchange.whole_file import check_installed
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
@@ -21,12 +24,14 @@ from contactqp.pictures.contact_fields import HELD, ContactFields, contact_field
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
+from contactqp.pictures.solution_drawing import solution_figure
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import exact_problem
 from contactqp.scene.judging import Failure, Judgement, Trial
+from contactqp.scene.scene import load_scene
 from contactqp.scene.schema import SceneData
 
 if TYPE_CHECKING:
@@ -149,6 +154,83 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "") -> F
     if isinstance(fields, ContactFields):
         return figure(fields, title=title)
     return structure_figure(fields, scale=1.0 if scene.large else None, title=title)
+
+
+def draw(
+    answer: Solution | History,
+    file: str | Path | None = None,
+    *,
+    scene: SceneData | str | Path | None = None,
+    system: System | None = None,
+    contacts: Sequence[Pairing] = (),
+    title: str = "",
+) -> Figure:
+    """Draw an answer: on its geometry where that is given, a history over time or load, else forces and gaps as bars.
+
+    Parameters
+    ----------
+    answer : Solution or History
+        What `solve`, `run`, `follow_path`, `impact` or `large_deformation` return, or the `history` of a
+        `NotConverged`. Of a history with geometry, and of one of a single instant, the last solution is drawn.
+    file : str or Path, optional
+        A file to write, which ends in .png, .pdf or .svg.
+    scene : Scene, or str or Path of a case file, optional
+        The scene that was run: draws what ``contactqp run CASE --plot FILE`` does.
+    system, contacts : System and sequence of Pairing, optional
+        ``structure.assemble(...)`` and the pairings of ``system.problem(contacts)``: draws the deformed bodies with the
+        pressure at their contacts.
+    title : str
+        The title of the picture.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        In a notebook it shows itself.
+
+    Raises
+    ------
+    InvalidProblem
+        The suffix is unknown, the folder does not exist, the answer is neither a Solution nor a History, or it is not
+        one of this system or this scene.
+    BackendMissing
+        matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> figure = cq.draw(cq.solve(wall))
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['normal force [force]', 'gap [length]']
+    """
+    check_installed("matplotlib", "report", "drawing")
+    path = None if file is None else check_picture(file)
+    if not isinstance(answer, Solution | History):
+        raise InvalidProblem(f"draw: expected a Solution or a History, got {type(answer).__name__}")
+    drawn = _drawn(answer, scene, system, contacts, title)
+    if path is not None:
+        save(drawn, path)
+    return drawn
+
+
+def _drawn(
+    answer: Solution | History,
+    scene: SceneData | str | Path | None,
+    system: System | None,
+    contacts: Sequence[Pairing],
+    title: str,
+) -> Figure:
+    solution = answer[-1] if isinstance(answer, History) else answer
+    if scene is not None and system is not None:
+        raise InvalidProblem("draw: expected a scene or a system, got both")
+    if scene is not None:
+        read = load_scene(scene) if isinstance(scene, str | Path) else scene
+        return answer_figure(read, solution, title=title or read.title)
+    if system is not None:
+        return figure(contact_fields(system, contacts, solution), title=title)
+    if isinstance(answer, History) and len(answer) > 1:
+        return history_figure(answer, title=title)
+    return solution_figure(solution, title=title)
 
 
 @dataclass(frozen=True)
