@@ -25,7 +25,7 @@ from contactqp.cli.output import (
     speakers,
 )
 from contactqp.cli.solving import run_command
-from contactqp.cli.surveying import gallery_command, methods_command, report_command
+from contactqp.cli.surveying import cases_command, gallery_command, methods_command, report_command
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported
 
 # Seconds after which a Ctrl-C that was ignored is repeated.
@@ -44,6 +44,7 @@ for _command in (
     explain_command,
     oracle_command,
     methods_command,
+    cases_command,
     report_command,
     gallery_command,
 ):

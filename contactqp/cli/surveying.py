@@ -1,4 +1,4 @@
-"""Commands on many methods or problems: methods, report, gallery."""
+"""Commands on many methods, cases or problems: methods, cases, report, gallery."""
 
 from __future__ import annotations
 
@@ -44,6 +44,27 @@ def methods_command(as_json: bool) -> None:
         print_json([method_data(method) for method in methods()])
     else:
         print_methods(console(), methods())
+
+
+@click.command("cases")
+@click.argument("words", nargs=-1, metavar="[WORD...]")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+def cases_command(words: tuple[str, ...], as_json: bool) -> None:
+    """List the cases that come with contactqp, or those in which every WORD stands; `contactqp run NAME` runs one."""
+    from contactqp.scene.shipped import shipped_cases
+
+    found = shipped_cases(words)
+    if as_json:
+        print_json([{"name": case.name, "title": case.title, "file": str(case.file)} for case in found])
+        return
+    if not found:
+        raise InvalidProblem(f"cases: expected words that some case has, got {' '.join(words)!r}")
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    table.add_column("name", no_wrap=True)
+    table.add_column("what it is")
+    for case in found:
+        table.add_row(case.name, escape(case.title))
+    console().print(table)
 
 
 @click.command("report")

@@ -32,6 +32,7 @@ from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
 from contactqp.scene.scene import STANDARD_INPUT, build_for, run_model
 from contactqp.scene.schema import SceneData
+from contactqp.scene.shipped import case_path
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.scene.unknowns import end_time, has_corners
 from contactqp.solving.methods import find
@@ -423,11 +424,11 @@ def are_case_files(arguments: Iterable[str]) -> bool:
 
 
 def case_files(arguments: Iterable[str]) -> list[str]:
-    """Return the files that are named, and all case files of the folders that are."""
+    """Return the files that are named, by their path or as `case_path` finds them, and all of the folders that are."""
     files: list[str] = []
     for argument in arguments:
         if not Path(argument).is_dir():
-            files.append(argument)
+            files.append(argument if argument == STANDARD_INPUT else str(case_path(argument)))
             continue
         found = sorted(str(file) for file in Path(argument).glob("*.toml"))
         if not found:

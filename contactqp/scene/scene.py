@@ -27,6 +27,7 @@ from contactqp.scene.checking import check
 from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_error
 from contactqp.scene.schema import SceneData
+from contactqp.scene.shipped import case_path, nearest_names
 from contactqp.scene.unknowns import end_time
 from contactqp.solving.solve import solve
 
@@ -100,14 +101,15 @@ LARGEST = 2**25
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read and check a case file, or what comes in on standard input where the path is "-".
 
-    Numbers are read as decimals, so that 0.1 is 1/10.
+    A bare name of which there is no file here is that of a case that comes with the package: ``"bar_wall"``. Numbers
+    are read as decimals, so that 0.1 is 1/10.
 
     Raises
     ------
     SceneError
         The file cannot be read, is no TOML, or is no scene: one line with file, key, what was expected and what came.
     """
-    file = Path(path)
+    file = Path(path) if str(path) == STANDARD_INPUT else case_path(Path(path))
     try:
         with stage(READ):
             scene = Scene(**_tables(_standard_input() if str(path) == STANDARD_INPUT else _text(file)))
@@ -139,7 +141,9 @@ def _text(file: Path) -> str:
     except SceneError:
         raise
     except FileNotFoundError:
-        raise SceneError("expected a case file, and there is none of that name") from None
+        near = nearest_names(file)
+        cases = f"; of the cases that come with contactqp: {', '.join(near)}" if near else ""
+        raise SceneError(f"expected a case file, and there is none of that name{cases}") from None
     except IsADirectoryError:
         raise SceneError("expected a case file, got a directory") from None
     except (OSError, ValueError) as error:

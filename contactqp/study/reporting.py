@@ -12,6 +12,7 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
+from contactqp.scene.shipped import shipped_folder
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.collecting import Collector
@@ -67,9 +68,13 @@ def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
 
 
 def _default_cases() -> str:
-    if not Path(DEFAULT_CASES).is_dir():
+    """Return the folder of cases here, else that of the cases that come with the package."""
+    if Path(DEFAULT_CASES).is_dir():
+        return DEFAULT_CASES
+    shipped = shipped_folder()
+    if shipped is None:
         raise SceneError(f"report: expected case files, or a folder {DEFAULT_CASES!r} here, got neither")
-    return DEFAULT_CASES
+    return str(shipped)
 
 
 def write_report(

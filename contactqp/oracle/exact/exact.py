@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import time
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
@@ -16,6 +15,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution
 from contactqp.scene.scene import STANDARD_INPUT, Scene, load_scene
+from contactqp.scene.shipped import case_path
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def read_case(path: str) -> Any:
     """A Scene of a TOML file or standard input; whatever `contactqp.read_problem` reads of anything else."""
-    is_case = path == STANDARD_INPUT or Path(path).suffix.lower() == ".toml"
+    is_case = path == STANDARD_INPUT or case_path(path).suffix.lower() == ".toml"
     return load_scene(path) if is_case else read_problem(path)
 
 

@@ -1,0 +1,65 @@
+"""The cases that come with the package are found by name, from any folder; a file that is there comes first."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import contactqp as cq
+from contactqp.scene import shipped
+from contactqp.scene.shipped import case_path, shipped_cases, shipped_files, shipped_folder
+from tests.cli.test_cli import run
+
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def test_every_case_of_the_checkout_is_shipped_and_has_a_title() -> None:
+    assert shipped_folder() == CASES
+    assert [case.file for case in shipped_cases()] == sorted(CASES.glob("*.toml"))
+    assert all(case.title for case in shipped_cases())
+
+
+def test_a_name_is_found_from_any_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cq.run("bar_wall")[-1].force_at("tip") == pytest.approx(142.5)
+    for arguments in (["run", "bar_wall"], ["explain", "bar_wall.toml", "--no-solve"], ["oracle", "bar_wall"]):
+        code, out, err = run(capsys, *arguments)
+        assert (code, err) == (0, "")
+        assert "A bar and a rigid wall" in out
+    Path("answer.json").write_text('{"normal_force": [142.5]}')
+    assert run(capsys, "check", "bar_wall", "answer.json")[0] == 0
+
+
+def test_a_file_that_is_there_comes_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    other = (CASES / "bar_wall.toml").read_text(encoding="utf-8").replace("A bar and a rigid wall", "Mine")
+    Path("bar_wall.toml").write_text(other, encoding="utf-8")
+    assert cq.load_scene("bar_wall.toml").title == "Mine"
+    assert case_path("./elsewhere/bar_wall.toml") == Path("elsewhere/bar_wall.toml")
+    with pytest.raises(cq.SceneError, match=r"elsewhere/bar_wall\.toml: expected a case file, and there is none"):
+        cq.load_scene("elsewhere/bar_wall.toml")
+
+
+def test_a_misspelled_name_is_answered_with_the_nearest(capsys) -> None:
+    code, _, err = run(capsys, "run", "bar_wal")
+    assert code == 2
+    assert "there is none of that name; of the cases that come with contactqp: bar_wall, bar_wall_path" in err
+
+
+def test_cases_are_listed_and_found_by_words(capsys) -> None:
+    code, out, err = run(capsys, "cases")
+    assert (code, err) == (0, "")
+    assert all(file.stem in out for file in shipped_files())
+    code, out, _ = run(capsys, "cases", "Hertz", "sphere", "--json")
+    assert [case["name"] for case in json.loads(out)] == ["cattaneo_mindlin_sphere", "hertz_sphere"]
+    assert run(capsys, "cases", "nothing of the kind")[0] == 2
+
+
+def test_a_package_without_cases_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(shipped, "shipped_files", list)
+    monkeypatch.setattr("contactqp.study.reporting.shipped_folder", lambda: None)
+    assert run(capsys, "run", "bar_wall")[2].endswith("and there is none of that name\n")
+    assert "expected case files, or a folder 'cases' here" in run(capsys, "report")[2]
