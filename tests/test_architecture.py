@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -165,6 +166,14 @@ def test_solving_by_our_own_method_imports_no_backend() -> None:
         f"print({modules})"
     )
     assert _run(code) == "[]"
+
+
+def test_every_pip_command_names_packages_that_pip_finds() -> None:
+    """contactqp itself is not published: what is told to install is a checkout or another package."""
+    files = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "contactqp").rglob("*.py")]
+    commands = [found for file in files for found in re.findall(r"pip install [^`&\n]*", file.read_text("utf-8"))]
+    assert len(commands) > 10
+    assert [command for command in commands if re.search(r"(?<![/.\w])contactqp\b", command)] == []
 
 
 def test_public_names_are_all_there_and_methods_is_a_function() -> None:

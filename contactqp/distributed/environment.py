@@ -21,7 +21,7 @@ from contactqp.model.arrays import Vector
 
 RECIPE = (
     "apt-get install python3-petsc4py python3-mpi4py python3-venv && /usr/bin/python3 -m venv --system-site-packages "
-    "petsc && petsc/bin/pip install 'numpy<2' 'contactqp[solids]'"
+    "petsc && petsc/bin/pip install 'numpy<2' '.[solids]'"
 )
 # Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, on no path of that Python.
 _PREFIX = "/usr"

@@ -104,7 +104,7 @@ def _read_by_meshlane(file: Path) -> Any:
     try:
         meshlane = importlib.import_module("meshlane")
     except ImportError:
-        raise BackendMissing(f"reading {file.name} needs meshlane: pip install 'contactqp[solids]'") from None
+        raise BackendMissing(f"reading {file.name} needs meshlane: pip install meshlane") from None
     printed = io.StringIO()
     try:
         with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):

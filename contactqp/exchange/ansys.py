@@ -121,7 +121,7 @@ def _refuse_missing() -> None:
     except ModuleNotFoundError:
         missing = True
     if missing:
-        raise BackendMissing("Ansys's binary files need ansys-mapdl-reader: pip install 'contactqp[ansys]'")
+        raise BackendMissing("Ansys's binary files need ansys-mapdl-reader: pip install ansys-mapdl-reader")
 
 
 def _known(kind: int, head: bytes) -> bool:

@@ -37,7 +37,7 @@ def h5py_module() -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise BackendMissing(f"FCLIB's files need h5py ({error}): pip install 'contactqp[exchange]'") from None
+        raise BackendMissing(f"FCLIB's files need h5py ({error}): pip install h5py") from None
     return h5py
 
 

@@ -31,7 +31,7 @@ def check_file(file: str | Path, suffixes: tuple[str, ...]) -> Path:
     return path
 
 
-def check_installed(package: str, extra: str, purpose: str) -> None:
+def check_installed(package: str, purpose: str) -> None:
     """Refuse where the package is missing; it is not imported to find out.
 
     Raises
@@ -39,7 +39,7 @@ def check_installed(package: str, extra: str, purpose: str) -> None:
     BackendMissing
     """
     if importlib.util.find_spec(package) is None:
-        raise BackendMissing(f"{purpose} needs {package}: pip install 'contactqp[{extra}]'")
+        raise BackendMissing(f"{purpose} needs {package}: pip install {package}")
 
 
 def write_whole(file: Path, write: Callable[[Path], None], *, durable: bool = False) -> None:

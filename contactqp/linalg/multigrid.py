@@ -84,11 +84,11 @@ class Hierarchy:
 
     def __init__(self, stiffness: Any, motions: Array | None = None, coarsest: int | None = None) -> None:
         if not available():
-            raise BackendMissing("pyamg is not installed: pip install 'contactqp[fast]'")
+            raise BackendMissing("pyamg is not installed: pip install pyamg")
         try:
             importlib.import_module("pyamg.aggregation")
         except ImportError as error:  # one that wants a newer SciPy, say
-            raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
+            raise BackendMissing(f"pyamg: {error}; pip install --upgrade pyamg") from error
         matrix = in_blocks(stiffness)
         B = np.zeros((len(matrix.diagonal()), 0)) if motions is None else of_size_one(motions)
         B = B if B.shape[1] else constants(len(B), block_size(matrix))

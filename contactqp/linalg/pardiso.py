@@ -47,7 +47,7 @@ def available() -> bool:
 @cache
 def _library() -> Any:
     if not available():
-        raise BackendMissing("pardiso: pypardiso is not installed: pip install 'contactqp[fast]'")
+        raise BackendMissing("pardiso: pypardiso is not installed: pip install pypardiso")
     # Its threads would wait for more work by spinning, which slows down whatever runs between two calls.
     os.environ.setdefault("KMP_BLOCKTIME", "0")
     path = None if os.environ.get(STATED) else _installed()

@@ -192,7 +192,7 @@ def check_picture(file: str | Path) -> Path:
         matplotlib is not installed.
     """
     path = check_file(file, PICTURES)
-    check_installed("matplotlib", "report", f"drawing {path.name}")
+    check_installed("matplotlib", f"drawing {path.name}")
     return path
 
 

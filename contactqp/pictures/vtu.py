@@ -65,7 +65,7 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
 def check_vtu(file: str | Path) -> Path:
     """Return the file as a path if a VTU file can be written to it; raises as `write_vtu`."""
     path = check_file(file, VTU)
-    check_installed("meshlane", "solids", f"writing {path.name}")
+    check_installed("meshlane", f"writing {path.name}")
     return path
 
 

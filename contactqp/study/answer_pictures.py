@@ -203,7 +203,7 @@ def draw(
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['normal force [force]', 'gap [length]']
     """
-    check_installed("matplotlib", "report", "drawing")
+    check_installed("matplotlib", "drawing")
     path = None if file is None else check_picture(file)
     if not isinstance(answer, Solution | History):
         raise InvalidProblem(f"draw: expected a Solution or a History, got {type(answer).__name__}")
@@ -245,7 +245,7 @@ class AnswerPictures:
 def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
     """Return small pictures for a page, without the case's title; why there is none is stated, not raised."""
     if importlib.util.find_spec("matplotlib") is None:
-        return AnswerPictures(why_not="matplotlib is not installed: pip install 'contactqp[report]'")
+        return AnswerPictures(why_not="matplotlib is not installed: pip install matplotlib")
     history = None if outcome.history is None else _history(outcome.history)
     if isinstance(outcome, Failure):
         return AnswerPictures(history=history, why_not=outcome.message)

@@ -11,7 +11,7 @@ from contactqp.linalg.pardiso import available
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.skipif(not available(), reason="needs pypardiso: pip install 'contactqp[fast]'")
+@pytest.mark.skipif(not available(), reason="needs pypardiso")
 @pytest.mark.parametrize("variant", hard_bodies.VARIANTS)
 def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):
     problem = hard_bodies.VARIANTS[variant](1600)

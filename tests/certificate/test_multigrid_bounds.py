@@ -15,7 +15,7 @@ from contactqp.linalg.schur import CHOICE
 from contactqp.model.solution import FIGURES
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
-pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg: pip install 'contactqp[fast]'")
+pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg")
 
 
 class Truth:

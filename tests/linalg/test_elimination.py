@@ -19,7 +19,7 @@ from contactqp.linalg.factorization import connected_parts, null_space, with_add
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
 from contactqp.linalg.schur import BackSubstitution, LastBlock, TrailingBlock, eliminate
 
-needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso: pip install 'contactqp[fast]'")
+needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso")
 WAYS = [BackSubstitution, TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
 
 

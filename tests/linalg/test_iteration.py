@@ -15,7 +15,7 @@ from contactqp.linalg.schur import CHOICE
 from contactqp.solving.methods import inexact_active_set
 from tests.blocks_in_space import fresh, layered, on_paraboloid, on_sphere, stacked, with_ties
 
-needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg: pip install 'contactqp[fast]'")
+needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
 
 
 @pytest.fixture

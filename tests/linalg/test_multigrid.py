@@ -10,7 +10,7 @@ from contactqp.linalg.multigrid import Hierarchy, available, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldHierarchy
 from tests.blocks_in_space import on_paraboloid, on_sphere, stacked
 
-pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg: pip install 'contactqp[fast]'")
+pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg")
 
 
 @pytest.fixture(autouse=True)

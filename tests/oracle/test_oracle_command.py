@@ -131,7 +131,7 @@ def test_without_python_flint_it_says_how_to_install_it() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 3
-    assert "pip install 'contactqp[exact]'" in done.stderr
+    assert "pip install python-flint" in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -57,4 +57,4 @@ def test_why_there_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     failed = answer_pictures(Failure(judged.scene, judged.trial, "did not converge", judged.history))
     assert (failed.answer, failed.history, failed.why_not) == (None, None, "did not converge")
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    assert "pip install 'contactqp[report]'" in answer_pictures(judged).why_not
+    assert "pip install matplotlib" in answer_pictures(judged).why_not

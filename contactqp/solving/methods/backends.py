@@ -62,7 +62,7 @@ BACKENDS = (
     Backend(
         "osqp",
         "osqp",
-        "pip install contactqp",
+        "pip install osqp",
         # Infeasibility at its default of 1e-4 is declared of stiff problems that have an answer. Its own polish is off
         # by default and stays off: a raw answer is to be raw.
         tolerances=("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
@@ -75,7 +75,7 @@ BACKENDS = (
     Backend(
         "clarabel",
         "clarabel",
-        "pip install contactqp",
+        "pip install clarabel",
         # Its defaults of 1e-8 leave multiplier errors of 4e-3 on stiff problems.
         tolerances=("tol_gap_abs", "tol_gap_rel", "tol_feas", "tol_infeas_abs", "tol_infeas_rel"),
         time_limit="time_limit",
@@ -85,7 +85,7 @@ BACKENDS = (
     Backend(
         "piqp",
         "piqp",
-        "pip install 'contactqp[backends]'",
+        "pip install piqp",
         tolerances=("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
         dense=True,
         bounds=True,
@@ -95,7 +95,7 @@ BACKENDS = (
     Backend(
         "proxqp",
         "proxsuite",
-        "pip install 'contactqp[backends]'",
+        "pip install proxsuite",
         tolerances=("eps_abs", "eps_duality_gap_abs"),
         dense=True,
         # Its test has no complementarity: without the duality gap, and with a relative part, it returns points with
@@ -108,7 +108,7 @@ BACKENDS = (
     Backend(
         "daqp",
         "daqp",
-        "pip install 'contactqp[backends]'",
+        "pip install daqp",
         tolerances=("primal_tol", "dual_tol"),
         iteration_limit="iter_limit",
         default_limit=100_000,  # its own 1000 is fewer than some problems have contacts
@@ -120,7 +120,7 @@ BACKENDS = (
     Backend(
         "highs",
         "highspy",
-        "pip install 'contactqp[backends]'",
+        "pip install highspy",
         tolerances=("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
         tightest=1e-10,
         iteration_limit="qp_iteration_limit",
@@ -132,7 +132,7 @@ BACKENDS = (
     Backend(
         "scs",
         "scs",
-        "pip install 'contactqp[backends]'",
+        "pip install scs",
         tolerances=("eps_abs", "eps_rel", "eps_infeas"),
         iteration_limit="max_iters",
         time_limit="time_limit_secs",
@@ -144,7 +144,7 @@ BACKENDS = (
     Backend(
         "qpalm",
         "qpalm",
-        "pip install 'contactqp[backends]'",
+        "pip install qpalm",
         tolerances=("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
         time_limit="time_limit",
         needs_inequality=True,  # without rows it can divide by zero and take the process with it

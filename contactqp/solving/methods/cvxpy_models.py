@@ -113,7 +113,7 @@ METHODS = (
         options=("solver",),
         knob="tolerance",
         packages=("cvxpy",),
-        install="pip install contactqp",
+        install="pip install cvxpy",
         note="an independent route: the energy is stated in cvxpy; any of its solvers",
     ),
 )

@@ -98,7 +98,7 @@ def missing_packages() -> str:
     if not absent:
         return ""
     verb = "is" if len(absent) == 1 else "are"
-    return f"no page, as {', '.join(absent)} {verb} not installed: pip install 'contactqp[report]'"
+    return f"no page, as {', '.join(absent)} {verb} not installed: pip install {' '.join(absent)}"
 
 
 def render(

@@ -120,7 +120,7 @@ def _process_pool(size: int, environment: Mapping[str, str]) -> Iterator[Pool]:
         executor.shutdown(wait=True)
 
 
-INSTALL = "pip install 'contactqp[dask]'"
+INSTALL = "pip install distributed"
 # Seconds until a scheduler must have answered.
 PATIENCE = 10.0
 # Schemes of addresses; none stands for tcp.

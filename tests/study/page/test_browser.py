@@ -16,7 +16,7 @@ from contactqp.study.page import render as pages
 from contactqp.study.page.render import render_study
 from tests.study.page.samples import Part, chart, hostile
 
-pytest.importorskip("selenium", reason="selenium is not installed: pip install 'contactqp[browser]'")
+pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
 for package in pages.NEEDED:
     pytest.importorskip(package)
 

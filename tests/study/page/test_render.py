@@ -230,7 +230,7 @@ def test_what_is_missing_is_said_with_the_command(monkeypatch: pytest.MonkeyPatc
     assert pages.missing_packages() == ""
     monkeypatch.setattr(pages, "NEEDED", ("jinja2", "plotly_is_not_here"))
     assert pages.missing_packages() == (
-        "no page, as plotly_is_not_here is not installed: pip install 'contactqp[report]'"
+        "no page, as plotly_is_not_here is not installed: pip install plotly_is_not_here"
     )
 
 
