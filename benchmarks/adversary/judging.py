@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.adversary.grammar import in_units
@@ -233,20 +234,33 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
 
 
 def _judge_noisy(judge: Judge, u: Array, force: Array, tie: Array) -> None:
-    """What a plain solve leaves of zero is right: noise of some roundings of what moves most, wherever it is.
+    """What a plain solve leaves of zero is right: noise of some roundings of what moves most in the same part.
 
-    Left out are answers whose strain such noise would spoil: what moves rigidly a million times as far as it strains.
+    Left out are answers whose strain such noise would spoil: what moves rigidly a hundred times as far as it strains.
     """
     plain, rng = judge.posed.plain, np.random.default_rng([judge.seed, 5])
     root = np.sqrt(np.where(plain.diagonal > 0, plain.diagonal, np.inf))
-    moved = np.where(np.isfinite(root), root, 0.0) * abs(u)
-    most, strain = float(np.max(moved, initial=0.0)), float(np.sqrt(max(u @ (plain.stiffness @ u), 0.0)))
-    if most == 0 or strain < 1e-6 * most:
+    moved, part = np.where(np.isfinite(root), root, 0.0) * abs(u), connected_parts(plain)
+    noise = np.zeros(len(u))
+    for one in np.unique(part):
+        here = part == one
+        most, own = float(np.max(moved[here])), np.where(here, u, 0.0)
+        if most > 0 and np.sqrt(max(own @ (plain.stiffness @ own), 0.0)) >= 1e-2 * most:
+            noise[here] = 2.0**-51 * most / root[here]
+    if not np.any(noise):
         return
-    noisy = u + 2.0**-51 * most / root * rng.normal(size=len(u))
-    certificate = judge.certify("certify truth with noise", noisy, force, None, tie)
+    certificate = judge.certify("certify truth with noise", u + noise * rng.normal(size=len(u)), force, None, tie)
     if certificate is not None and not certificate.passed:
         judge.found("refused", "certify truth with noise", "; ".join(certificate.failures)[:300])
+
+
+def connected_parts(plain: cq.ContactProblem) -> Array:
+    """(n,) the number of the part, connected by stiffness, contacts and ties, that each unknown belongs to."""
+    rows = [
+        sp.csr_array(each) for each in (plain.stiffness, plain.normal, plain.tie, plain.tangent) if each is not None
+    ]
+    graph = sum((abs(each).T @ abs(each) for each in rows), start=sp.csr_array((plain.dimension, plain.dimension)))
+    return np.asarray(sp.csgraph.connected_components(graph, directed=False)[1])
 
 
 def _judge_parts_alone(judge: Judge, u: Array, force: Array) -> None:

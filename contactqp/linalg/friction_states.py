@@ -271,9 +271,9 @@ def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[
         return np.zeros((0, tangent.shape[2])), np.zeros(0)
     moving = np.flatnonzero(turning > 0)
     left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
-    compliance = 1.0 / turning[moving]
-    scale = 1.0 / np.maximum(compliance, 1.0)
-    return np.sqrt(scale)[:, None] * np.einsum("iw,iwp->ip", left, tangent[moving]), scale * compliance
+    scale = np.minimum(turning[moving], 1.0)
+    compliance = 1.0 / np.maximum(turning[moving], 1.0)
+    return np.sqrt(scale)[:, None] * np.einsum("iw,iwp->ip", left, tangent[moving]), compliance
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,8 @@ STEPS = 25
 PRESSED = 1e3
 # The part of the way to the nearest zero of a force or a slack that a step goes.
 SHORT_OF_ZERO = 0.9995
+# The work that a predicted step leaves, over that of now, counts as so much at most.
+MOST_CENTRED = 1e3
 # Steps that go no further than this part of their way have come to an end.
 NO_WAY = 1e-6
 # Work of all forces on all slacks, as a part of the energies that meet, from which on they are told apart.
@@ -146,7 +148,7 @@ def _step(problem: ContactProblem, point: CentralPoint, effort: Effort) -> tuple
     ds = slack - problem.normal @ du
     reached = float((l + _until_zero(l, dl) * dl) @ (s + _until_zero(s, ds) * ds))
     mean = point.work / len(l)
-    target = mean * (reached / point.work) ** 3
+    target = mean * min(reached / point.work, MOST_CENTRED) ** 3
     du, dl, dn = solve(force, slack + s - (target - dl * ds) / l, tie)
     ds = slack - problem.normal @ du
     a, b = (SHORT_OF_ZERO * _until_zero(values, change) for values, change in ((s, ds), (l, dl)))
