@@ -45,6 +45,8 @@ NEVER = 2.0**200
 SEEN = 1e-3
 # A displacement that is right to this part strains what is moved rigidly by no more than counts as nothing.
 MOVED_RIGHTLY = 1e-11
+# A force that is beyond its bound by this part of those that meet where it acts is beyond the tolerance of 1e-9.
+HARDLY_SEEN = 1e-8
 # What a forgery adds to forces or lengths: far above the tolerance of 1e-9, below the errors that bounds pass.
 FORGED = 1e-6
 
@@ -443,7 +445,8 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
         return
     u, normal, friction, tie = plain_answer(judge.posed, solution)
     rows = abs(judge.posed.plain.normal.toarray())
-    floor = _intrinsic(judge.posed.plain, u, normal)
+    meeting = _meeting(judge.posed.plain, u, normal, friction) + abs(judge.posed.plain.tie).T @ abs(tie)
+    floor = np.maximum(_intrinsic(judge.posed.plain, u, normal), meeting)
     pushing = np.max(np.where(floor > 0, rows * normal[:, None] / np.where(floor > 0, floor, 1.0), 0.0), axis=1)
     at = int(np.argmax(pushing))
     if pushing[at] < SEEN:
@@ -451,12 +454,14 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
     mu = float(judge.posed.plain.friction[at])  # type: ignore[index]
     forged = []
     net = _outer(judge.posed.plain, normal, friction)
-    if np.any(abs(net) > SEEN * np.maximum(_meeting(judge.posed.plain, u, normal, friction), floor)):
+    if np.any(abs(net) > SEEN * floor):
         forged.append(("forces x 1.001", u, 1.001 * normal, 1.001 * friction))
     torn = with_tension(judge.posed.plain, u, normal, friction)
     if torn is not None:
         forged.append((f"tension of {FORGED:g}", u, torn, friction))
-    if mu > 0:
+    width, excess = friction.shape[1], 1e3 * FORGED * mu * normal[at]
+    rubs = abs(judge.posed.plain.tangent.toarray()[width * at]) * excess  # type: ignore[union-attr]
+    if np.any(rubs > HARDLY_SEEN * floor):
         rubbing = friction.copy()
         rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
         forged.append(("friction beyond its bound", u, normal, rubbing))

@@ -302,20 +302,20 @@ class Condensation:
     def unresisted(self, rows: Array) -> Array:
         """The rigid motions that scaled rows (k, p) do not resist: their coordinates (r, q).
 
-        In this scale stiff bodies move little beside soft ones. Motions are therefore taken with lengths of one, and
-        what a row feels of them is measured by its largest entry on a body times the size of the motion there.
+        In this scale stiff bodies move little beside soft ones, and how far a body moves is a question of units. What a
+        row may feel of each body, its largest entry there times the size of the motion, is therefore brought to one,
+        as far as a factor for every row and one for every body can, and what it does feel is measured by that.
         """
         motions = self.rigid.motions[self.retained] / self.scale[:, None]
         coordinates = _orthonormal_by_body(motions)
         if not len(rows) or not len(coordinates):
             return coordinates
-        coordinates = coordinates / np.max(abs(self.rigid.motions @ coordinates), axis=0)
         motions = motions @ coordinates
-        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
-        entry = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_body])
-        size = np.max(entry * np.linalg.norm(motions, axis=0), axis=1, keepdims=True)
-        values, rotation = right_singular(rows @ motions / np.where(size > 0, size, 1.0))
-        return np.asarray(coordinates @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+        of_motion = self.bodies[np.argmax(abs(motions), axis=0)]
+        felt = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_motion])
+        of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
+        values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
+        return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
     def _held_schur(self) -> Array:
         """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
@@ -361,6 +361,33 @@ class Condensation:
         displacement = np.zeros(len(self._diagonal))
         displacement[self.retained] = candidate.displacement
         return replace(candidate, displacement=displacement)
+
+
+# Sweeps over rows and columns; what is left to balance shrinks by each as the couplings of the bodies allow.
+BALANCING_SWEEPS = 10
+
+
+def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:
+    """Factors s (k,) of rows and t (r,) of columns, the same in a group, for which s_i sizes_ij t_j is near one.
+
+    s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are not zero, nearly; at the end the
+    largest of each row is one.
+    """
+    there = sizes > 0
+    logarithm = np.log(np.where(there, sizes, 1.0))
+    of_row, of_column, found = np.zeros(len(sizes)), np.zeros(sizes.shape[1]), np.unique(group)
+    in_group = group[None] == found[:, None]
+    for _ in range(BALANCING_SWEEPS):
+        of_row = -_mean(logarithm + of_column, there, 1)
+        each = np.sum(np.where(there, logarithm + of_row[:, None], 0.0), axis=0) @ in_group.T
+        count = np.sum(there, axis=0) @ in_group.T
+        of_column = -(each / np.maximum(count, 1)) @ in_group
+    size = np.max(np.where(there, logarithm + of_column, -np.inf), axis=1, initial=-np.inf)
+    return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
+
+
+def _mean(values: Array, there: Any, axis: int) -> Vector:
+    return np.asarray(np.sum(np.where(there, values, 0.0), axis=axis) / np.maximum(np.sum(there, axis=axis), 1))
 
 
 def _orthonormal_by_body(motions: Array) -> Array:

@@ -151,7 +151,7 @@ def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
     if coordinates is None:
         return None
     coordinates = _without_artefacts(coordinates, normal, tie)
-    return coordinates if drive @ coordinates > DRIVEN * np.max(abs(drive)) else None
+    return coordinates if drive @ coordinates > DRIVEN * (abs(drive) @ abs(coordinates)) else None
 
 
 def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:

@@ -169,7 +169,7 @@ def test_without_the_reader_the_pip_command_is_said(capsys, monkeypatch, tmp_pat
     head[[0, 2]] = 100, 4
     (tmp_path / "a.full").write_bytes(head.tobytes())
     monkeypatch.setattr(ansys.importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(cq.BackendMissing, match=r"pip install 'contactqp\[ansys\]'"):
+    with pytest.raises(cq.BackendMissing, match=r"pip install ansys-mapdl-reader"):
         read_matrix(tmp_path / "a.full")
     (tmp_path / "load.csv").write_text("dof,load\n")
     code, _, err = run(capsys, "check", tmp_path, tmp_path)

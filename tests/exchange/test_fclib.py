@@ -288,5 +288,5 @@ def test_without_h5py_the_pip_command_is_given(tmp_path, monkeypatch):
     file = write_hdf5(tmp_path / "a.hdf5", local_tree())
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     for act in (lambda: cq.read_fclib(file), lambda: cq.write_fclib(tmp_path / "b.h5", random_local(False))):
-        with pytest.raises(cq.BackendMissing, match=r"pip install 'contactqp\[exchange\]'"):
+        with pytest.raises(cq.BackendMissing, match=r"pip install h5py"):
             act()

@@ -241,7 +241,7 @@ def test_files_that_cannot_be_are_refused(tmp_path):
 def test_a_missing_matplotlib_is_named_with_its_remedy(tmp_path, monkeypatch):
     real = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else real(name, *a))
-    with pytest.raises(BackendMissing, match=r"drawing a.png needs matplotlib: pip install 'contactqp\[report\]'"):
+    with pytest.raises(BackendMissing, match=r"drawing a.png needs matplotlib: pip install matplotlib"):
         draw(block().fields, tmp_path / "a.png")
 
 

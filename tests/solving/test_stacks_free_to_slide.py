@@ -245,3 +245,35 @@ def test_stiff_blocks_on_soft_ones_that_rub(seed: int) -> None:
         spoiled = {"normal": force.copy(), "friction": friction.copy()}
         spoiled[name][largest] *= 1 + 1e-5
         assert not cq.certify(problem, solution.displacement, spoiled["normal"], spoiled["friction"]).passed
+
+
+@pytest.mark.parametrize("seed", [14, 35, *range(4)])  # the first two were refused
+def test_bodies_that_hold_each_other_in_any_units_of_their_unknowns(seed: int) -> None:
+    """Two chains, one held by a tie and the other by a contact with it; an unknown may be in units of 2^-25 to 2^25."""
+    stiffness = np.zeros((8, 8))
+    for first, springs in ((0, (5.5625, 8.25, 3.046875, 2.234375)), (5, (2.0625, 1168.0))):
+        for i, spring in enumerate(springs, start=first):
+            stiffness[i : i + 2, i : i + 2] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    rows, tie = np.eye(8)[[1, 0]] - np.eye(8)[[2, 7]], np.eye(8)[[7]]
+    u, force = np.array([0.5, 0.875, 0.75, -0.5, -0.5, 0.5, 0.5, 0.875]), np.array([0.8125, 0.9375])
+    load = stiffness @ u + rows.T @ force + tie.T @ [2.625]
+    unit = 2.0 ** np.random.default_rng(seed).integers(-25, 25, 8)
+    problem = cq.ContactProblem(
+        stiffness * np.outer(unit, unit), load * unit, rows * unit, rows @ u, tie=tie * unit, tie_value=tie @ u
+    )
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    np.testing.assert_allclose(solution.displacement * unit, u, atol=1e-13)
+    np.testing.assert_allclose(solution.normal_force, force, rtol=1e-13)
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**-40, 2.0**40])
+def test_a_body_that_no_row_holds_stays_free_in_any_units(unit: float) -> None:
+    """Of two chains side by side one contact holds the first; a load on the second alone has nothing against it."""
+    chain = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    scale = np.array([1.0, 1.0, unit, unit])
+    stiffness = np.kron(np.eye(2), chain) * np.outer(scale, scale)
+    problem = cq.ContactProblem(stiffness, [1.0, 0.0, 0.0, 0.0], [[0.0, 1.0, 0.0, 0.0]], [0.5])
+    assert len(cq.solve(problem).free_motions) == 1
+    with pytest.raises(cq.NoEquilibrium):
+        cq.solve(problem.replace(load=[1.0, 0.0, unit, 0.0]))
