@@ -416,12 +416,21 @@ def unknown_scale(problem: ContactProblem) -> Array:
     D = inverse_root(problem.diagonal)
     bare = problem.diagonal == 0
     if np.any(bare):
-        rows = abs(sp.csc_matrix(sp.vstack([problem.normal, problem.tie])))
-        largest = rows.max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(len(D))
+        largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
         stiff = (largest * D)[~bare & (largest > 0)]
+        if not stiff.size and problem.tangent is not None:
+            along = _largest_entries(problem.tangent)
+            stiff = (along * D)[~bare & (along > 0)]
         size = np.median(stiff) if stiff.size else 1.0
         D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
     return D
+
+
+def _largest_entries(rows: Any) -> Array:
+    """The size (n,) of the largest entry of rows at each unknown."""
+    return np.asarray(
+        abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
+    )
 
 
 def condense(problem: ContactProblem) -> Condensation:

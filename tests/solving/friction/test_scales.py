@@ -202,3 +202,22 @@ def test_random_problems_of_many_scales_by_every_algorithm(name: str, seed: int)
     report = judge(name, seed)
     assert report.wrong == []
     assert report.outcomes["default"] == "solved" or not report.exists
+
+
+@pytest.mark.parametrize("power", [0, 20, -20, 49])
+def test_an_unknown_without_stiffness_that_only_tangents_join_to_a_stiff_one_is_solved_in_any_unit(power: int) -> None:
+    """u_0, without stiffness, is held between two walls; u_1, on a spring, slides with it along one of four contacts.
+
+    There are several answers, and one of them is found, with the same states, whatever the units of length and force.
+    """
+    length, force = 2.0**-power, 2.0 ** (power / 2)
+    tangent = [[2.0, 0.75], [0.0, -1.0], [0.0, -1.0], [0.0, -1.0]]
+    problem = cq.ContactProblem(
+        np.diag([0.0, 6.5]) * force / length, np.array([-1.25, -7.5]) * force, [[1.0, 0.0]] * 2 + [[-1.0, 0.0]] * 2,
+        np.array([1.0, 1.0, -1.0, -0.25]) * length, tangent=tangent, friction=[1.0, 0.0, 1.0, 1.0],
+        slip_origin=np.array([[2.4375], [0.75], [-0.25], [1.75]]) * length,
+    )  # fmt: skip
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.displacement[0] == pytest.approx(length, rel=1e-14)
+    assert list(solution.contact_status)[3] == "open"
