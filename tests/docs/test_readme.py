@@ -9,9 +9,11 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.cli import main
 from contactqp.study.reporting import write_report
 from contactqp.study.running.runner import Running
 
@@ -24,13 +26,21 @@ def _block(language: str) -> str:
     return str(found)
 
 
-def test_the_python_example_prints_what_its_comments_say(capsys: pytest.CaptureFixture[str]) -> None:
+def _blocks(language: str) -> list[str]:
+    return [str(found) for found in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)]
+
+
+def test_the_first_lines_of_python_print_what_stands_below_them(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(_blocks("python")[0], "README.md", "exec"), {})
+    assert capsys.readouterr().out == _block("text")
+
+
+def test_the_python_examples_print_what_their_comments_say(capsys: pytest.CaptureFixture[str]) -> None:
     scope: dict[str, object] = {}
-    exec(compile(_block("python"), "README.md", "exec"), scope)
+    for block in _blocks("python"):
+        exec(compile(block, "README.md", "exec"), scope)
     printed = capsys.readouterr().out
-    assert "[30.25499284]" in printed
-    assert "passed, proven" in printed
-    assert "REFUSED" in printed
+    assert "contact 0  closed" in printed
     assert "kN" in printed
     soft = scope["soft"]
     assert isinstance(soft, cq.Solution)
@@ -66,7 +76,7 @@ def test_the_method_table_names_methods_that_exist() -> None:
 
 def _results() -> set[str]:
     """The numbers that the README says come out: in comments of its example, and as a right answer of another code."""
-    said = re.findall(r"# \[?(\d+\.\d+)", _block("python"))
+    said = re.findall(r"# \[?(\d+\.\d+)", _blocks("python")[1]) + re.findall(r"^\[(\d+\.\d+)\]", _block("text"))
     return {*said, *re.findall(r"normal_force=\[-(\d+\.\d+)\]", _block("pycon"))}
 
 
@@ -97,3 +107,16 @@ def test_its_numbers_are_those_of_a_report(tmp_path: pathlib.Path) -> None:
     truss = [row for row in report["rows"] if row["case"] == "truss_floor_printed" and row["method"] == "penalty"]
     (soft,) = (row for row in truss if row["knob_value"] == 1e6)
     assert f"{soft['error_force']:.3f}" == "0.071"
+
+
+@pytest.mark.slow
+def test_its_picture_is_what_its_command_draws(tmp_path: pathlib.Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    (command,) = re.findall(r"`contactqp (run cattaneo\w+) --plot partial_slip\.png`", README)
+    drawn = tmp_path / "partial_slip.png"
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--plot", str(drawn)])
+    assert ended.value.code == 0
+    shown = image.open(ROOT / "docs" / "static" / "partial_slip.png").convert("RGB")
+    new = np.asarray(image.open(drawn).convert("RGB").resize(shown.size), dtype=float)
+    assert np.mean(abs(new - np.asarray(shown, dtype=float))) < 5  # of 255: letters and lines may be other pixels

@@ -223,12 +223,11 @@ def test_a_bad_case_or_folder_is_refused_before_anything_is_solved(tmp_path: Pat
     assert sorted(file.name for file in tmp_path.iterdir()) == ["broken.toml"]
 
 
-def test_without_cases_those_of_the_folder_here(
+def test_without_cases_those_of_the_folder_here_or_those_that_come_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(cq.SceneError, match="'cases'"):
-        report.report((), "report", HERE)
+    assert report._default_cases() == str(CASES[0].parent)
     (tmp_path / "cases").mkdir()
     (tmp_path / "cases" / "wall.toml").write_text(CASES[0].read_text())
     monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set"]))
