@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 from rich import box
@@ -13,7 +14,9 @@ from rich.table import Table
 
 from contactqp.cli.output import console, print_json
 from contactqp.errors import InvalidProblem
-from contactqp.oracle.gallery.problem import GalleryProblem
+
+if TYPE_CHECKING:
+    from contactqp.oracle.gallery.problem import GalleryProblem
 
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -16,7 +17,15 @@ from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple
 
-import pint
+# pint imports dask where it is installed, which takes as long as all the rest of it. A command's process does without;
+# in somebody's own program pint stays as it is.
+if "contactqp.cli" in sys.modules and "dask" not in sys.modules:
+    sys.modules["dask"] = None  # type: ignore[assignment]
+    import pint
+
+    del sys.modules["dask"]
+else:
+    import pint
 
 # Powers and products of such numbers stay inside the range of a double.
 LARGEST_EXPONENT = 100
