@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 @click.option("--checkpoint", metavar="DIR", help="With petsc: keep the steps of a load path, go on from them.")
 @click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
+@click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(
     cases: tuple[str, ...],
@@ -47,6 +48,7 @@ def run_command(
     checkpoint: str | None,
     plot: str | None,
     vtu: str | None,
+    verbose: bool,
     as_json: bool,
 ) -> None:
     """Solve each CASE (a file, a folder of them, or - for standard input) and compare with what it expects.
@@ -54,7 +56,8 @@ def run_command(
     A CASE may also be a folder or .npz of matrices, or a problem of frictional contact in a file of FCLIB (HDF5) or
     Siconos (text): it is solved, and what is said of it is its certificate.
 
-    Without --method: by active-set, and by every method that the case itself says something about.
+    Without --method: by active-set, and by every method that the case itself says something about. Of one case the
+    answer is printed, and of what it claims how much is met; of several each has a line.
 
     --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
@@ -76,14 +79,17 @@ def run_command(
         scenes, files = _read(named, plot, vtu, every_method=bool(methods))
         if checkpoint is not None and len(scenes) != 1:
             raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
-    data, met = list[Any](), True
+    data, met, whole = list[Any](), True, 0
     for scene in scenes:
         from contactqp.scene.judging import Failure, judge_all
 
         found = judge_all(scene, methods, knobs, engine, checkpoint)
         speakers.meet(_failed((outcome.message, outcome.code) for outcome in found if isinstance(outcome, Failure)))
         met = met and all(outcome.met for outcome in found)
-        data += _print_outcomes(found, files, as_json)
+        whole += all(outcome.met for outcome in found)
+        data += _print_outcomes(found, files, as_json, verbose, in_a_line=len(scenes) > 1 and not verbose)
+    if len(scenes) > 1 and not verbose and not as_json and speakers.speaks:
+        click.echo(f"{whole} of {len(scenes)} met (--verbose prints the answers)")
     if foreign:
         from contactqp.study.friction_files import run_files
 
@@ -133,22 +139,32 @@ def _failed(failures: Iterable[tuple[str, str]]) -> Ending:
     return Ending(NOT_MET, "; ".join(message for message, _ in known), error=known[0][1] if known else "")
 
 
-def _print_outcomes(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:
+def _print_outcomes(
+    found: Sequence[Judgement | Failure],
+    files: AnswerFiles | None,
+    as_json: bool,
+    verbose: bool,
+    in_a_line: bool,
+) -> list[Any]:
     """Print and draw the outcomes of one scene; with `as_json`, return the data to be printed in the end.
 
     On several ranks all of them do so, as each has a piece of the answer, and the output of one is shown.
     """
     from contactqp.scene.judging import Failure, Judgement
-    from contactqp.scene.printing import judgement_data, print_failure, print_judgements
+    from contactqp.scene.printing import judgement_data, print_case_line, print_failure, print_judgements
 
     terminal = console(heard=speakers.speaks)
-    for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
+    failures = [outcome for outcome in found if isinstance(outcome, Failure)]
+    judgements = [outcome for outcome in found if isinstance(outcome, Judgement)]
+    for failure in failures:
         if speakers.speaks:
             complain(failure.message)
-        if not as_json:
+        if not as_json and not in_a_line:
             print_failure(terminal, failure)
-    if not as_json:
-        print_judgements(terminal, [outcome for outcome in found if isinstance(outcome, Judgement)])
+    if in_a_line and not as_json:
+        print_case_line(terminal, judgements, len(failures))
+    elif not as_json:
+        print_judgements(terminal, judgements, verbose)
     written = [] if files is None else _draw(found, files)
     for file in written:
         click.echo(f"written: {file}", err=as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,14 @@ from contactqp.scene.body_answers import motions_in_words, summaries, summary_da
 from contactqp.scene.building import NodeModel
 from contactqp.scene.judging import Comparison, Failure, Judgement
 from contactqp.scene.schema import SceneData
-from contactqp.scene.tables import ROUNDING, Drawn, Letters, bars, course, print_table, shown, written
+from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, Letters, bars, course, print_table, shown, written
 from contactqp.scene.units import KINDS
 from contactqp.scene.unknowns import has_corners, is_rotation
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
+# Rows of a table that are printed where not all are asked for.
+FEW_ROWS = 8
 # Contacts beyond which their sum is drawn.
 MOST_CONTACTS = 6
 # Nodes beside those that press which are drawn with them.
@@ -38,20 +41,47 @@ EVEN = 48
 SAME_PLACE = 1e-9
 
 
-def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
-    """Print the answer of a scene's first trial in full, and in one table the claims about the other methods."""
+def print_judgements(console: Console, judgements: Sequence[Judgement], verbose: bool = True) -> None:
+    """Print the answer of a scene's first trial in full, and in one table the claims about the other methods.
+
+    Unless `verbose`, of long tables the first rows, and of the claims that are met how many they are.
+    """
     if not judgements:
         return
-    print_judgement(console, judgements[0])
+    print_judgement(console, judgements[0], verbose)
     others = judgements[1:]
-    _print_comparisons(console, others, ["method", "certificate"])
-    for judgement in others:
-        if not judgement.expectations and not judgement.published:
-            console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+    if verbose:
+        _print_comparisons(console, others, ["method", "certificate"])
+        for judgement in others:
+            if not judgement.expectations and not judgement.published:
+                console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+    elif others:
+        _print_comparisons(console, others, ["method", "certificate"], unmet_alone=True)
+        runs = f"by {len(others)} other method{'s'[: len(others) > 1]} and settings"
+        console.print(f"{runs}: {met_in_words(others)} (--verbose lists them)")
 
 
-def print_judgement(console: Console, judgement: Judgement) -> None:
-    """Print displacements, contact forces, the certificate's verdict, and what was expected of them."""
+def print_case_line(console: Console, judgements: Sequence[Judgement], failed: int) -> None:
+    """Print one line of a case, and below it the claims that are not met."""
+    name = "" if not judgements else (judgements[0].scene.file or Path(judgements[0].scene.title)).stem
+    verdict = _verdict(judgements[0]) if judgements else ""
+    broken = f", {failed} without an answer" if failed else ""
+    console.print(f"{escape(name):40} {verdict}; {met_in_words(judgements)}{broken}", soft_wrap=True)
+    _print_comparisons(console, judgements, ["method", "certificate"], unmet_alone=True)
+
+
+def met_in_words(judgements: Iterable[Judgement]) -> str:
+    """Return how many claims are met, of how many: ``"8 of 8 met"``."""
+    rows = [row for judgement in judgements for row in (*judgement.expectations, *judgement.published)]
+    return f"{sum(row.ok for row in rows)} of {len(rows)} met" if rows else "nothing is claimed"
+
+
+def print_judgement(console: Console, judgement: Judgement, verbose: bool = True) -> None:
+    """Print displacements, contact forces, the certificate's verdict, and what was expected of them.
+
+    Unless `verbose`, of long tables the first rows, and of many claims that are met how many they are.
+    """
+    most = MOST_ROWS if verbose else FEW_ROWS
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
     if scene.motion is not None:
@@ -65,12 +95,14 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     names = list(solution.problem.contact_names or ())
     if not isinstance(judgement.model, NodeModel):
         for header, table in summaries(judgement.model, solution):
-            print_table(console, header, [[c if isinstance(c, str) else written(c) for c in row] for row in table])
+            cells = [[c if isinstance(c, str) else written(c) for c in row] for row in table]
+            print_table(console, header, cells, most=most)
         for note in judgement.model.notes:
             console.print(f"[yellow]{escape(note)}[/yellow]")
     else:
         header, shown = _unknowns(judgement)
-        print_table(console, header, [row for row, _ in shown], [_drawn(2, [value for _, value in shown])])
+        moved = np.array([value for _, value in shown])
+        _print_largest(console, header, [row for row, _ in shown], moved, [(2, moved)], most)
         contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
         rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
@@ -78,20 +110,39 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
             vectors = friction_along_axes(judgement.model, solution)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
-        print_table(console, header, rows, [_drawn(3, solution.normal_force), _drawn(4, _gaps(solution))])
+        pictures = [(3, solution.normal_force), (4, _gaps(solution))]
+        _print_largest(console, header, rows, solution.normal_force, pictures, most)
     print_courses(console, judgement)
     print_events(console, judgement.history, time_label(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
         console.print(escape(f"{energies} {force}*{length}"))
         print_notes(console, judgement.history)
-    _print_comparisons(console, [judgement], [])
-    if not judgement.expectations and not judgement.published:
-        console.print("the case expects nothing of this method")
+    claims = len(judgement.expectations) + len(judgement.published)
+    _print_comparisons(console, [judgement], [], unmet_alone=claims > most)
+    if claims > most:
+        console.print(f"what the case claims: {met_in_words([judgement])} (--verbose lists all)")
     model = judgement.model
     free = map(str, solution.free_motions) if isinstance(model, NodeModel) else motions_in_words(model, solution)
     for motion in free:
         console.print(escape(f"free to move: {motion}"))
+
+
+def _print_largest(
+    console: Console,
+    header: list[str],
+    rows: Sequence[Sequence[str]],
+    size: NDArray[np.float64],
+    pictures: Sequence[tuple[int, NDArray[np.float64]]],
+    most: int,
+) -> None:
+    """Print at most so many rows of a table, those of the largest sizes, in their order; and how many there are."""
+    order = np.argsort(-np.nan_to_num(abs(size)), kind="stable")
+    chosen = np.sort(order[:most]) if len(rows) > most else np.arange(len(rows))
+    drawn = [_drawn(before, values[chosen]) for before, values in pictures]
+    print_table(console, header, [rows[i] for i in chosen], drawn)
+    if len(chosen) < len(rows):
+        console.print(f"the {len(chosen)} largest of {len(rows)} (--verbose, --json)")
 
 
 def _gaps(solution: Solution) -> NDArray[np.float64]:
@@ -150,13 +201,19 @@ def _unproven(certificate: Certificate) -> str:
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
-def _print_comparisons(console: Console, judgements: Sequence[Judgement], before: list[str]) -> None:
+def _print_comparisons(
+    console: Console, judgements: Sequence[Judgement], before: list[str], unmet_alone: bool = False
+) -> None:
     """Print two tables, with the columns `before` where there is more than one method."""
+
+    def kept(rows: Sequence[Comparison]) -> list[Comparison]:
+        return [row for row in rows if not (unmet_alone and row.ok)]
+
     header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
-    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.expectations]
+    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in kept(j.expectations)]
     print_table(console, header, rows)
     header = [*before, "printed in the source", "value", "ours", "unit", "difference", "half digit", "verdict"]
-    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.published]
+    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in kept(j.published)]
     print_table(console, header, rows)
 
 

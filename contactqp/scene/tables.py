@@ -128,7 +128,11 @@ def shown(value: float | str | Sequence[float]) -> str:
 
 
 def print_table(
-    console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]], drawn: Sequence[Drawn] = ()
+    console: Console,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    drawn: Sequence[Drawn] = (),
+    most: int = MOST_ROWS,
 ) -> None:
     """Print the first rows of a table, with as many pictures as the terminal has room for.
 
@@ -140,12 +144,14 @@ def print_table(
         As many cells each as the header; all are text.
     drawn : sequence of Drawn
         Columns of pictures; the last of them are left out first where the terminal is narrow.
+    most : int
+        The rows that are printed; how many more there are is said.
     """
     if not rows:
         return
-    console.print(_fitting(console, header, rows[:MOST_ROWS], drawn))
-    if len(rows) > MOST_ROWS:
-        console.print(f"... and {len(rows) - MOST_ROWS} more rows (--json has all)")
+    console.print(_fitting(console, header, rows[:most], drawn))
+    if len(rows) > most:
+        console.print(f"... and {len(rows) - most} more rows (--json has all)")
 
 
 def _fitting(

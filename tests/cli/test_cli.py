@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -36,12 +37,39 @@ def test_run_prints_the_answer_and_what_was_expected(capsys):
     assert "NOT MET" not in out
 
 
-def test_run_takes_a_folder(capsys, tmp_path):
+def test_run_takes_a_folder_and_prints_a_line_for_each_case(capsys, tmp_path):
     for name in ("two_bars", "bar_wall", "truss_floor"):
         shutil.copy(CASES / f"{name}.toml", tmp_path)
     code, out, _ = run(capsys, "run", tmp_path)
     assert code == 0
+    *cases, last = out.splitlines()
+    assert [line.split()[0] for line in cases] == ["bar_wall", "truss_floor", "two_bars"]
+    assert all(re.search(r"certificate passed, error bounds proven; (\d+) of \1 met$", line) for line in cases)
+    assert last == "3 of 3 met (--verbose prints the answers)"
+    code, out, _ = run(capsys, "run", tmp_path, "--verbose")
+    assert code == 0
     assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall", "A truss over a"))
+
+
+def test_of_one_case_the_answer_stands_on_a_screen_and_all_claims_with_verbose(capsys):
+    code, out, _ = run(capsys, "run", WALL)
+    assert code == 0
+    assert len(out.splitlines()) <= 40
+    assert max(map(len, out.splitlines())) <= 80
+    assert re.search(r"by 14 other methods and settings: (\d+) of \1 met \(--verbose lists them\)", out)
+    whole = run(capsys, "run", WALL, "--verbose")[1]
+    assert "wrong, as stated" in whole
+    assert len(whole.splitlines()) > 80
+
+
+def test_what_is_not_met_is_printed_in_full_among_many_claims_and_cases(capsys, tmp_path):
+    text = Path(WALL).read_text().replace('value = "285/2 kN"', 'value = "143 kN"')
+    (tmp_path / "off.toml").write_text(text)
+    for arguments in ([tmp_path / "off.toml"], [tmp_path / "off.toml", WALL]):
+        code, out, _ = run(capsys, "run", *arguments)
+        assert code == 1
+        assert re.search(r"normal force tip +143 +142\.5 +kN .*NOT MET", out)
+    assert out.splitlines()[-1] == "1 of 2 met (--verbose prints the answers)"
 
 
 def test_an_expectation_that_is_not_met_is_exit_1(capsys, tmp_path):
