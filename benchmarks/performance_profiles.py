@@ -19,7 +19,7 @@ def draw(seconds: Mapping[str, Sequence[float]], file: Path, title: str) -> None
     BackendMissing
         matplotlib is not installed.
     """
-    check_installed("matplotlib", "report", "drawing performance profiles")
+    check_installed("matplotlib", "drawing performance profiles")
     from matplotlib.figure import Figure
 
     found = ratios(seconds)
