@@ -20,6 +20,7 @@ from tests.public_objects import solid
 
 # Functions that read, write, and draw.
 NOT_COMPUTING = {
+    "draw",
     "draw_history",
     "load_scene",
     "methods",
