@@ -426,14 +426,18 @@ def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None
         judge.found("wrong", f"solve {name}", f"passed, and not among all {len(known)} equilibria")
 
 
-def _rougher(judge: Judge, pushing: Array) -> list[tuple[Any, ...]]:
-    """The answer to the problem with a hundredth more friction, which balances, where a contact that presses slips."""
+def _rougher(judge: Judge, sizes: Array) -> list[tuple[Any, ...]]:
+    """The answer to the problem with a hundredth more friction, which balances, where a contact that presses slips.
+
+    `sizes` (m, n) are what a unit of each contact's force is of the forces that meet.
+    """
     plain = judge.posed.plain
     mu = np.asarray(plain.friction)
     other = judge.ask("solve rougher", lambda: cq.solve(plain.replace(friction=1.01 * mu)))[0]
     if other is None or plain.ties:
         return []
     size = np.linalg.norm(other.friction_force, axis=1)
+    pushing = np.max(sizes * other.normal_force[:, None], axis=1, initial=0.0)
     beyond = (size > 1.005 * mu * other.normal_force) & (mu > 0) & (pushing >= SEEN)
     answer = other.displacement, other.normal_force, other.friction_force
     return [("the answer for more friction", *answer)] if np.any(beyond) else []
@@ -447,7 +451,8 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
     rows = abs(judge.posed.plain.normal.toarray())
     meeting = _meeting(judge.posed.plain, u, normal, friction) + abs(judge.posed.plain.tie).T @ abs(tie)
     floor = np.maximum(_intrinsic(judge.posed.plain, u, normal), meeting)
-    pushing = np.max(np.where(floor > 0, rows * normal[:, None] / np.where(floor > 0, floor, 1.0), 0.0), axis=1)
+    sizes = np.where(floor > 0, rows / np.where(floor > 0, floor, 1.0), 0.0)
+    pushing = np.max(sizes * normal[:, None], axis=1)
     at = int(np.argmax(pushing))
     if pushing[at] < SEEN:
         return
@@ -465,7 +470,7 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
         rubbing = friction.copy()
         rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
         forged.append(("friction beyond its bound", u, normal, rubbing))
-    forged += _rougher(judge, pushing)
+    forged += _rougher(judge, sizes)
     for name, *parts in forged:
         certificate = judge.certify(f"certify {name}", *parts, tie)
         if certificate is not None and certificate.passed:

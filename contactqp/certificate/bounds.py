@@ -328,10 +328,12 @@ def _force_error(
     as much as it changes |u*|_K.
 
     Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
-    itself both are known, and the larger error is the bound.
+    itself both are known, and the larger error is the bound. Where contacts that touch and ties depend on each other
+    they may exchange forces, of which the bodies feel nothing: what contacts alone exert is not unique then.
     """
     change = extend(answer.normal_force) - pair.force
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
+    both = both and not saddle_point(condensation, _touching(problem, answer, pair)).redundant
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
     errors, scales = [], []
@@ -351,12 +353,17 @@ def _relative(error: float, scale: float, uncertainty: float) -> float:
     return error / (scale - uncertainty) if scale > uncertainty else float("inf")
 
 
+def _touching(problem: ContactProblem, answer: Answer, pair: AdmissiblePair) -> NDArray[np.intp]:
+    """The contacts that are closed in v, with force or without."""
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    return np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
+
+
 def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[Vector | None, str | None]:
     """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
+    active = _touching(problem, answer, pair)
     saddle = saddle_point(condensation, active)
     if saddle.redundant:
         return None, REDUNDANT

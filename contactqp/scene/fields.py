@@ -137,17 +137,21 @@ Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
 Location = tuple[int | str, ...]
 
+# Letters of a name that a message repeats.
+LONGEST_NAME = 80
+
 
 def no_such(name: object, known: Iterable[str], what: str) -> str:
     """Say that there is none of a name, with the nearest name, or all where none is near.
 
     ``there is no node 'B1'; nearest: 'B'``.
     """
-    names = list(known)
-    near = difflib.get_close_matches(str(name), names, n=1)
+    names, said = list(known), repr(name)
+    said = said if len(said) <= LONGEST_NAME else f"{said[:LONGEST_NAME]}…"
+    near = difflib.get_close_matches(str(name)[:LONGEST_NAME], names, n=1)
     if near:
-        return f"there is no {what} {name!r}; nearest: {near[0]!r}"
-    return f"there is no {what} {name!r}; known: " + (", ".join(repr(n) for n in sorted(names)) or "none")
+        return f"there is no {what} {said}; nearest: {near[0]!r}"
+    return f"there is no {what} {said}; known: " + (", ".join(repr(n) for n in sorted(names)) or "none")
 
 
 def refuse_unknown(key: str, name: object, known: Collection[str], what: str) -> None:

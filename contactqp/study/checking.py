@@ -24,6 +24,7 @@ from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
 from contactqp.exchange.refusal import Ledger, naming, wrong
 from contactqp.linalg.extended import velocity_of
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate
@@ -297,6 +298,7 @@ def _contact(
     )
 
 
+@own_floating_point
 def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
     notes = []
     if not np.any(given.force) and problem.contacts:

@@ -63,3 +63,12 @@ def test_a_package_without_cases_says_so(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setattr("contactqp.study.reporting.shipped_folder", lambda: None)
     assert run(capsys, "run", "bar_wall")[2].endswith("and there is none of that name\n")
     assert "expected case files, or a folder 'cases' here" in run(capsys, "report")[2]
+
+
+def test_a_name_of_five_hundred_letters_is_not_repeated_whole(tmp_path: Path) -> None:
+    text = (CASES / "bar_wall.toml").read_text(encoding="utf-8").replace('unknown = "1.x"', f'unknown = "{"9" * 500}"')
+    (tmp_path / "long.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(cq.SceneError) as refused:
+        cq.load_scene(tmp_path / "long.toml")
+    assert "there is no unknown '9999" in str(refused.value)
+    assert len(str(refused.value)) < 300 + len(str(tmp_path))
