@@ -328,12 +328,10 @@ def _force_error(
     as much as it changes |u*|_K.
 
     Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
-    itself both are known, and the larger error is the bound. Where contacts that touch and ties depend on each other
-    they may exchange forces, of which the bodies feel nothing: what contacts alone exert is not unique then.
+    itself both are known, and the larger error is the bound.
     """
     change = extend(answer.normal_force) - pair.force
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
-    both = both and not saddle_point(condensation, _touching(problem, answer, pair)).redundant
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
     errors, scales = [], []
