@@ -351,17 +351,12 @@ def _relative(error: float, scale: float, uncertainty: float) -> float:
     return error / (scale - uncertainty) if scale > uncertainty else float("inf")
 
 
-def _touching(problem: ContactProblem, answer: Answer, pair: AdmissiblePair) -> NDArray[np.intp]:
-    """The contacts that are closed in v, with force or without."""
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    return np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
-
-
 def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[Vector | None, str | None]:
     """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
-    active = _touching(problem, answer, pair)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
     saddle = saddle_point(condensation, active)
     if saddle.redundant:
         return None, REDUNDANT

@@ -44,6 +44,7 @@ from contactqp.linalg.measures import (
     bodies,
     contact_entries,
     force_measure,
+    forces_that_count,
     intrinsic_size,
     nothing,
     outer_forces,
@@ -218,7 +219,8 @@ def violations(
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
     none = nothing(problem, answer, elastic, size, rounding)
-    F = np.asarray(problem.stiffness_sizes @ abs(elastic) + outer_forces(problem, answer))
+    inner = problem.stiffness_sizes @ abs(elastic)
+    F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),

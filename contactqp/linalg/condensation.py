@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
+from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
@@ -361,33 +362,6 @@ class Condensation:
         displacement = np.zeros(len(self._diagonal))
         displacement[self.retained] = candidate.displacement
         return replace(candidate, displacement=displacement)
-
-
-# Sweeps over rows and columns; what is left to balance shrinks by each as the couplings of the bodies allow.
-BALANCING_SWEEPS = 10
-
-
-def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:
-    """Factors s (k,) of rows and t (r,) of columns, the same in a group, for which s_i sizes_ij t_j is near one.
-
-    s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are not zero, nearly; at the end the
-    largest of each row is one.
-    """
-    there = sizes > 0
-    logarithm = np.log(np.where(there, sizes, 1.0))
-    of_row, of_column, found = np.zeros(len(sizes)), np.zeros(sizes.shape[1]), np.unique(group)
-    in_group = group[None] == found[:, None]
-    for _ in range(BALANCING_SWEEPS):
-        of_row = -_mean(logarithm + of_column, there, 1)
-        each = np.sum(np.where(there, logarithm + of_row[:, None], 0.0), axis=0) @ in_group.T
-        count = np.sum(there, axis=0) @ in_group.T
-        of_column = -(each / np.maximum(count, 1)) @ in_group
-    size = np.max(np.where(there, logarithm + of_column, -np.inf), axis=1, initial=-np.inf)
-    return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
-
-
-def _mean(values: Array, there: Any, axis: int) -> Vector:
-    return np.asarray(np.sum(np.where(there, values, 0.0), axis=axis) / np.maximum(np.sum(there, axis=axis), 1))
 
 
 def _orthonormal_by_body(motions: Array) -> Array:

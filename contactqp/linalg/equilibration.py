@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import Computed, ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
 
@@ -20,6 +21,10 @@ NEAR_ONE = 1.1
 MOST_BARE = 6
 # Where no length is imposed there is none beneath this part of the load.
 NO_LENGTH = 1e-6
+# Sweeps over rows and columns; what is left to balance shrinks by each as the couplings of the bodies allow.
+BALANCING_SWEEPS = 10
+# An entry below this part of the largest of its row is what cancellation has left of zero.
+ROUNDING_OF_A_ROW = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,3 +188,26 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Not
     acting = float(np.max(meeting * scaling.unknowns, initial=0.0))
     force = part * acting if acting > stiffest * length else stiffest * length
     return Nothing(force / scaling.unknowns, length * scaling.contacts, np.zeros(0), length * scaling.ties)
+
+
+def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:
+    """Factors s (k,) of rows and t (r,) of columns, the same in a group, for which s_i sizes_ij t_j is near one.
+
+    s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are more than rounding beside the
+    largest of their row, nearly; at the end the largest of each row is one.
+    """
+    there = sizes > ROUNDING_OF_A_ROW * np.max(sizes, axis=1, initial=0.0, keepdims=True)
+    logarithm = np.log(np.where(there, sizes, 1.0))
+    of_row, of_column, found = np.zeros(len(sizes)), np.zeros(sizes.shape[1]), np.unique(group)
+    in_group = group[None] == found[:, None]
+    for _ in range(BALANCING_SWEEPS):
+        of_row = -_mean(logarithm + of_column, there, 1)
+        each = np.sum(np.where(there, logarithm + of_row[:, None], 0.0), axis=0) @ in_group.T
+        count = np.sum(there, axis=0) @ in_group.T
+        of_column = -(each / np.maximum(count, 1)) @ in_group
+    size = np.max(np.where(there, logarithm + of_column, -np.inf), axis=1, initial=-np.inf)
+    return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
+
+
+def _mean(values: Array, there: Any, axis: int) -> Vector:
+    return np.asarray(np.sum(np.where(there, values, 0.0), axis=axis) / np.maximum(np.sum(there, axis=axis), 1))

@@ -342,6 +342,39 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
+# Forces that are larger than a load by this factor hide it: a tolerance of 1e-9 of them is a thousandth of the load.
+HIDES = 1e6
+# By this one they drown it: their rounding is a thousandth of the load.
+DROWNS = 1e12
+# What rounding leaves of forces that cancel, in doubles, is below 1e-9 of this part of them.
+ROUNDING_OF_SUMS = 4e-6
+# A load or an elastic force is notable from this part of the intrinsic size on.
+NOTABLE = 1e-6
+
+
+def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, size: Vector) -> Vector:
+    """F (n,) [force], by which residuals are measured: all that meets at an unknown, unless it hides what acts there.
+
+    Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
+    lost. Where all that meets is 1e6 times |f| + |K||u| and more, F is no more than what its rounding needs; where it
+    is 1e12 times that, the rounding alone may exceed the load, and F is |f| + |K||u|. So it is everywhere that this is
+    notable beside the intrinsic size, and in parts that have no size where every load of the part is hidden.
+
+    Parameters
+    ----------
+    acting, meeting, size : (n,) arrays
+        |f| + |K||u|, the same with the forces of contacts and ties, and the intrinsic size.
+    """
+    hidden = (acting > 0) & (meeting > HIDES * acting)
+    if not np.any(hidden):
+        return meeting
+    D, part = scale_of_unknowns(problem), parts(problem)
+    shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
+    counts = np.where((D > 0) & (size > 0), acting * D >= NOTABLE * size, ~shown)
+    held = np.where(meeting > DROWNS * acting, acting, np.maximum(acting, ROUNDING_OF_SUMS * meeting))
+    return np.where(hidden & counts, held, meeting)
+
+
 def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
     """The part by which the outer forces miss balance on the worst rigid motion of a basis, of those along it."""
     rows, motions = extended_rows(problem), rigid.motions

@@ -65,12 +65,17 @@ def html_of(solution: Any) -> str:
 
 def headline(solution: Any) -> list[str]:
     """Return the method with its verdict, and what the certificate says if it refuses the answer or notes something."""
-    certificate, unit = solution.certificate, _energy_unit(solution)
-    verdict = ("passed, proven" if certificate.proven else "passed") if certificate.passed else "REFUSED"
-    first = f"{solution.method}: {verdict}; energy {number(solution.energy)}{unit}; {1e3 * solution.seconds:.3g} ms"
+    certificate = solution.certificate
+    energy = f"energy {number(solution.energy)}{_energy_unit(solution)}"
+    first = f"{solution.method}: {verdict_of(certificate)}; {energy}; {1e3 * solution.seconds:.3g} ms"
     said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     said += [f"free to move: {motion}" for motion in solution.free_motions]
     return [first, *(line for text in said for line in wrapped(text))]
+
+
+def verdict_of(certificate: Any) -> str:
+    """Return a certificate's verdict in a word or two: ``"passed, proven"``."""
+    return ("passed, proven" if certificate.proven else "passed") if certificate.passed else "REFUSED"
 
 
 def tables_of(solution: Any) -> list[Table]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Solution
+from contactqp.model.summary import verdict_of
 from contactqp.pictures import style
 
 if TYPE_CHECKING:
@@ -39,8 +40,7 @@ def solution_figure(solution: Solution, *, title: str = "") -> Figure:
     title : str
         The title of the picture; below it stand the method and its verdict.
     """
-    problem, certificate = solution.problem, solution.certificate
-    verdict = ("passed, proven" if certificate.proven else "passed") if certificate.passed else "REFUSED"
+    problem = solution.problem
     panels = [_normal_force, *([_friction] if solution.friction_force is not None else []), _gap]
     result = style.new_figure(WIDTH, HEIGHT * len(panels))
     axes = result.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
@@ -53,7 +53,7 @@ def solution_figure(solution: Solution, *, title: str = "") -> Figure:
         axes[-1].set_xticks(range(problem.contacts), names, **turned)
     else:
         axes[-1].set_xlabel("contact")
-    result.suptitle(style.headline(title, f"{solution.method}: {verdict}"))
+    result.suptitle(style.headline(title, f"{solution.method}: {verdict_of(solution.certificate)}"))
     style.add_legend(result, _handles(solution), columns=len(STATES))
     return result
 

@@ -139,7 +139,7 @@ def test_a_step_that_does_not_converge_is_halved() -> None:
     assert history[-1].normal_force == pytest.approx(whole[-1].normal_force, rel=1e-9)
 
 
-class Spring(Elastica):
+class Spring:
     """One unknown on a spring, whose force or tangent is wrong."""
 
     dimension = 1

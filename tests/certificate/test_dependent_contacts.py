@@ -146,3 +146,30 @@ def test_forces_are_moved_to_rows_that_hold_them_and_stay_forces() -> None:
     tied = least_forces(rows, np.array([[0.0, 1.0]]), np.array([3.0, 7.0]))
     assert tied is not None
     assert tied.sum() == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("squeeze", [1.0, 1e6, 1e8, 1e10, 1e12, 1e14, 1e17])
+def test_what_two_walls_exert_on_each_other_hides_no_load(squeeze: float) -> None:
+    """A load of 0.5 that the walls do not balance is refused however they squeeze; balanced, it passes while they can.
+
+    Nothing is elastic, and with friction there are no bounds: the figures alone must see it.
+    """
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)), [0.5, 0.5], [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]], [1.0, -1.0, 0.0],
+        tangent=[[0.0, 1.0], [0.0, 1.0], [1.0, 0.0]], friction=[0.5, 0.5, 0.0],
+    )  # fmt: skip
+    friction = np.zeros((3, 1))
+    assert not cq.certify(problem, [1.0, 0.0], [squeeze, squeeze, 0.5], friction).passed
+    if squeeze < 1e15:  # beyond, 0.5 is less than the last place of the forces
+        assert cq.certify(problem, [1.0, 0.0], [squeeze + 0.5, squeeze, 0.5], friction).passed
+
+
+@pytest.mark.parametrize("squeeze", [1e6, 1e9, 1e12])
+def test_forces_that_cancel_excuse_no_load_of_an_elastic_body_either(squeeze: float) -> None:
+    problem = cq.ContactProblem(
+        np.diag([4.0, 3.0]), [6.0, 1.0], [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0],
+        tangent=[[0.0, 1.0], [0.0, 1.0]], friction=0.0,
+    )  # fmt: skip
+    u = [1.0, 1 / 3]
+    assert cq.certify(problem, u, [2 + squeeze, squeeze], np.zeros((2, 1))).passed
+    assert not cq.certify(problem, u, [2.01 + squeeze, squeeze], np.zeros((2, 1))).passed

@@ -277,3 +277,14 @@ def test_a_body_that_no_row_holds_stays_free_in_any_units(unit: float) -> None:
     assert len(cq.solve(problem).free_motions) == 1
     with pytest.raises(cq.NoEquilibrium):
         cq.solve(problem.replace(load=[1.0, 0.0, unit, 0.0]))
+
+
+@pytest.mark.parametrize("left", [1e-17, 1e-14])
+def test_what_cancellation_leaves_of_zero_holds_no_body(left: float) -> None:
+    """Two contacts hold the first of two chains, and feel the second by rounding: it is free, and a load drives it."""
+    chain = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    rows = [[0.0, 1.0, left, 0.0], [0.0, 1.0, 0.0, 2 * left]]
+    problem = cq.ContactProblem(np.kron(np.eye(2), chain), [1.0, 0.0, 1.0, 0.0], rows, [0.5, 0.5])
+    assert saddle_point(condense(problem), np.array([0, 1])).free.shape[1] == 1
+    with pytest.raises(cq.NoEquilibrium):
+        cq.solve(problem)

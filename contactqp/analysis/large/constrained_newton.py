@@ -96,7 +96,9 @@ def find_balance(
             return Balance(now, forces, now, step, (stayed,), time.perf_counter() - started)
         step = newton_step(loaded, now, K, target, settings, step, forces)
         weight = max(weight, _weight(loaded, now, K, target, step))
-        fraction, new, reason = _moved(loaded, now, K, target, settings, step, weight, start_error)
+        fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
+        if np.max(abs(new.displacement), initial=0.0) > RUN_AWAY:
+            raise NotConverged("Newton's method: the displacements grow without bound, nothing balances the load")
         residual = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
         iterations.append(NewtonIteration(residual.force, residual.length, fraction, step.shift, changed))
@@ -123,28 +125,6 @@ def _not_converged(iterations: list[NewtonIteration], reason: str) -> NotConverg
         f"Newton's method: {len(iterations)} iterations leave {last.force_error:.3g} of the forces and "
         f"{last.length_error:.3g} of the displacement{words}"
     )
-
-
-def _moved(
-    loaded: LoadedBody,
-    now: Instant,
-    K: Any,
-    target: Target,
-    settings: NewtonSettings,
-    step: NewtonStep,
-    weight: float,
-    before: Imbalance,
-) -> tuple[float, Instant, str]:
-    """Return the fraction of the step that is taken, the body there, and why it is not the whole step."""
-    try:
-        fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, before)
-    except NotConverged:
-        if not _rounding(loaded, now, K, target, step, before):
-            raise
-        fraction, new, reason = 1.0, loaded.at(now.displacement + step.increment), ""
-    if np.max(abs(new.displacement), initial=0.0) > RUN_AWAY:
-        raise NotConverged("Newton's method: the displacements grow without bound, nothing balances the load")
-    return fraction, new, reason
 
 
 def _rounding(loaded: LoadedBody, now: Instant, K: Any, target: Target, step: NewtonStep, left: Imbalance) -> float:
@@ -236,7 +216,10 @@ def _searched(
     weight: float,
     before: Imbalance,
 ) -> tuple[float, Instant, str]:
-    """Return what `_moved` returns, by the merit; NotConverged where it falls along no part of the step."""
+    """Return the fraction of the step that is taken, the body there, and why it is not the whole step.
+
+    Where the merit falls along no part of the step because all that is out of balance is rounding, it is the whole.
+    """
     by_merit = settings.exact and target.anchor is None
     start, rounding = _merit(loaded, now, target, weight)
     violation = _violation(loaded, now, target)
@@ -259,6 +242,8 @@ def _searched(
                     return fraction, new, reason
             reason = "the energy does not fall"
         fraction /= 2
+    if _rounding(loaded, now, K, target, step, before):
+        return 1.0, loaded.at(now.displacement + step.increment), ""
     raise NotConverged(f"Newton's method: no part of the step can be taken: {reason or 'the energy is no number'}")
 
 

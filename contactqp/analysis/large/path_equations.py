@@ -97,7 +97,7 @@ class PathPoint:
 
     @property
     def displacement(self) -> Vector:
-        """Return u."""
+        """Return the displacement u (n,) of a point on the path [length]."""
         return self.now.displacement
 
 

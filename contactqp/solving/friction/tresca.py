@@ -150,7 +150,7 @@ class _Run:
             ) from error
 
     def bound_of(self, step: _Step) -> Vector:
-        """mu l_N."""
+        """Return the friction bounds mu l_N (m,) of a step, scaled."""
         return np.asarray(self._rows.coefficient * np.maximum(step.normal, 0.0))
 
     def with_bound(self, bound: Vector) -> _Step:
