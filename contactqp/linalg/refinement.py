@@ -23,6 +23,7 @@ from contactqp.linalg.extended import (
     extended_rows,
     residuals_of,
 )
+from contactqp.linalg.factorization import orthonormal
 from contactqp.linalg.measures import force_measure, forces_that_meet, imbalance, lengths_that_meet
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, free_motions, saddle_point
@@ -53,6 +54,8 @@ CARRIED, NO_SHARE = 1e-9, 1e-12
 SLIGHT = 2**10 * float(np.finfo(float).eps)
 # A shift within the gaps may overshoot them by this part of its lengths: a few roundings.
 SHIFT_SLACK = 1e-15
+# Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
+SHIFT_CORRECTIONS = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -430,10 +433,30 @@ def shift_to_least_norm(
     scale = condensation.unknown_scale
     felt = np.sqrt(problem.normal.power(2) @ scale**2) * np.max(abs(free) / scale[:, None])
     stays = np.linalg.norm(rows, axis=1) > UNRESISTED * felt
-    if np.any(stays):
-        gap = problem.gap - problem.normal @ answer.displacement
-        shift = shift_within_gaps(rows[stays], gap[stays], shift)
-    return free @ shift, free
+    if not np.any(stays):
+        return free @ shift, free
+    gap = problem.gap - problem.normal @ answer.displacement
+    moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
+    return _out_of_contacts(problem, answer.displacement, moved, free, np.flatnonzero(stays), scale), free
+
+
+def _out_of_contacts(
+    problem: ContactProblem, start: Vector, shift: Vector, free: Array, felt: NDArray[np.intp], scale: Vector
+) -> Vector:
+    """A shift along free motions (n, q), corrected where its rounding leaves some of the contacts penetrated.
+
+    The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
+    are met to few digits. What is missing is therefore found in the scale (n,) of the energy.
+    """
+    basis = scale[:, None] * orthonormal(free / scale[:, None])
+    rows = problem.normal[felt] @ basis
+    for _ in range(SHIFT_CORRECTIONS):
+        room = (problem.gap - problem.normal @ (start + shift))[felt]
+        length = lengths_that_meet(problem, problem.normal, problem.gap, start + shift)[felt]
+        if np.all(room >= -WITHIN_ROUNDING * length):
+            break
+        shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
+    return shift
 
 
 def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:

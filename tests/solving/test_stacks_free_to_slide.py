@@ -288,3 +288,26 @@ def test_what_cancellation_leaves_of_zero_holds_no_body(left: float) -> None:
     assert saddle_point(condense(problem), np.array([0, 1])).free.shape[1] == 1
     with pytest.raises(cq.NoEquilibrium):
         cq.solve(problem)
+
+
+def test_a_body_that_is_shifted_within_its_gaps_is_penetrated_in_no_unit() -> None:
+    """A floating lattice and a mass that four rows join: the least displacement is bounded by two contacts that touch.
+
+    In units that are 2^34 apart the shift along its motions was met to 2e-9 there.
+    """
+    stiffness = np.zeros((9, 9))
+    springs = [(0, 1, -1), (0, 2, 1), (0, 6, 1), (0, 7, 1), (1, 5, 1), (1, 6, 1), (1, 7, 1), (2, 3, 1), (2, 4, 1),
+               (2, 5, -1), (3, 4, -1), (3, 5, 1), (3, 7, 1), (4, 5, 1), (4, 6, 1), (6, 7, -1)]  # fmt: skip
+    for i, j, sign in springs:
+        stiffness[i, j] = stiffness[j, i] = -sign
+    stiffness += np.diag([2.0] * 8 + [0.1337890625])
+    load = np.array([-3.0, -1.625, 3.125, -2.125, -3.375, 1.75, 3.25, 2.0, -0.0167236328125])
+    rows = np.array(
+        [[-0.5, -0.25, 1.75, 0.25, -0.5, 0.5, 0.5, 0.5, 0.75], [-0.75, 0.75, -0.5, -1.0, 1.75, 0.5, -1.0, 0.0, 0.0],
+         [1.0, -1.0, -0.75, -0.75, 0.75, -0.5, -0.75, 1.0, -1.0], [0.75, 0.75, -1.0, -0.5, 0.25, 1.5, 0.75, 0.5, 0.0]]
+    )  # fmt: skip
+    gap, unit = np.array([3.46875, -1.875, -2.40625, 0.90625]), 2.0 ** np.array([40, 32, 35, 39, 10, 6, 12, 22, 28])
+    solution = cq.solve(cq.ContactProblem(stiffness * np.outer(unit, unit), load * unit, rows * unit, gap))
+    assert solution.certificate.passed
+    assert len(solution.free_motions) >= 3
+    assert np.min(solution.gap) > -1e-13
