@@ -162,7 +162,7 @@ def _print_outcomes(
         if not as_json and not in_a_line:
             print_failure(terminal, failure)
     if in_a_line and not as_json:
-        print_case_line(terminal, judgements, len(failures))
+        print_case_line(terminal, found)
     elif not as_json:
         print_judgements(terminal, judgements, verbose)
     written = [] if files is None else _draw(found, files)

@@ -50,23 +50,23 @@ def print_judgements(console: Console, judgements: Sequence[Judgement], verbose:
         return
     print_judgement(console, judgements[0], verbose)
     others = judgements[1:]
-    if verbose:
-        _print_comparisons(console, others, ["method", "certificate"])
-        for judgement in others:
-            if not judgement.expectations and not judgement.published:
-                console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
-    elif others:
-        _print_comparisons(console, others, ["method", "certificate"], unmet_alone=True)
-        runs = f"by {len(others)} other method{'s'[: len(others) > 1]} and settings"
-        console.print(f"{runs}: {met_in_words(others)} (--verbose lists them)")
+    _print_comparisons(console, others, ["method", "certificate"], unmet_alone=not verbose)
+    claimed = [judgement for judgement in others if judgement.expectations or judgement.published]
+    for judgement in (judgement for judgement in others if judgement not in claimed):
+        console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+    if claimed and not verbose:
+        runs = f"{len(claimed)} other methods and settings" if len(claimed) > 1 else str(claimed[0].trial)
+        console.print(f"by {escape(runs)}: {met_in_words(claimed)} (--verbose lists them)")
 
 
-def print_case_line(console: Console, judgements: Sequence[Judgement], failed: int) -> None:
-    """Print one line of a case, and below it the claims that are not met."""
-    name = "" if not judgements else (judgements[0].scene.file or Path(judgements[0].scene.title)).stem
-    verdict = _verdict(judgements[0]) if judgements else ""
-    broken = f", {failed} without an answer" if failed else ""
-    console.print(f"{escape(name):40} {verdict}; {met_in_words(judgements)}{broken}", soft_wrap=True)
+def print_case_line(console: Console, outcomes: Sequence[Judgement | Failure]) -> None:
+    """Print one line for all outcomes of a case, and below it the claims that are not met."""
+    judgements = [outcome for outcome in outcomes if isinstance(outcome, Judgement)]
+    scene, failed = outcomes[0].scene, len(outcomes) - len(judgements)
+    said = [_verdict(judgements[0]), met_in_words(judgements)] if judgements else []
+    said += [f"{failed} of {len(outcomes)} without an answer"] if failed else []
+    name = (scene.file or Path(scene.title)).stem
+    console.print(f"{escape(name):40} {'; '.join(said)}", soft_wrap=True)
     _print_comparisons(console, judgements, ["method", "certificate"], unmet_alone=True)
 
 

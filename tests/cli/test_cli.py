@@ -57,9 +57,20 @@ def test_of_one_case_the_answer_stands_on_a_screen_and_all_claims_with_verbose(c
     assert len(out.splitlines()) <= 40
     assert max(map(len, out.splitlines())) <= 80
     assert re.search(r"by 14 other methods and settings: (\d+) of \1 met \(--verbose lists them\)", out)
+    out = run(capsys, "run", WALL, "--method", "lemke", "--method", "daqp")[1]
+    assert "by daqp: 8 of 8 met" in out
     whole = run(capsys, "run", WALL, "--verbose")[1]
     assert "wrong, as stated" in whole
     assert len(whole.splitlines()) > 80
+
+
+def test_a_case_without_an_answer_has_a_line_with_its_name(capsys, tmp_path):
+    (tmp_path / "pushed_off.toml").write_text(PUSHED_OFF)
+    code, out, err = run(capsys, "run", tmp_path / "pushed_off.toml", WALL)
+    assert code == 1
+    assert out.splitlines()[0].split(maxsplit=1) == ["pushed_off", "1 of 1 without an answer"]
+    assert out.splitlines()[-1] == "1 of 2 met (--verbose prints the answers)"
+    assert "rigid motion" in err
 
 
 def test_what_is_not_met_is_printed_in_full_among_many_claims_and_cases(capsys, tmp_path):
