@@ -211,6 +211,24 @@ def test_refinement_of_a_contact_that_doubles_leave_undecided() -> None:
     assert refined.normal_force.fractions().tolist() == [F(1, 2), F(1, 2**70)]
 
 
+def test_refinement_ends_when_what_is_left_no_longer_falls() -> None:
+    # Units 1e54 apart: forces end at 1e-44 of the load, lengths at 1e-19, and forty rounds change nothing of it.
+    problem = cq.ContactProblem(
+        [
+            [1.9474907362110682e58, 2.262464535677256e74, 2.1304900783462597e46, -1.1371358823982071e04],
+            [2.262464535677256e74, 1.5959217702184217e91, 1.3559701269470461e63, -3.3877954276191509e20],
+            [2.1304900783462597e46, 1.3559701269470461e63, 1.3159904258525295e35, -6.0892953602145653e-08],
+            [-1.1371358823982071e04, -3.3877954276191509e20, -6.0892953602145653e-08, 7.048317636788607e-50],
+        ],
+        [4.3689130158990183e91, -5.7795746911228506e107, 3.1280912572552506e80, 9.4397839041805723e37],
+        [[2.0, 1.0, 2.0, 2.0], [2.0, -1.0, 0.0, -1.0], [1.0, 2.0, 2.0, 1.0]],
+        [-1.2246964524181805, -0.8321491168137407, 2.592983837293826],
+    )
+    with pytest.raises(cq.NotConverged, match=r"1\.2e-19 after (\d+) rounds, 1e-40 wanted") as caught:
+        refine(problem, digits=40)
+    assert int(str(caught.value).split(" rounds")[0].split()[-1]) <= 15
+
+
 def test_products_of_integers_are_not_rounded() -> None:
     rng = np.random.default_rng(3)
     matrix = sp.random(30, 20, 0.2, random_state=1, format="csr")

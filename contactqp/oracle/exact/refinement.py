@@ -251,6 +251,8 @@ def _left_out(matrix: Any, shift: float) -> float | None:
 # Digits of the parts of an approximation beyond its largest, in bits.
 KEPT, MOST_DIGITS = 360, 90
 MOST_ROUNDS = 40
+# Rounds with the same contact set in which neither forces nor lengths that are left have halved: none will.
+MOST_IDLE_ROUNDS = 3
 # A force that is this much larger than all that is left pushes for certain.
 STANDS_OUT = 2.0**10
 # A contact whose gap is this many times what may still move stays open.
@@ -320,12 +322,19 @@ def refine(
         first = solve(problem, method, **options)
     walk = _Walk(problem, first, method, options)
     goal = 2.0 ** (-digits * 3.3219)
-    for round_ in range(MOST_ROUNDS):
+    lowest, idle = walk.left, 0
+    for rounds in range(MOST_ROUNDS + 1):
         if walk.settled and max(walk.left) <= goal:
-            return walk.refined(round_, first)
+            return walk.refined(rounds, first)
+        if rounds == MOST_ROUNDS or idle == MOST_IDLE_ROUNDS:
+            break
         walk.step()
+        if not walk.settled or any(now < before / 2 for now, before in zip(walk.left, lowest, strict=True)):
+            lowest, idle = walk.left, 0
+        else:
+            idle += 1
     raise NotConverged(
-        f"refine: residuals of {max(walk.left):.1e} after {MOST_ROUNDS} rounds, {goal:.0e} wanted", solution=first
+        f"refine: residuals of {max(walk.left):.1e} after {rounds} rounds, {goal:.0e} wanted", solution=first
     )
 
 
