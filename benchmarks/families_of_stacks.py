@@ -11,8 +11,8 @@ from benchmarks.family_register import member
 from contactqp import ContactProblem
 
 
-def spring_block(rng: Generator, nodes: Array, size: float) -> Array:
-    """K of nodes on a unit grid (p, d), joined by springs along edges and diagonals of faces; exact in few bits."""
+def spring_block(rng: Generator, nodes: Array, size: float, bits: int = 6) -> Array:
+    """K of nodes on a unit grid (p, d), joined by springs of so many bits along edges and diagonals of faces."""
     count, d = nodes.shape
     K = np.zeros((count * d, count * d))
     for i in range(count):
@@ -21,7 +21,7 @@ def spring_block(rng: Generator, nodes: Array, size: float) -> Array:
             if np.max(abs(along)) == 1 and np.count_nonzero(along) <= 2:
                 at = np.append(d * i + np.arange(d), d * j + np.arange(d))
                 both = np.append(along, -along)
-                K[np.ix_(at, at)] += few_bits(size * 10 ** rng.uniform(0, 1), 6) * np.outer(both, both)
+                K[np.ix_(at, at)] += few_bits(size * 10 ** rng.uniform(0, 1), bits) * np.outer(both, both)
     return K
 
 

@@ -12,6 +12,8 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
+from scipy.sparse.csgraph import connected_components
 
 import contactqp as cq
 from benchmarks.bricks import blocks
@@ -82,15 +84,18 @@ def _loaded_at_one_end(rng: Generator, K: Array, count: int, dimension: int, roo
     )  # fmt: skip
 
 
-def _around(rng: Generator, dimension: int, overlaps: bool, strain: float, at_loads: bool) -> cq.ContactProblem:
+def _around(
+    rng: Generator, dimension: int, overlaps: bool, strain: float, at_loads: bool, bits: int = 6
+) -> cq.ContactProblem:
     """One or two free blocks that have moved to where they lie, each contact open, sticking or slipping along an axis.
 
-    With `at_loads` every load acts at a contact. With `overlaps` the gaps that close are negative.
+    With `at_loads` every load acts at a contact. With `overlaps` the gaps that close are negative. Springs have so many
+    `bits`; with more than a few the answer is exact only where there is no strain.
     """
     d = dimension
     bodies = int(rng.integers(1, 3)) if d == 2 else 1
     grids = [_grid(int(rng.integers(2, 4)) if d == 2 else 2, *[2] * (d - 1)) for _ in range(bodies)]
-    K = blocks(*(spring_block(rng, nodes, 2.0 ** float(rng.integers(-1, 3))) for nodes in grids))
+    K = blocks(*(spring_block(rng, nodes, 2.0 ** float(rng.integers(-1, 3)), bits) for nodes in grids))
     motion = []
     for nodes in grids:
         turn = np.triu(rng.integers(-4, 5, (d, d)), 1) / 8 * float(rng.integers(0, 2))
@@ -169,11 +174,37 @@ def stack_free_to_slide(rng: Generator, dimension: int) -> cq.ContactProblem:
     )  # fmt: skip
 
 
+# Of the largest singular value, what a spring block's rigid motions have.
+FREE = 1e-9
+# Of the largest energy along rigid motions, the negative one from which lost digits are no springs.
+DRIVES = 1e-2
+
+
 def printed_floating(rng: Generator, dimension: int) -> cq.ContactProblem:
-    """Free blocks moved onto rough supports under their loads, their stiffness printed with 6 to 12 digits."""
-    posed = pushed_rigidly(rng, dimension)
-    stiffness = print_and_read(posed.stiffness_rows.toarray() / 3, int(rng.integers(6, 13)))
-    return posed.replace(stiffness=stiffness)
+    """Free blocks moved onto rough supports under their loads, their stiffness printed with 6 to 12 digits.
+
+    Supports that slip hold no turn: what resists it would be the digits, so that rigid motions are stated. Digits that
+    happen to hold a body as soft springs would are drawn again: they state another problem.
+    """
+    while True:
+        posed = _around(rng, dimension, overlaps=False, strain=0.0, at_loads=True, bits=53)
+        K = posed.stiffness_rows.toarray()
+        printed = print_and_read(K, int(rng.integers(6, 13)))
+        motions = null_space(K, rcond=FREE)
+        if not _holds_a_body(printed, K != 0, motions):
+            return posed.replace(stiffness=printed, near_null_space=motions)
+
+
+def _holds_a_body(printed: Array, coupled: Array, motions: Array) -> bool:
+    """Whether printed digits resist every rigid motion of some body, as springs on it would."""
+    count, body = connected_components(coupled)
+    for members in (body == one for one in range(count)):
+        basis, values, _ = np.linalg.svd(motions[members], full_matrices=False)
+        rigid = basis[:, values > FREE]
+        energies = np.linalg.eigvalsh(rigid.T @ printed[np.ix_(members, members)] @ rigid)
+        if energies[0] > -DRIVES * energies[-1]:
+            return True
+    return False
 
 
 MAKERS: dict[str, Callable[[Generator, int], cq.ContactProblem]] = {

@@ -240,7 +240,7 @@ def test_a_full_disk_is_one_line_and_exit_code_2_and_the_same_command_goes_on(
         out, err = capfd.readouterr()
         assert out == ""
         assert "Traceback" not in err
-        *_, line = (line for line in err.splitlines() if line.startswith("contactqp: "))  # those before tell how far it is
+        *_, line = (line for line in err.splitlines() if line.startswith("contactqp: "))  # before it: how far it is
         (file,) = folder.iterdir()
         kept.append(file.read_bytes().count(b"\n") - 1)
         assert kept[-1] > 0
