@@ -416,6 +416,10 @@ class ContactProblem:
             checked["units"] = _units(changes["units"])
         return ContactProblem._of_checked(checked, self._computed)
 
+    def afresh(self) -> ContactProblem:
+        """The same problem, without what has been computed from it."""
+        return ContactProblem._of_checked(self._values(), Computed())
+
     def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
         """The same problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from contactqp.errors import (
@@ -16,7 +16,7 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
-from contactqp.model.problem import CARRIED, MEASURED, ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.solving.solve import solve
 from contactqp.study import rows
@@ -28,8 +28,10 @@ from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
 GENEROSITY = 100.0
 # A first call that takes longer [s] is its own timing: what it imports no longer matters beside it.
 LONG = 2.0
-# Seconds of timed calls after which a median is good enough.
-ENOUGH = 0.05
+# Timed calls of a setting one after the other, before it is the turn of the next: at most so many, in so many seconds.
+VISIT_CALLS, VISIT = 2, 5e-3
+# Run times of which a spread is told, at least.
+FEWEST_SPREAD = 2
 
 # Maps a solution to the expectations of its case that it misses; None where nothing was compared.
 Judge = Callable[[Solution], Sequence[str] | None]
@@ -48,10 +50,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Timing:
-    """The run time of one setting."""
+    """Run times of one setting [s], one for each call after the warm-up."""
 
-    seconds: float  # median of the repeats
-    repeats: int  # 0: one call, which was its own warm-up
+    seconds: tuple[float, ...]
+    warm: bool = True  # False: one call, which was its own warm-up
 
 
 def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repeats: int = 1) -> Row:
@@ -69,7 +71,7 @@ def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repe
     row = answer(problem, setting, truth)
     if row.seconds is None or row.seconds >= LONG or not repeats:
         return row
-    return timed(row, timing(problem, setting, row.seconds, repeats))
+    return timed(row, [timing(problem, setting, row.seconds) for _ in range(repeats)])
 
 
 def answer(
@@ -106,11 +108,10 @@ def timing(
     problem: ContactProblem,
     setting: Setting,
     first: float,
-    repeats: int,
     follow: FollowHistory | None = None,
     warm: bool = True,
 ) -> Timing:
-    """Return the run time of one setting: the median of several calls, or the time of one very long call.
+    """Return run times of one setting: those of a few short calls, or of one long call.
 
     Parameters
     ----------
@@ -118,26 +119,39 @@ def timing(
     setting : Setting
     first : float
         Time that a call took before [s], in this process or another.
-    repeats : int
-        Timed calls at most; fewer once `ENOUGH` seconds are spent.
     follow : callable, optional
         Called in place of solve where the answer depends on the history that leads to it.
     warm : bool
         Whether the modules of the method are imported already; else a first call is not timed.
     """
-    if first >= LONG or not repeats:
-        return Timing(call(problem, setting, follow).seconds, 0)
+    if first >= LONG:
+        return Timing((call(problem, setting, follow).seconds,), warm=False)
     if not warm:
         call(problem, setting, follow)
     times: list[float] = []
-    while len(times) < repeats and sum(times) < ENOUGH:
+    while len(times) < VISIT_CALLS and sum(times) < VISIT:
         times.append(call(problem, setting, follow).seconds)
-    return Timing(statistics.median(times), len(times))
+    return Timing(tuple(times))
 
 
-def timed(row: Row, time: Timing) -> Row:
-    """Return the row with its run time."""
-    return replace(row, seconds=time.seconds, repeats=time.repeats)
+def timed(row: Row, timings: Sequence[Timing]) -> Row:
+    """Return the row with the median of its run times, and their spread where there are several."""
+    times = [seconds for one in timings for seconds in one.seconds]
+    middle = statistics.median(times)
+    warm = sum(len(one.seconds) for one in timings if one.warm)
+    return replace(row, seconds=middle, repeats=warm, seconds_spread=_spread(times))
+
+
+def _spread(times: Sequence[float]) -> float | None:
+    """Return the distance of the quartiles over the median, None of a single one.
+
+    >>> _spread([1.0, 2.0, 2.0, 3.0])
+    0.25
+    """
+    if len(times) < FEWEST_SPREAD:
+        return None
+    lower, middle, upper = statistics.quantiles(times, n=4, method="inclusive")
+    return (upper - lower) / middle
 
 
 def crashed(problem: ContactProblem, setting: Setting, case: str, message: str) -> Row:
@@ -161,7 +175,7 @@ def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None
     Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] is that to the answer: the
     certificate and the raw answer are not counted, except in `follow`, where each step is certified on the way.
     """
-    fresh = _fresh(problem)
+    fresh = problem.afresh()  # shares no factorisation with it
     solution: Solution | None = None
     error: ContactQPError | None = None
     started = time.perf_counter()
@@ -173,12 +187,6 @@ def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None
     if solution is not None and follow is None:
         seconds = solution.seconds - solution.certify_seconds
     return Outcome(solution, error, seconds)
-
-
-def _fresh(problem: ContactProblem) -> ContactProblem:
-    """Return the same problem, sharing no factorisation with it."""
-    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in (*MEASURED, *CARRIED)}
-    return ContactProblem(**values)
 
 
 def _row(

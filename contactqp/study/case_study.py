@@ -23,7 +23,14 @@ from contactqp.solving.methods import Method
 from contactqp.study.attempt import FollowHistory, Timing, answer, timing
 from contactqp.study.rows import Row
 from contactqp.study.running.journal import digest
-from contactqp.study.settings import TOLERANCES, Setting, all_settings, note_on_all_unknowns, on_all_unknowns
+from contactqp.study.settings import (
+    TOLERANCES,
+    Setting,
+    all_settings,
+    brief_settings,
+    note_on_all_unknowns,
+    on_all_unknowns,
+)
 from contactqp.study.truth import Truth, proven_solution, truth_of_solution
 
 # Expected values with a larger relative tolerance than this are no truth that errors are measured against.
@@ -70,20 +77,18 @@ class CaseStudy:
         judge = self.expected.unmet if setting.stands_for_exactness else None
         return answer(self.problem, setting, truth, self.name, judge, self.follow)
 
-    def timing(self, setting: Setting, first: float, repeats: int, warm: bool) -> Timing:
-        """Return the run time of a setting.
+    def timing(self, setting: Setting, first: float, warm: bool) -> Timing:
+        """Return run times of a setting.
 
         Parameters
         ----------
         setting : Setting
         first : float
             Time of an earlier call [s].
-        repeats : int
-            Timed calls at most.
         warm : bool
             Whether the modules of the method are imported already.
         """
-        return timing(self.problem, setting, first, repeats, self.follow, warm)
+        return timing(self.problem, setting, first, self.follow, warm)
 
     def truth(self) -> Truth | None:
         """Return what the case states exactly, completed by the proven solution; None where neither exists.
@@ -164,9 +169,14 @@ def _refuse_twins(paths: Sequence[Path]) -> None:
 
 
 def load_studies(
-    files: Iterable[str | Path], methods: Sequence[Method], tolerances: Sequence[float] = TOLERANCES
+    files: Iterable[str | Path],
+    methods: Sequence[Method],
+    tolerances: Sequence[float] = TOLERANCES,
+    brief: bool = False,
 ) -> tuple[CaseStudy, ...]:
     """Return the cases with their settings; all files are read before anything is solved.
+
+    With `brief` the settings are those of `brief_settings`, whatever tolerances and ladders are asked for.
 
     Raises
     ------
@@ -186,8 +196,12 @@ def load_studies(
         limit = report_methods(scene)
         tried = tuple(method for method in methods if limit is None or method.name in limit[0])
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
-        settings = tuple(setting for method in tried for setting in _settings(scene, problem, method, tolerances))
-        left_out = report_note(scene), note_on_all_unknowns(problem, tried)
+        if brief:
+            settings = tuple(setting for method in tried for setting in brief_settings(problem, method))
+            left_out: tuple[str, ...] = (report_note(scene),)
+        else:
+            settings = tuple(setting for method in tried for setting in _settings(scene, problem, method, tolerances))
+            left_out = report_note(scene), note_on_all_unknowns(problem, tried)
         studies.append(CaseStudy(name, scene, problem, settings, tuple(filter(None, left_out))))
     return tuple(studies)
 

@@ -21,7 +21,7 @@ from contactqp.linalg.schur import LastBlock
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
-from contactqp.study.attempt import ENOUGH, LONG, Timing, crashed, timed
+from contactqp.study.attempt import LONG, VISIT, VISIT_CALLS, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.footprint import Footprint, measure
 from contactqp.study.report_data import CaseRecord, record, unjudged
@@ -160,8 +160,8 @@ def footprint_cell(study: CaseStudy) -> Cell:
     return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
 
 
-def timing_cell(study: CaseStudy, setting: Setting, first: float, repeats: int, cost: float) -> Cell:
-    """Return the cell that times a setting.
+def timing_cell(study: CaseStudy, setting: Setting, first: float, round_: int, cost: float) -> Cell:
+    """Return the cell that times a setting in one of several rounds.
 
     Parameters
     ----------
@@ -169,13 +169,13 @@ def timing_cell(study: CaseStudy, setting: Setting, first: float, repeats: int, 
     setting : Setting
     first : float
         Time of its first call [s].
-    repeats : int
-        Timed calls at most.
+    round_ : int
+        The number of the round, from 0.
     cost : float
         Expected time [s].
     """
-    arguments = (ticket_of(study), setting, first, repeats)
-    return Cell(f"{study.name}/{_name(setting)}/time", take_time, arguments, Timing, study.digest, cost)
+    arguments = (ticket_of(study), setting, first)
+    return Cell(f"{study.name}/{_name(setting)}/time {round_}", take_time, arguments, Timing, study.digest, cost)
 
 
 def limit_cell(study: CaseStudy) -> Cell:
@@ -216,24 +216,15 @@ def find_answer(ticket: Ticket, truth: FoundTruth, setting: Setting) -> Row:
     return study.answer(setting, truth.on(study))
 
 
-def take_time(ticket: Ticket, setting: Setting, first: float, repeats: int) -> Timing:
-    """Return the run time of one setting.
+def take_time(ticket: Ticket, setting: Setting, first: float) -> Timing:
+    """Return run times of one setting, whose first call took so many seconds.
 
     The process is warm from the second time on that it times this method on this case.
-
-    Parameters
-    ----------
-    ticket : Ticket
-    setting : Setting
-    first : float
-        Time of its first call [s].
-    repeats : int
-        Timed calls at most.
     """
     tried = (ticket.digest, setting.method.name)
     warm = tried in _WARM
     _WARM.add(tried)
-    return _study(ticket).timing(setting, first, repeats, warm)
+    return _study(ticket).timing(setting, first, warm)
 
 
 def time_linear_solve(ticket: Ticket) -> LinearSolve:
@@ -272,10 +263,12 @@ class Collector:
     workers : Workers
     journal : Journal
     progress : Progress
-    repeats : int
-        Timed calls of each setting at most.
+    rounds : Rounds
+        In how many rounds every setting is timed.
     time_limit : float
         Limit for each cell [s].
+    brief : bool
+        Measure the footprints of two cases alone.
     """
 
     def __init__(
@@ -284,11 +277,13 @@ class Collector:
         workers: Workers,
         journal: Journal,
         progress: Progress,
-        repeats: int,
+        rounds: Rounds,
         time_limit: float,
+        brief: bool = False,
     ) -> None:
+        self._brief = brief
         self._studies, self._workers, self._journal, self._progress = studies, workers, journal, progress
-        self._repeats, self._time_limit = repeats, time_limit
+        self._rounds, self._time_limit = rounds, time_limit
         self.rows = sum(len(study.settings) for study in studies)
         self.answered = self.timed = 0
         self._changed: dict[str, None] = {}  # cases that changed since their results were kept
@@ -342,18 +337,28 @@ class Collector:
         return {name: _truth(found[cell.key]) for name, cell in cells.items()}
 
     def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], pool: Pool) -> dict[str, Row]:
-        """Return the rows with their times; a method that crashes while it is timed has crashed."""
-        cells = {
-            key: timing_cell(one.study, one.setting, row.seconds, self._repeats, self._expected(row))
-            for one in tries
-            if (row := rows[key := one.cell.key]).seconds is not None
-        }
-        found = self._run("times", list(cells.values()), pool, later=lambda: 0.0)
-        return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
+        """Return the rows with their times; a method that crashes while it is timed has crashed.
+
+        The methods of a case take turns: a machine that is busy for a while disturbs all of them alike.
+        """
+        cells: list[Cell] = []
+        of_row: dict[str, list[str]] = {key: [] for key in rows}
+        for case in dict.fromkeys(one.study.name for one in reversed(tries)):  # the smallest case first
+            timed_ones = [one for one in tries if one.study.name == case and rows[one.cell.key].seconds is not None]
+            for round_ in range(self._rounds.most):
+                for one in timed_ones:
+                    first = rows[one.cell.key].seconds or 0.0
+                    if round_ < self._rounds.of(first):
+                        cell = timing_cell(one.study, one.setting, first, round_, _visit(first))
+                        cells.append(cell)
+                        of_row[one.cell.key].append(cell.key)
+        found = self._run("times", cells, pool, later=lambda: 0.0)
+        return {key: _timed(row, [found[name] for name in of_row[key]]) for key, row in rows.items()}
 
     def _footprints(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, Footprint]:
-        """Return the footprint of each case that has a file."""
-        cells = {study.name: footprint_cell(study) for study in studies if study.scene.file is not None}
+        """Return the footprint of each case that has a file; in brief of the largest and of the smallest alone."""
+        measured = studies[:1] + studies[-1:] if self._brief and len(studies) > 1 else studies
+        cells = {study.name: footprint_cell(study) for study in measured if study.scene.file is not None}
         found = self._run("footprints", list(cells.values()), pool, later=self._timing_left)
         results = ((name, found[cell.key]) for name, cell in cells.items())
         return {name: result for name, result in results if isinstance(result, Footprint)}
@@ -391,7 +396,7 @@ class Collector:
 
     def _count(self, cell: Cell, result: Result) -> None:
         self.answered += cell.result is Row
-        self.timed += cell.result is Timing
+        self.timed += cell.result is Timing and cell.key.endswith("/time 0")
         self._seconds += self._expected(result) if isinstance(result, Row) else 0.0
 
     def _timing_left(self) -> float:
@@ -399,10 +404,26 @@ class Collector:
 
     def _expected(self, row: Row) -> float:
         """Return the seconds that timing a row is expected to take."""
-        if row.seconds is None:
-            return 0.0
-        calls = 1 if row.seconds >= LONG else min(self._repeats, ceil(ENOUGH / max(row.seconds, OVERHEAD)))
-        return calls * row.seconds + OVERHEAD
+        return 0.0 if row.seconds is None else self._rounds.of(row.seconds) * _visit(row.seconds)
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """In how many rounds a setting is timed: at most so many, and no more once so many seconds are spent on it."""
+
+    most: int
+    enough: float
+
+    def of(self, seconds: float) -> int:
+        """Return the rounds of a setting whose call takes so many seconds."""
+        if seconds >= LONG or self.most == 0:
+            return 1
+        return min(self.most, ceil(self.enough / max(_visit(seconds), OVERHEAD)))
+
+
+def _visit(seconds: float) -> float:
+    """Return the seconds of one round of a setting whose call takes so many."""
+    return min(VISIT_CALLS, ceil(VISIT / max(seconds, OVERHEAD))) * seconds + OVERHEAD
 
 
 def _truth(found: FoundTruth | Crash) -> FoundTruth:
@@ -419,7 +440,8 @@ def _row(one: _Try, found: Row | Crash) -> Row:
     return crashed(one.study.problem, one.setting, one.study.name, found.message) if isinstance(found, Crash) else found
 
 
-def _timed(row: Row, found: Timing | Crash) -> Row:
-    if isinstance(found, Crash):
-        return replace(row, verdict=CRASHED, message=f"while it was timed: {found.message}")
-    return timed(row, found)
+def _timed(row: Row, found: Sequence[Timing | Crash]) -> Row:
+    for one in found:
+        if isinstance(one, Crash):
+            return replace(row, verdict=CRASHED, message=f"while it was timed: {one.message}")
+    return timed(row, found) if found else row

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,9 +14,8 @@ from typing import Any
 from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
 from contactqp.scene.shipped import shipped_folder
-from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
-from contactqp.study.collecting import Collector
+from contactqp.study.collecting import Collector, Rounds
 from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report_charts import case_charts, overview_charts
@@ -24,9 +24,12 @@ from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
-from contactqp.study.settings import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
+from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
+from contactqp.study.telling_cases import telling_cases
 
-REPEATS = 3
+# Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
+REPEATS, ENOUGH = 3, 0.05
+BRIEF_ROUNDS = Rounds(2, 0.5)
 HERE = Running()
 DEFAULT_CASES = "cases"
 PAGE = "index.html"
@@ -47,13 +50,16 @@ class ReportResult:
         return self.summary.exit_code
 
 
-def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
+def report(cases: Sequence[str], output: str, running: Running = HERE, full: bool = False) -> int:
     """Write the report of the command line, print what it found and where it is, and return the exit code.
 
-    Without cases those of the folder ``cases`` are taken.
+    Without cases it is the brief report of the telling ones, or, in full, that of all in the folder ``cases``.
     """
     try:
-        result = write_report(case_files(cases or [_default_cases()]), output, running=running)
+        if cases or full:
+            result = write_report(case_files(cases or [_default_cases()]), output, running=running)
+        else:
+            result = write_report(telling_cases(report_folder(output)), output, running=running, brief=True)
     except Stopped as stop:
         print(f"contactqp: {stop}", file=sys.stderr)
         return stop.code
@@ -85,6 +91,7 @@ def write_report(
     tolerances: Sequence[float] = TOLERANCES,
     repeats: int = REPEATS,
     running: Running = HERE,
+    brief: bool = False,
 ) -> ReportResult:
     """Try every method with every value of its knob on every case, and write index.html, results.csv and results.json.
 
@@ -102,9 +109,11 @@ def write_report(
     tolerances : sequence of float
         The ladder of the methods whose knob is the tolerance, where the case states none.
     repeats : int
-        Timed calls after the first, at most; each on a fresh problem.
+        Rounds of timing at most; every call on a fresh problem.
     running : Running
         Processes, time limit and display of progress.
+    brief : bool
+        Final answers at the default tolerance alone, raw ones at three, and nothing on all unknowns.
 
     Raises
     ------
@@ -116,19 +125,21 @@ def write_report(
         The report was interrupted by Ctrl-C or SIGTERM; the message says how far it was.
     """
     chosen = chosen_methods(methods)
-    studies = load_studies(cases, chosen, tolerances)
+    studies = load_studies(cases, chosen, tolerances, brief)
+    rounds = BRIEF_ROUNDS if brief else Rounds(repeats, ENOUGH)
     folder = report_folder(output)
     with stopped_by_signals(), workers_of(running) as workers:
         facts: dict[str, Any] = dict(
             machine=workers.ask(machine),
             versions=workers.ask(partial(versions, chosen)),
-            settings=_settings(tolerances, repeats, workers),
+            settings=_settings(BRIEF_TOLERANCES if brief else tolerances, rounds, workers),
+            command=_command(cases, brief),
             seeds="none: nothing is random",
             left_out=list(_limited(studies)),
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
-            collector = Collector(studies, workers, journal, bar, repeats, running.time_limit)
+            collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief)
             with stopped_after(lambda: str(collector)):
                 records, rows = collector.collect()
                 facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
@@ -150,15 +161,20 @@ def write_report(
     return ReportResult(summary, rows, files, notes)
 
 
-def _settings(tolerances: Sequence[float], repeats: int, workers: Workers) -> dict[str, Any]:
+def _command(cases: Sequence[str | Path], brief: bool) -> str:
+    """Return the command that makes a report again."""
+    return shlex.join(["contactqp", "report", *([] if brief else map(str, cases))])
+
+
+def _settings(tolerances: Sequence[float], rounds: Rounds, workers: Workers) -> dict[str, Any]:
     return dict(
         tolerances=list(tolerances),
         stiffenings=list(STIFFENINGS),
         uzawa_iterations=list(UZAWA_ITERATIONS),
-        repeats=f"at most {repeats}, fewer once {ENOUGH} s are spent",
+        rounds=f"at most {rounds.most}, fewer once {rounds.enough:g} s are spent on a setting",
         answers=workers.how,
-        timing="wall clock of solve on a fresh problem, without its certificate; median after a warm-up; one after the "
-        "other in one process, while nothing else of the report runs",
+        timing="wall clock of solve on a fresh problem, without its certificate; median after a warm-up; all methods "
+        "of a case in turn, and again, in one process, while nothing else of the report runs",
     )
 
 

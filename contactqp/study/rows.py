@@ -68,6 +68,9 @@ class Row:
     seconds: float | None = column(
         "run time of solve on a fresh problem, certificate not included; median of the repeats"
     )
+    seconds_spread: float | None = column(
+        "distance of the quartiles of the repeats, relative to their median; empty of a single one"
+    )
     repeats: int = column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
     linear_solve_seconds: float | None = column(
         "one linear solve of the case's bodies without contact by the same sparse solver: the physical limit"
@@ -164,9 +167,16 @@ READABLE: Mapping[str, str] = {
 }
 
 
+# Run times that spread by more than this part of their median are shown with it.
+WIDE = 0.2
+
+
 def readable(row: Row) -> dict[str, str]:
     """Return the cells of `READABLE` as text, rounded."""
-    return {name: _rounded(name, getattr(row, name)) for name in READABLE}
+    cells = {name: _rounded(name, getattr(row, name)) for name in READABLE}
+    if row.seconds_spread is not None and row.seconds_spread > WIDE:
+        cells["seconds"] += f" ± {100 * row.seconds_spread:.0f} %"
+    return cells
 
 
 def _rounded(name: str, value: Any) -> str:

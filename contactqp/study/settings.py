@@ -22,6 +22,9 @@ TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 # The tolerance that `solve` asks for by default.
 DEFAULT_TOLERANCE = 1e-9
 UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
+# Tolerances of raw answers in a brief report; and unknowns beyond which it tries final answers alone, and every second
+# stiffness.
+BRIEF_TOLERANCES, BRIEF_LADDERS = (1e-3, 1e-6, 1e-9), 20_000
 # What is tried on all unknowns where the contact unknowns alone would do: every setting, where condensation takes away
 # so many unknowns of at most so many; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
 WORTH_A_LADDER, WHOLE_LADDER, WHOLE_DEFAULT = 10, 1_000, 10_000
@@ -131,6 +134,22 @@ def all_settings(
         yield Setting(method, "raw", options={"polish": False})
     if "update" in method.options:
         yield from ladder(method, "iterations", UZAWA_ITERATIONS, "uzawa")
+
+
+def brief_settings(problem: ContactProblem, method: Method) -> Iterator[Setting]:
+    """Yield the settings of a brief report: raw answers over the knob, final ones at the default tolerance alone.
+
+    Polished answers are exact at any tolerance; the stiffnesses of penalty methods are swept as in a full report. Of
+    large problems final answers alone are tried, and three stiffnesses.
+    """
+    large = problem.dimension > BRIEF_LADDERS
+    stiffnesses = stiffness_ladder(problem)[1::2]
+    for setting in all_settings(problem, method, BRIEF_TOLERANCES):
+        if setting.knob == "tolerance" and setting.variant == "polished" and setting.value != DEFAULT_TOLERANCE:
+            continue
+        if large and (setting.variant in ("raw", "uzawa") or (method.required and setting.value not in stiffnesses)):
+            continue
+        yield setting
 
 
 def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Setting]:

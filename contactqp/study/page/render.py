@@ -7,7 +7,6 @@ import gzip
 import importlib.util
 import json
 import re
-import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -138,7 +137,7 @@ def render(
         columns=plain_table("columns of the tables", ("column of results.csv", "meaning"), COLUMNS.items()),
         verdicts=plain_table("verdicts", ("verdict", "meaning"), ((marked(v), text) for v, text in VERDICTS.items())),
         facts=tuple(fact_tables(data.facts)),
-        command=shlex.join(["contactqp", "report", *(case.file for case in data.cases)]),
+        command=data.facts["command"],
         notes=notes,
     )
 
