@@ -74,6 +74,7 @@ def cases_command(words: tuple[str, ...], as_json: bool) -> None:
 @click.argument("cases", nargs=-1, metavar="[CASE...]")
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
 @click.option("--full", is_flag=True, help="Every case by every method and every value of its knob.")
+@click.option("--compare", metavar="OLD.json", help="Then print what changed since the report of that results.json.")
 @click.option("--stability", is_flag=True, help="The stability study; without CASE nothing else.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes side by side; all cores by default.")
 @click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler instead: tcp://host:8786.")
@@ -90,6 +91,7 @@ def report_command(
     cases: tuple[str, ...],
     output: str,
     full: bool,
+    compare: str | None,
     stability: bool,
     jobs: int | None,
     dask: str | None,
@@ -111,10 +113,10 @@ def report_command(
     from contactqp.study.running.runner import OF_SIGNAL, Running
 
     running, code = Running(jobs, dask, fresh, time_limit, shown=True), 0
-    if cases or full or not stability:
+    if cases or full or compare or not stability:
         from contactqp.study.reporting import report
 
-        code = report(cases, output, running, full)
+        code = report(cases, output, running, full, compare)
     if stability and code < OF_SIGNAL:  # one Ctrl-C stops both
         from contactqp.study.stability.stability_report import report_stability
 

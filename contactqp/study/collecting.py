@@ -149,10 +149,15 @@ def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
     return replace(cell, cost=PICTURES + 2 * cell.cost)
 
 
-def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Setting, Cell]]:
-    """Yield each setting of a case with the cell that solves by it."""
+def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[Cell]:
+    """Yield the cells that solve a case by each setting."""
     for setting in study.settings:
-        yield setting, _cell(study, _name(setting), find_answer, (ticket_of(study), truth, setting), Row)
+        yield _cell(study, _name(setting), find_answer, (ticket_of(study), truth, setting), Row)
+
+
+def answer_key(study: CaseStudy, setting: Setting) -> str:
+    """Return the key of the cell that solves a case by a setting."""
+    return f"{study.name}/{_name(setting)}"
 
 
 def footprint_cell(study: CaseStudy) -> Cell:
@@ -178,9 +183,9 @@ def timing_cell(study: CaseStudy, setting: Setting, first: float, round_: int, c
     return Cell(f"{study.name}/{_name(setting)}/time {round_}", take_time, arguments, Timing, study.digest, cost)
 
 
-def limit_cell(study: CaseStudy) -> Cell:
-    """Return the cell that times one linear solve of the bodies of a case."""
-    return _cell(study, "linear solve", time_linear_solve, (ticket_of(study),), LinearSolve)
+def limit_cell(study: CaseStudy, round_: int) -> Cell:
+    """Return the cell that times linear solves of the bodies of a case, in one of the rounds of its methods."""
+    return _cell(study, f"linear solve {round_}", time_linear_solve, (ticket_of(study),), LinearSolve)
 
 
 def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...], result: type) -> Cell:
@@ -245,15 +250,6 @@ def _study(ticket: Ticket) -> CaseStudy:
 OVERHEAD = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
-class _Try:
-    """One setting of one case, with the cell that answers it."""
-
-    study: CaseStudy
-    setting: Setting
-    cell: Cell
-
-
 class Collector:
     """Runs the cells of a report and counts what is done.
 
@@ -269,6 +265,8 @@ class Collector:
         Limit for each cell [s].
     brief : bool
         Measure the footprints of two cases alone.
+    show : callable, optional
+        Called with this whenever something has been found; while it runs nothing is timed.
     """
 
     def __init__(
@@ -280,8 +278,11 @@ class Collector:
         rounds: Rounds,
         time_limit: float,
         brief: bool = False,
+        show: Callable[[Collector], None] = lambda _: None,
     ) -> None:
-        self._brief = brief
+        self._brief, self._show = brief, show
+        self._unjudged: dict[str, CaseRecord] = {}
+        self._found: dict[str, Result] = {}  # by the keys of the cells
         self._studies, self._workers, self._journal, self._progress = studies, workers, journal, progress
         self._rounds, self._time_limit = rounds, time_limit
         self.rows = sum(len(study.settings) for study in studies)
@@ -290,37 +291,68 @@ class Collector:
         self._kept = 0
         self._seconds = 0.0  # that timing the answered rows is expected to take
 
-    def collect(self) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
-        """Run all cells and return the records and rows, in the order of the cases.
+    def collect(self) -> None:
+        """Run all cells; `found` then returns all records and rows.
 
         Raises
         ------
         ContactQPError
             A case is wrong.
         """
+        self._show(self)
         # The largest first: at the end no process waits for another one's long cell.
         studies = sorted(self._studies, key=lambda study: -study.problem.dimension)
         with self._workers.side_by_side() as pool:
-            truths = self._truths(studies, pool)
-            tries = [_Try(study, *each) for study in studies for each in answer_cells(study, truths[study.name])]
-            record_cells = {study.name: record_cell(study, truths[study.name]) for study in studies}
-            answers = [*record_cells.values(), *(one.cell for one in tries)]
-            found = self._run("answers", answers, pool, later=self._timing_left)
+            self._run("truths", [truth_cell(study) for study in studies], pool, later=None)
+            truths = {study.name: self._truth(study.name) for study in studies}
+            records = [record_cell(study, truths[study.name]) for study in studies]
+            answers = [cell for study in studies for cell in answer_cells(study, truths[study.name])]
+            self._run("answers", [*records, *answers], pool, later=self._timing_left)
         with self._workers.alone() as pool:
-            limits, footprints = self._limits(studies, pool), self._footprints(studies, pool)
-            rows = self._times(tries, {one.cell.key: _row(one, found[one.cell.key]) for one in tries}, pool)
-        rows = {one.cell.key: replace(rows[one.cell.key], linear_solve_seconds=limits[one.study.name]) for one in tries}
-        of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
-        records = (
-            replace(
-                _record(study, truths[study.name], found[record_cells[study.name].key]),
-                contradicted=truths[study.name].contradicted,
-                linear_solve=limits[study.name],
-                footprint=footprints.get(study.name),
-            )
-            for study in self._studies
+            self._run("footprints", self._footprint_cells(studies), pool, later=self._timing_left)
+            self._run("times", list(self._timing_cells(studies)), pool, later=lambda: 0.0)
+
+    def found(self) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
+        """Return the records and the rows that there are, in the order of the cases; those not timed have no time."""
+        rows = (self._row(study, setting) for study in self._studies for setting in study.settings)
+        return tuple(map(self._record, self._studies)), tuple(row for row in rows if row is not None)
+
+    def _record(self, study: CaseStudy) -> CaseRecord:
+        truth, record = self._truth(study.name), self._found.get(f"{study.name}/record")
+        if isinstance(record, Crash):
+            record = unjudged(study, truth.source, f"{study.name}: not judged: {record.message}")
+        if record is None:
+            record = self._unjudged.setdefault(study.name, unjudged(study, "not known yet"))
+        footprint = self._found.get(f"{study.name}/footprint")
+        return replace(
+            record,
+            contradicted=truth.contradicted,
+            linear_solve=self._limit(study.name),
+            footprint=footprint if isinstance(footprint, Footprint) else None,
         )
-        return tuple(records), tuple(row for study in self._studies for row in of_case[study.name])
+
+    def _row(self, study: CaseStudy, setting: Setting) -> Row | None:
+        """Return the row of a setting, if it is found; a method that crashes while it is timed has crashed."""
+        key = answer_key(study, setting)
+        row = self._found.get(key)
+        if row is None:
+            return None
+        if isinstance(row, Crash):
+            row = crashed(study.problem, setting, study.name, row.message)
+        names = (f"{key}/time {round_}" for round_ in range(max(self._rounds.most, 1)))
+        timings = [self._found[name] for name in names if name in self._found]
+        row = replace(row, linear_solve_seconds=self._limit(study.name))
+        return _timed(row, timings) if timings else replace(row, seconds=None)
+
+    def _truth(self, name: str) -> FoundTruth:
+        found = self._found.get(f"{name}/truth", FoundTruth("not known yet"))
+        return FoundTruth(f"nothing, as it was not found: {found.message}") if isinstance(found, Crash) else found
+
+    def _limit(self, name: str) -> float | None:
+        """Return the seconds of one linear solve of a case, the median of the rounds; None where it crashed."""
+        found = (self._found.get(f"{name}/linear solve {round_}") for round_ in range(max(self._rounds.most, 1)))
+        times = [one.seconds for one in found if isinstance(one, LinearSolve) and one.seconds is not None]
+        return statistics.median(times) if times else None
 
     def __str__(self) -> str:
         return f"interrupted: {self.answered} of {self.rows} rows answered, {self.timed} timed"
@@ -331,51 +363,30 @@ class Collector:
         kept = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
         return (*kept, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
-    def _truths(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, FoundTruth]:
-        cells = {study.name: truth_cell(study) for study in studies}
-        found = self._run("truths", list(cells.values()), pool, later=None)
-        return {name: _truth(found[cell.key]) for name, cell in cells.items()}
+    def _timing_cells(self, studies: Sequence[CaseStudy]) -> Iterator[Cell]:
+        """Yield the cells that time all answers, the smallest case first.
 
-    def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], pool: Pool) -> dict[str, Row]:
-        """Return the rows with their times; a method that crashes while it is timed has crashed.
-
-        The methods of a case take turns: a machine that is busy for a while disturbs all of them alike.
+        One linear solve and the methods of a case take turns: a machine that is busy for a while disturbs all alike.
         """
-        cells: list[Cell] = []
-        of_row: dict[str, list[str]] = {key: [] for key in rows}
-        for case in dict.fromkeys(one.study.name for one in reversed(tries)):  # the smallest case first
-            timed_ones = [one for one in tries if one.study.name == case and rows[one.cell.key].seconds is not None]
-            for round_ in range(self._rounds.most):
-                for one in timed_ones:
-                    first = rows[one.cell.key].seconds or 0.0
+        for study in reversed(studies):
+            firsts = [(setting, self._found[answer_key(study, setting)]) for setting in study.settings]
+            timed_ones = [
+                (setting, row.seconds) for setting, row in firsts if getattr(row, "seconds", None) is not None
+            ]
+            for round_ in range(max(self._rounds.most, 1)):
+                for setting, first in timed_ones:
                     if round_ < self._rounds.of(first):
-                        cell = timing_cell(one.study, one.setting, first, round_, _visit(first))
-                        cells.append(cell)
-                        of_row[one.cell.key].append(cell.key)
-        found = self._run("times", cells, pool, later=lambda: 0.0)
-        return {key: _timed(row, [found[name] for name in of_row[key]]) for key, row in rows.items()}
+                        yield timing_cell(study, setting, first, round_, _visit(first))
 
-    def _footprints(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, Footprint]:
-        """Return the footprint of each case that has a file; in brief of the largest and of the smallest alone."""
-        measured = studies[:1] + studies[-1:] if self._brief and len(studies) > 1 else studies
-        cells = {study.name: footprint_cell(study) for study in measured if study.scene.file is not None}
-        found = self._run("footprints", list(cells.values()), pool, later=self._timing_left)
-        results = ((name, found[cell.key]) for name, cell in cells.items())
-        return {name: result for name, result in results if isinstance(result, Footprint)}
+    def _footprint_cells(self, studies: Sequence[CaseStudy]) -> list[Cell]:
+        """Return the cells of the cases that have a file; in brief of the largest and of the smallest alone."""
+        measured = [*studies[:1], *studies[-1:]] if self._brief and len(studies) > 1 else studies
+        return [footprint_cell(study) for study in measured if study.scene.file is not None]
 
-    def _limits(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, float | None]:
-        """Return the seconds of one linear solve of each case; None where it crashed."""
-        cells = {study.name: limit_cell(study) for study in studies}
-        found = self._run("linear solves", list(cells.values()), pool, later=self._timing_left)
-        results = {name: found[cell.key] for name, cell in cells.items()}
-        return {name: None if isinstance(one, Crash) else one.seconds for name, one in results.items()}
-
-    def _run(
-        self, what: str, cells: Sequence[Cell], pool: Pool, later: Callable[[], float] | None
-    ) -> dict[str, Result]:
+    def _run(self, what: str, cells: Sequence[Cell], pool: Pool, later: Callable[[], float] | None) -> None:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
         self._progress.part(what, later)
-        return run_cells(cells, pool, self._journal, watcher=self, time_limit=self._time_limit)
+        run_cells(cells, pool, self._journal, watcher=self, time_limit=self._time_limit)
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
         """Start a part: `found` holds the results of the cells that are finished already."""
@@ -389,12 +400,19 @@ class Collector:
         """Count a finished cell."""
         self._count(cell, result)
         self._progress.done(cell, result)
+        self._show(self)
 
     def tick(self) -> None:
         """Show the progress."""
         self._progress.tick()
 
+    @property
+    def progress(self) -> str:
+        """What is going on, how far it is, and what is left."""
+        return str(self._progress)
+
     def _count(self, cell: Cell, result: Result) -> None:
+        self._found[cell.key] = result
         self.answered += cell.result is Row
         self.timed += cell.result is Timing and cell.key.endswith("/time 0")
         self._seconds += self._expected(result) if isinstance(result, Row) else 0.0
@@ -426,22 +444,8 @@ def _visit(seconds: float) -> float:
     return min(VISIT_CALLS, ceil(VISIT / max(seconds, OVERHEAD))) * seconds + OVERHEAD
 
 
-def _truth(found: FoundTruth | Crash) -> FoundTruth:
-    return FoundTruth(f"nothing, as it was not found: {found.message}") if isinstance(found, Crash) else found
-
-
-def _record(study: CaseStudy, truth: FoundTruth, found: CaseRecord | Crash) -> CaseRecord:
-    if isinstance(found, Crash):
-        return unjudged(study, truth.source, f"{study.name}: not judged: {found.message}")
-    return found
-
-
-def _row(one: _Try, found: Row | Crash) -> Row:
-    return crashed(one.study.problem, one.setting, one.study.name, found.message) if isinstance(found, Crash) else found
-
-
 def _timed(row: Row, found: Sequence[Timing | Crash]) -> Row:
     for one in found:
         if isinstance(one, Crash):
             return replace(row, verdict=CRASHED, message=f"while it was timed: {one.message}")
-    return timed(row, found) if found else row
+    return timed(row, [one for one in found if isinstance(one, Timing)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 from zlib import crc32
 
@@ -285,16 +286,35 @@ TEMPLATE: Mapping[str, Any] = dict(
 def traces(drawn: Sequence[Curve], error: str, stiffness: str) -> list[dict[str, Any]]:
     """Return one trace for each curve, each method once in the legend; `stiffness` is the unit of penalties."""
     first = {curve.route.method: i for i, curve in reversed(list(enumerate(drawn)))}
-    return [
+    points = [
         _trace(curve, error, stiffness) | dict(showlegend=first[curve.route.method] == i)
         for i, curve in enumerate(drawn)
     ]
+    return [*points, *(_envelope(trace) for trace in points if "lines" not in trace["mode"])]
+
+
+def _in_order(curve: Curve, error: str) -> bool:
+    """Return whether a step of the knob that takes longer is always more exact: a line through the points then is."""
+    steps = list(pairwise((row.seconds or 0.0, getattr(row, error)) for row in curve.points))
+    return all((b[0] - a[0]) * (b[1] - a[1]) <= 0 for a, b in steps) and len({b[0] > a[0] for a, b in steps}) < 2
+
+
+def _envelope(trace: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the line through the points of a trace that no faster one is as exact as."""
+    kept: list[tuple[float, float]] = []
+    for x, y in sorted(zip(trace["x"], trace["y"], strict=True)):
+        if not kept or y < kept[-1][1]:
+            kept.append((x, y))
+    names = "type", "name", "legendgroup", "line", "meta"
+    same = {name: trace[name] for name in names}
+    return same | dict(mode="lines", x=[x for x, _ in kept], y=[y for _, y in kept], hoverinfo="skip", showlegend=False)
 
 
 def _trace(curve: Curve, error: str, stiffness: str) -> dict[str, Any]:
     route, style = curve.route, method_style(curve.route.method)
     marks = [MARKS.get(row.verdict, "") for row in curve.points]
-    mode = "lines+markers+text" if any(marks) else "lines+markers"
+    mode = "lines+markers" if _in_order(curve, error) else "markers"
+    mode += "+text" if any(marks) else ""
     drawn: dict[str, Any] = dict(
         type="scatter",
         mode=mode,

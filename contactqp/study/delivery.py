@@ -8,7 +8,7 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,52 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def machine() -> dict[str, str]:
-    """Return the platform, the processor, the version of Python and the limits of threads."""
+    """Return the platform, the processor, the version of Python, and the libraries of linear algebra with threads."""
     found = dict(
         platform=platform.platform(),
-        processor=platform.processor() or platform.machine(),
+        processor=_processor(),
         cores=str(os.cpu_count()),
         python=f"{platform.python_implementation()} {platform.python_version()}",
+        linear_algebra=_linear_algebra(),
     )
     return found | {name: os.environ[name] for name in THREADS if name in os.environ}
+
+
+def _processor() -> str:
+    """Return the model of the processor as Linux tells it, else what Python knows."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        for line in lines:
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _linear_algebra() -> str:
+    from threadpoolctl import threadpool_info
+
+    found = (f"{one['internal_api']} {one['version']}, {one['num_threads']} threads" for one in threadpool_info())
+    return "; ".join(dict.fromkeys(found))
+
+
+# The load of a machine, for each core, from which it is busy with something else.
+BUSY = 0.5
+
+
+def load() -> float | None:
+    """Return how many processes have run in the last minute on average; None where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def busy(before: float | None) -> str:
+    """Return what a load before a report means for its times; empty where the machine was idle."""
+    cores = os.cpu_count() or 1
+    if before is None or before <= BUSY * cores:
+        return ""
+    return (
+        f"the machine was busy with something else, a load of {before:.1f} on {cores} cores, before the report began: "
+        "its run times are not to be trusted; errors and verdicts are, and methods of one case, which took turns, compare"
+    )
 
 
 def versions(methods: Sequence[Method]) -> dict[str, str]:

@@ -92,11 +92,12 @@ def case_charts(data: ReportData, case: CaseRecord) -> tuple[Chart, ...]:
     They have no tables: their numbers are the case's rows, which a page shows once.
     """
     mine = data.rows_of(case.name)
-    charts = (_case_chart(mine, case, quantity) for quantity in QUANTITIES)
+    charts = (case_chart(mine, case, quantity) for quantity in QUANTITIES)
     return tuple(chart for chart in charts if chart is not None)
 
 
-def _case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Chart | None:
+def case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Chart | None:
+    """Return the chart of one quantity of a case against run time; None where nothing could be measured."""
     length, force = case.length or "length", case.force or "force"
     units = {"u": f"√({force}·{length})", "λ": force}
     absolute = any(quantity.absolute in row.error_measure for row in mine)
@@ -114,8 +115,9 @@ def _case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Ch
 
 
 _CAPTION = (
-    "Lower is more exact, further left is faster. Each curve is one method, from one value of its knob (tolerance, "
-    "penalty, iterations) to the next. Run times are those to the answer, without its certificate. "
+    "Lower is more exact, further left is faster. Each curve is one method over the values of its knob (tolerance, "
+    "penalty, iterations); where longer times are not more exact, a line joins the points that no faster one excels. "
+    "Run times are those to the answer, without its certificate. "
     "All numbers stand in the table of the case's answers."
 )
 

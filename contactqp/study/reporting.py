@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+import textwrap
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,8 +17,10 @@ from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.changes import changes, read_report
 from contactqp.study.collecting import Collector, Rounds
-from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
+from contactqp.study.conclusion import conclude
+from contactqp.study.delivery import busy, deliver, load, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report_charts import case_charts, overview_charts
 from contactqp.study.report_data import ReportData, Summary, as_json, summarise
@@ -26,6 +30,7 @@ from contactqp.study.running.runner import Running, Stopped, progress, stopped_a
 from contactqp.study.running.workers import Workers
 from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.telling_cases import telling_cases
+from contactqp.study.telling_chart import telling_chart
 
 # Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
 REPEATS, ENOUGH = 3, 0.05
@@ -33,6 +38,9 @@ BRIEF_ROUNDS = Rounds(2, 0.5)
 HERE = Running()
 DEFAULT_CASES = "cases"
 PAGE = "index.html"
+# Seconds between two pages of an unfinished report, at least; and so many times what writing one takes.
+EVERY, SHARE = 5.0, 10.0
+WIDTH = 100  # letters of a line of prose on the terminal
 
 
 @dataclass(frozen=True)
@@ -50,11 +58,15 @@ class ReportResult:
         return self.summary.exit_code
 
 
-def report(cases: Sequence[str], output: str, running: Running = HERE, full: bool = False) -> int:
+def report(
+    cases: Sequence[str], output: str, running: Running = HERE, full: bool = False, compare: str | None = None
+) -> int:
     """Write the report of the command line, print what it found and where it is, and return the exit code.
 
-    Without cases it is the brief report of the telling ones, or, in full, that of all in the folder ``cases``.
+    Without cases it is the brief report of the telling ones, or, in full, that of all in the folder ``cases``. With the
+    results.json of an old report to `compare` with, what changed since then is printed at the end.
     """
+    old = None if compare is None else read_report(compare)
     try:
         if cases or full:
             result = write_report(case_files(cases or [_default_cases()]), output, running=running)
@@ -65,11 +77,15 @@ def report(cases: Sequence[str], output: str, running: Running = HERE, full: boo
         return stop.code
     for note in result.notes:
         print(f"contactqp: {note}", file=sys.stderr)
-    print(aligned(result.summary.cells()))
+    found = conclude(result.rows)
+    print(aligned(found.cells()))
+    print(f"\n{textwrap.fill(found.sentence, WIDTH)}\n")
     for text in result.summary.unmet_lines():
         print(f"not met: {text}")
     print(f"{len(result.rows)} rows; {result.summary}")
     print(f"written: {', '.join(map(str, result.files))}")
+    if old is not None:
+        print(f"\nsince {compare}:\n{changes(old, read_report(Path(output) / 'results.json'))}")
     return result.exit_code
 
 
@@ -128,6 +144,7 @@ def write_report(
     studies = load_studies(cases, chosen, tolerances, brief)
     rounds = BRIEF_ROUNDS if brief else Rounds(repeats, ENOUGH)
     folder = report_folder(output)
+    before = load()
     with stopped_by_signals(), workers_of(running) as workers:
         facts: dict[str, Any] = dict(
             machine=workers.ask(machine),
@@ -139,26 +156,69 @@ def write_report(
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
-            collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief)
+            facts |= dict(load=dict(at_start=before))
+            page = _GrowingPage(folder, facts)
+            collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief, page)
             with stopped_after(lambda: str(collector)):
-                records, rows = collector.collect()
-                facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
-                summary = summarise(
-                    rows,
-                    unmet=(text for case in records for text in case.unmet),
-                    contradicted=(case.name for case in records if case.contradicted),
+                collector.collect()
+                facts |= dict(load=dict(at_start=before, at_end=load()))
+                data = _report_data(collector, facts)
+                notes = (
+                    *filter(None, [busy(before)]),
+                    *workers.notes,
+                    *journal.notes,
+                    *collector.notes,
+                    *_limited(studies),
+                    *_crashed(data.rows),
                 )
-                data = ReportData(records, rows, summary, facts)
-                notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows))
                 with workshop(folder) as shop:
                     notes = (*notes, *filter(None, [missing_packages()]))
-                    write(shop / "results.csv", to_csv(rows))
+                    write(shop / "results.csv", to_csv(data.rows))
                     write(shop / "results.json", as_json(data))
                     if not missing_packages():
-                        charts = {case.name: case_charts(data, case) for case in records}
-                        write(shop / PAGE, render(data, overview_charts(data), charts, notes=notes))
+                        write(shop / PAGE, _page(data, notes))
                     files = _deliver(shop, folder)
-    return ReportResult(summary, rows, files, notes)
+    return ReportResult(data.summary, data.rows, files, notes)
+
+
+def _report_data(collector: Collector, facts: Mapping[str, Any]) -> ReportData:
+    """Return what has been found so far, with its summary."""
+    records, found = collector.found()
+    summary = summarise(
+        found,
+        unmet=(text for case in records for text in case.unmet),
+        contradicted=(case.name for case in records if case.contradicted),
+    )
+    created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return ReportData(records, found, summary, dict(facts) | dict(created=created))
+
+
+def _page(data: ReportData, notes: Sequence[str], running: str = "") -> str:
+    charts = {case.name: case_charts(data, case) for case in data.cases}
+    return render(data, overview_charts(data), charts, notes=notes, telling=telling_chart(data), running=running)
+
+
+class _GrowingPage:
+    """Writes the page of an unfinished report, from the beginning on and then now and then."""
+
+    def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
+        self._folder, self._facts = folder, facts
+        self._next = 0.0  # not before this time [s]
+        self._off = bool(missing_packages())
+
+    def __call__(self, collector: Collector) -> None:
+        started = time.monotonic()
+        if self._off or started < self._next:
+            return
+        data = _report_data(collector, self._facts)
+        try:
+            with workshop(self._folder) as shop:
+                write(shop / PAGE, _page(data, (), running=collector.progress))
+                deliver(shop, self._folder)
+        except OSError:  # the journal says so, which cannot be written either
+            self._off = True
+        took = time.monotonic() - started
+        self._next = started + took + max(EVERY, SHARE * took)
 
 
 def _command(cases: Sequence[str | Path], brief: bool) -> str:

@@ -31,7 +31,7 @@ CASES = [ROOT / "cases" / "two_bars.toml", ROOT / "cases" / "patch_two_blocks.to
 METHODS = ["active-set", "clarabel", "daqp", "penalty"]
 JOURNAL = "unfinished_report.jsonl"
 # What is measured is never the same twice.
-TIMES: dict[str, Any] = dict(seconds=None, repeats=0, linear_solve_seconds=None)
+TIMES: dict[str, Any] = dict(seconds=None, seconds_spread=None, repeats=0, linear_solve_seconds=None)
 
 
 @pytest.fixture(autouse=True)

@@ -9,11 +9,13 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from contactqp.study.conclusion import conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
+from contactqp.study.delivery import busy
 from contactqp.study.page.case_view import (
     FACETS,
     CaseView,
@@ -105,6 +107,8 @@ def render(
     overview: Sequence[Chart] = (),
     by_case: Mapping[str, Sequence[Chart]] | None = None,
     notes: Sequence[str] = (),
+    telling: Chart | None = None,
+    running: str = "",
 ) -> str:
     """Return the HTML page of a report.
 
@@ -117,17 +121,28 @@ def render(
         Charts of each case.
     notes : sequence of str
         Limitations of this report, in addition to those of any report.
+    telling : Chart, optional
+        The chart of the first screen.
+    running : str
+        What is still running; empty of a finished report.
 
     Raises
     ------
     ModuleNotFoundError
         One of `NEEDED` is not installed; `missing_packages` says so before.
     """
-    shared, views = items("all", overview), tuple(_views(data, by_case or {}))
+    first, shared = items("first", [telling] if telling else []), items("all", overview)
+    views, found = tuple(_views(data, by_case or {})), conclude(data.rows)
+    headings, *lines = found.cells()
     return fill_template(
         "page.html",
-        [*shared, *(item for _, charts in views for item in charts)],
+        [*first, *shared, *(item for _, charts in views for item in charts)],
         data=data,
+        sentence=found.sentence,
+        lines=plain_table("methods, the most right first", headings, lines),
+        first=first,
+        running=running,
+        busy=busy(data.facts.get("load", {}).get("at_start")),
         overview=shared,
         views=views,
         tiles=_tiles(data),
@@ -146,7 +161,6 @@ def fill_template(template: str, drawn: Iterable[ChartItem], **values: object) -
     """Return a template filled with values, style, script, Plotly and the figures of its charts."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
 
     templates = Environment(
         loader=PackageLoader("contactqp.study.page"),
@@ -157,8 +171,15 @@ def fill_template(template: str, drawn: Iterable[ChartItem], **values: object) -
     )
     templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
     whole = dict(css=Markup(_page_file("page.css")), script=Markup(_page_file("page.js")))
-    whole |= dict(plotly=Markup(packed(get_plotlyjs())), figures=Markup(packed(_figures(drawn))))
+    whole |= dict(plotly=Markup(_packed_plotly()), figures=Markup(packed(_figures(drawn))))
     return templates.get_template(template).render(**whole, **values)
+
+
+@cache
+def _packed_plotly() -> str:
+    from plotly.offline import get_plotlyjs
+
+    return packed(get_plotlyjs())
 
 
 def _page_file(name: str) -> str:

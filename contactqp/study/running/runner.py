@@ -44,6 +44,9 @@ class Progress:
         self._display = display
         self._what = ""
         self._later: Callable[[], float] | None = None
+        self._done = self._total = 0
+        self._left = self._spent = 0.0
+        self._started = time.monotonic()
 
     def part(self, what: str, later: Callable[[], float] | None = None) -> None:
         """Name the part that begins, and what the parts after it are expected to take [s], where that is known."""
@@ -66,6 +69,12 @@ class Progress:
     def tick(self) -> None:
         """Show the progress."""
         self._display(self._what, self._done, self._total, self._time_left())
+
+    def __str__(self) -> str:
+        left = self._time_left()
+        if not self._what:
+            return "it has begun"
+        return f"{self._what}: {self._done} of {self._total}{', ' if left else ''}{left}"
 
     def _time_left(self) -> str:
         elapsed = time.monotonic() - self._started
