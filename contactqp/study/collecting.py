@@ -369,13 +369,12 @@ class Collector:
         One linear solve and the methods of a case take turns: a machine that is busy for a while disturbs all alike.
         """
         for study in reversed(studies):
-            firsts = [(setting, self._found[answer_key(study, setting)]) for setting in study.settings]
-            timed_ones = [
-                (setting, row.seconds) for setting, row in firsts if getattr(row, "seconds", None) is not None
-            ]
+            answers = ((setting, self._found[answer_key(study, setting)]) for setting in study.settings)
+            firsts = [(setting, row.seconds) for setting, row in answers if isinstance(row, Row)]
             for round_ in range(max(self._rounds.most, 1)):
-                for setting, first in timed_ones:
-                    if round_ < self._rounds.of(first):
+                yield limit_cell(study, round_)
+                for setting, first in firsts:
+                    if first is not None and round_ < self._rounds.of(first):
                         yield timing_cell(study, setting, first, round_, _visit(first))
 
     def _footprint_cells(self, studies: Sequence[CaseStudy]) -> list[Cell]:

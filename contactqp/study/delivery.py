@@ -67,7 +67,7 @@ def busy(before: float | None) -> str:
         return ""
     return (
         f"the machine was busy with something else, a load of {before:.1f} on {cores} cores, before the report began: "
-        "its run times are not to be trusted; errors and verdicts are, and methods of one case, which took turns, compare"
+        "run times are not to be trusted; errors and verdicts are, and methods of one case, which took turns, compare"
     )
 
 

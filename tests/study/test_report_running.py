@@ -77,7 +77,7 @@ def test_a_journal_cut_at_every_line_gives_the_same_table(
         patched.setattr(Journal, "remove", Journal.close)
         whole = _write(kept, 0, CASES[:1], methods)
     lines = (kept / JOURNAL).read_bytes().splitlines(keepends=True)
-    assert len(lines) == 1 + 4 + 2 * len(whole.rows)  # head; truth, record, linear solve, footprint; rows
+    assert len(lines) == 1 + 4 + 2 * len(whole.rows)  # head; truth, record, footprint, linear solve; rows
     for count in range(len(lines)):
         folder = tmp_path / str(count)
         folder.mkdir()

@@ -58,7 +58,9 @@ def bare_record(name: str) -> CaseRecord:
 
 def report_of(cases: list[CaseRecord], rows: list[Row]) -> ReportData:
     files = " ".join(case.file for case in cases)
-    facts: dict[str, Any] = dict(created="today", command=f"contactqp report {files}", machine=dict(python="CPython"), settings=dict(repeats=0))
+    facts: dict[str, Any] = dict(
+        created="today", command=f"contactqp report {files}", machine=dict(python="CPython"), settings=dict(repeats=0)
+    )
     return ReportData(tuple(cases), tuple(rows), summarise(rows, (u for case in cases for u in case.unmet)), facts)
 
 

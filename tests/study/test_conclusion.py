@@ -1,0 +1,160 @@
+"""The conclusion of a report: its sentence and its table are what the rows say, computed here once more."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from math import exp, log
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from contactqp.study import report_data, rows
+from contactqp.study import reporting as report
+from contactqp.study.answer_pictures import AnswerPictures
+from contactqp.study.attempt import Timing, timed
+from contactqp.study.conclusion import HEADINGS, conclude
+from contactqp.study.rows import Row, readable
+from contactqp.study.running.runner import Running
+from tests.study.statistics_examples import gave_up, right, wrong
+
+CASES = Path(__file__).parents[2] / "cases"
+BODY: dict[str, Any] = dict(unknowns=1000, linear_solve_seconds=1e-3)
+
+
+def _study() -> list[Row]:
+    """A small case and two bodies, by the default, a backend raw and polished, and penalties."""
+    found = []
+    for case, size, unit in (("small", 2, 1e-5), ("one", 1000, 1e-3), ("two", 4000, 4e-3)):
+        body: dict[str, Any] = dict(unknowns=size, linear_solve_seconds=unit)
+        found += [
+            right(case, "active-set", 2 * unit, kind="active set", claimed=None, flag_wrong=None, **body),
+            right(case, "osqp", 3 * unit, variant="polished", **body),
+            wrong(case, "osqp", unit, variant="raw", **body),
+            right(case, "osqp", 2 * unit, variant="raw", **body),
+            *(
+                right(case, "penalty", 1.5 * unit, promises_exact=False, claimed=None, flag_wrong=None, knob="penalty",
+                      verdict=rows.APPROXIMATE, knob_value=value, error_judged=error, error_force=error, **body)
+                for value, error in ((1e3, 1e-1), (1e5, 1e-3), (1e7, 2e-2))
+            ),
+        ]  # fmt: skip
+    return [*found, *(gave_up(case, "sip", rows.MISSING) for case in ("small", "one", "two"))]
+
+
+def test_each_method_counts_by_its_best_setting() -> None:
+    lines = {line.method: line for line in conclude(_study()).lines}
+    assert list(lines) == ["active-set", "osqp", "penalty"]  # right most often, then fastest; a missing one has no line
+    default, backend, penalty = lines.values()
+    assert (default.right, default.cases, default.claimed) == (3, 3, 0)
+    assert (backend.right, backend.claimed, backend.wrong) == (3, 6, 3)
+    assert (penalty.right, penalty.cases, penalty.force_error) == (0, 3, 1e-3)
+    # Of bodies alone: a case of two unknowns measures calls of Python.
+    assert default.linear_solves == pytest.approx(2)
+    assert backend.linear_solves == pytest.approx(3)
+
+
+def test_the_sentence_says_what_the_lines_say() -> None:
+    sentence = conclude(_study()).sentence
+    assert sentence == (
+        "On 3 cases: active-set, the default, is right in all, its contact forces within 1e-13, at 2 linear solves on "
+        "bodies of 1000 unknowns and more. As right: osqp. At its best setting penalty is 0.1 % off, at 1.5 linear "
+        "solves. Of 6 raw answers that methods called solved, 3 are wrong: osqp 3 of 6."
+    )
+
+
+def test_a_default_that_misses_a_case_is_not_called_right_in_all() -> None:
+    spoiled = [
+        wrong(row.case, row.method, 1.0, **BODY) if row.method == "active-set" and row.case == "two" else row
+        for row in _study()
+    ]
+    found = conclude(spoiled)
+    assert "active-set, the default, is right in 2 of 3" in found.sentence
+    assert found.lines[0].method == "osqp"
+    assert found.lines[1].cells()[:2] == ("active-set", "67 % of 3")
+
+
+def test_nearly_all_is_not_all() -> None:
+    many = [right(str(i), "osqp", 1.0) for i in range(399)] + [wrong("last", "osqp", 1.0)]
+    assert conclude(many).lines[0].cells()[1] == "99 % of 400"
+    assert conclude(many).lines[0].cells()[2] == "1 % of 400"
+
+
+def test_before_anything_is_found_it_says_so() -> None:
+    assert conclude([]).sentence == "Nothing has been found yet."
+    assert conclude([]).cells() == [HEADINGS]
+    untimed = [right("one", "active-set", None, kind="active set", unknowns=1000)]  # type: ignore[arg-type]
+    assert conclude(untimed).lines[0].linear_solves is None
+
+
+def test_the_median_of_rounds_is_told_with_their_spread() -> None:
+    row = timed(right("a", "osqp", 9.0), [Timing((1.0, 3.0)), Timing((2.0, 2.0))])
+    assert (row.seconds, row.repeats, row.seconds_spread) == (2.0, 4, 0.25)
+    assert readable(row)["seconds"] == "2e+03 ± 25 %"
+    alone = timed(row, [Timing((5.0,), warm=False)])
+    assert (alone.seconds, alone.repeats, alone.seconds_spread) == (5.0, 0, None)
+    assert "±" not in readable(timed(row, [Timing((1.0, 1.1))]))["seconds"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of three small cases."""
+    folder = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(report, "missing_packages", lambda: "no page")
+        patched.setattr(report_data, "answer_pictures", lambda _: AnswerPictures(why_not="no pictures"))
+        report.write_report(
+            [CASES / f"{name}.toml" for name in ("bar_wall", "two_bars", "truss_floor")],
+            folder,
+            methods=["active-set", "osqp", "clarabel", "penalty", "augmented-lagrangian"],
+            running=Running(jobs=0),
+            brief=True,
+        )
+    return folder
+
+
+def _of(table: Sequence[dict[str, str]], method: str) -> list[dict[str, str]]:
+    return [row for row in table if row["method"] == method]
+
+
+def test_the_table_is_that_of_the_rows_of_results_csv(folder: Path) -> None:
+    table = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
+    told = json.loads((folder / "results.json").read_text())["conclusion"]
+    assert {line["method"] for line in told["methods"]} == {row["method"] for row in table}
+    assert len(told["methods"]) == 5
+    for line in told["methods"]:
+        mine = _of(table, line["method"])
+        usual = [row for row in mine if row["variant"] in ("", "polished")]
+        right_ones = [r for r in usual if r["error_judged"] and float(r["error_judged"]) <= float(r["error_allowed"])]
+        solved = {row["case"]: row for row in sorted(right_ones, key=lambda row: -float(row["seconds"]))}
+        assert (line["right"], line["cases"]) == (len(solved), 3)
+        if len(solved) == 3:
+            ratios = [float(row["seconds"]) / float(row["linear_solve_seconds"]) for row in solved.values()]
+            mean = exp(sum(log(ratio + 1) for ratio in ratios) / 3) - 1
+            assert line["linear_solves"] == pytest.approx(mean)
+            assert line["force_error"] == max(float(row["error_force"]) for row in solved.values())
+        raw = [row for row in mine if row["variant"] == "raw"] or mine
+        if line["method"] in ("osqp", "clarabel"):
+            assert line["claimed"] == sum(row["claimed"] == "true" for row in raw) > 0
+            assert line["wrong"] == sum(row["flag_wrong"] == "true" for row in raw)
+
+
+def test_the_terminal_ends_with_the_same_table(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    result = report.ReportResult(report_data.summarise(rows.from_csv((folder / "results.csv").read_text()), ()),
+                                 rows.from_csv((folder / "results.csv").read_text()), (), ())  # fmt: skip
+    monkeypatch.setattr(report, "write_report", lambda *_, **__: result)
+    assert report.report([], str(tmp_path)) == 0
+    out = capsys.readouterr().out
+    found = conclude(result.rows)
+    assert [line.split()[0].strip(",") for line in out.splitlines()[1:6]] == [line.method for line in found.lines]
+    assert found.sentence in " ".join(out.split())
+
+
+def test_times_of_brief_reports_come_in_rounds(folder: Path) -> None:
+    table = rows.from_csv((folder / "results.csv").read_text())
+    assert len(table) > 20
+    assert all(row.repeats >= 2 and row.seconds_spread is not None for row in table)
+    assert all(row.linear_solve_seconds and row.linear_solve_seconds > 0 for row in table)

@@ -1,0 +1,191 @@
+"""The brief report: its cases, its settings, its first chart, and the page that is there while it runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from contactqp.errors import SceneError
+from contactqp.scene.scene import load_scene
+from contactqp.study import collecting, report_data
+from contactqp.study import reporting as report
+from contactqp.study import telling_cases as telling
+from contactqp.study.answer_pictures import AnswerPictures
+from contactqp.study.case_study import load_studies
+from contactqp.study.delivery import busy
+from contactqp.study.footprint import Footprint
+from contactqp.study.running.runner import Running, Stopped
+from contactqp.study.settings import DEFAULT_TOLERANCE, brief_settings, chosen_methods
+from contactqp.study.telling_chart import LABELLED, LETTER, telling_chart
+from tests.study.charts_examples import report as charted
+
+CASES = Path(__file__).parents[2] / "cases"
+needs_page = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("plotly", "jinja2", "latex2mathml")), reason="no page"
+)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    return telling.telling_cases(tmp_path_factory.mktemp("report"))
+
+
+def test_hertz_comes_at_three_sizes(files: tuple[Path, ...]) -> None:
+    sizes = [load_scene(file).problem().dimension for file in files[-3:]]
+    assert sizes == pytest.approx(list(telling.HERTZ), rel=0.06)
+    assert [file.stem for file in files[:-3]] == list(telling.EXAMPLES)
+    assert not list(files[-1].parent.glob("*.unfinished"))
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"hertz_1000\.toml: cannot be written: No such file"):
+        telling.telling_cases(tmp_path / "nowhere")
+
+
+def test_final_answers_come_once_and_knobs_are_swept(files: tuple[Path, ...]) -> None:
+    (small,) = load_studies(files[:1], chosen_methods(None), brief=True)
+    for name, count in (("active-set", 1), ("osqp", 4), ("clarabel", 4), ("penalty", 6), ("augmented-lagrangian", 6)):
+        mine = [setting for setting in small.settings if setting.method.name == name]
+        assert len(mine) == count
+        assert not any(setting.whole for setting in mine)
+    polished = [s for s in small.settings if s.variant == "polished" and s.knob == "tolerance"]
+    assert polished
+    assert {s.value for s in polished} == {DEFAULT_TOLERANCE}
+
+
+def test_of_a_large_body_final_answers_alone(files: tuple[Path, ...]) -> None:
+    problem = load_scene(files[-1]).problem()
+    counts = {method.name: len(list(brief_settings(problem, method))) for method in chosen_methods(None)}
+    assert counts["osqp"] == counts["active-set"] == counts["augmented-lagrangian"] == 1
+    assert counts["penalty"] == counts["perturbed-lagrangian"] == 3
+
+
+def test_the_first_chart_drops_no_method_that_has_points() -> None:
+    data = charted()
+    chart = telling_chart(data)
+    assert chart is not None
+    name = next(case.name for case in data.cases if case.title in chart.title)
+    drawn = {trace["meta"]["method"] for trace in chart.figure["data"]}
+    points = {r.method for r in data.rows_of(name) if r.error_force is not None and r.seconds is not None}
+    assert drawn == points
+    assert len(points) > 1
+
+
+def test_the_first_chart_is_of_the_largest_case_that_tells_all() -> None:
+    data = charted()
+    (case, *_) = data.cases
+    rows = [row for row in data.rows_of(case.name) if row.error_force is not None and row.seconds is not None]
+    large = replace(case, name="large", title="Large", sizes=replace(case.sizes, unknowns=9999))
+    few = replace(large, name="few", title="Few", sizes=replace(case.sizes, unknowns=99999))
+    more = [*data.rows, *(replace(row, case="large") for row in rows), replace(rows[0], case="few")]
+    chart = telling_chart(replace(data, cases=(*data.cases, large, few), rows=tuple(more)))
+    assert chart is not None
+    assert chart.title.startswith("Large")
+
+
+def test_no_name_in_the_first_chart_lies_over_another() -> None:
+    chart = telling_chart(charted())
+    assert chart is not None
+    layout = chart.figure["layout"]
+    (left, right), (low, high) = layout["xaxis"]["range"], layout["yaxis"]["range"]
+    named = [note for note in layout["annotations"] if note.get("yref") != "paper"]
+    assert named
+    boxes = [
+        (
+            LABELLED[0] * (note["x"] - left) / (right - left),
+            LABELLED[1] * (note["y"] - low) / (high - low),
+            LETTER[0] * len(note["text"]),
+        )
+        for note in named
+    ]
+    for i, (x, y, width) in enumerate(boxes):
+        for x2, y2, width2 in boxes[:i]:
+            assert abs(y - y2) > LETTER[1] - 0.1 or x > x2 + width2 - 0.1 or x2 > x + width - 0.1
+
+
+def test_a_busy_machine_is_told() -> None:
+    assert busy(0.0) == ""
+    assert busy(None) == ""
+    assert busy(1000.0).startswith("the machine was busy with something else, a load of 1000.0 on ")
+
+
+class _Pages:
+    """Takes the place of the page, and keeps what was told."""
+
+    def __init__(self) -> None:
+        self.running: list[str] = []
+        self.rows: list[int] = []
+
+    def __call__(self, data: report_data.ReportData, *_: object, running: str = "", **__: object) -> str:
+        self.running.append(running)
+        self.rows.append(len(data.rows))
+        return f"<p>{running}</p>"
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> _Pages:
+    found = _Pages()
+    monkeypatch.setattr(report, "render", found)
+    monkeypatch.setattr(report, "missing_packages", lambda: "")
+    for name in ("overview_charts", "case_charts", "telling_chart"):
+        monkeypatch.setattr(report, name, lambda *_: ())
+    monkeypatch.setattr(report, "EVERY", 0.0)
+    monkeypatch.setattr(report, "SHARE", 0.0)
+    monkeypatch.setattr(report_data, "answer_pictures", lambda _: AnswerPictures(why_not="no pictures"))
+    monkeypatch.setattr(collecting, "measure", lambda case, **_: Footprint(case, "active-set", failure="not measured"))
+    return found
+
+
+def _write(folder: Path, **options: Any) -> report.ReportResult:
+    cases = [CASES / "bar_wall.toml"]
+    methods = ["active-set", "daqp", "penalty"]
+    return report.write_report(cases, folder, methods=methods, running=Running(jobs=0), brief=True, **options)
+
+
+def test_the_page_is_there_from_the_beginning_and_grows(pages: _Pages, tmp_path: Path) -> None:
+    result = _write(tmp_path)
+    assert pages.running[0] == "it has begun"
+    assert pages.rows[0] == 0
+    assert pages.rows == sorted(pages.rows)
+    assert pages.rows[-1] == len(result.rows) > 8
+    assert pages.running[-1] == ""
+    parts = dict.fromkeys(text.partition(":")[0] for text in pages.running[1:-1])
+    assert list(parts) == ["truths", "answers", "footprints", "times"]
+    assert (tmp_path / "index.html").read_text() == "<p></p>"
+
+
+def test_a_report_that_is_stopped_leaves_a_page_and_goes_on(
+    pages: _Pages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        patched.setattr(collecting, "take_time", stop)
+        with pytest.raises(Stopped):
+            _write(tmp_path)
+    assert re.search(r"<p>(answers|footprints|times): \d+ of \d+", (tmp_path / "index.html").read_text())
+    assert not (tmp_path / "results.json").exists()
+    result = _write(tmp_path)
+    assert any("were kept from a report that was interrupted" in note for note in result.notes)
+    assert pages.running[-1] == ""
+
+
+@needs_page
+def test_an_unfinished_page_says_so_and_a_finished_one_does_not() -> None:
+    from contactqp.study.page.render import render
+
+    data = charted()
+    facts = dict(data.facts) | dict(command="contactqp report", load=dict(at_start=1000.0))
+    running = render(replace(data, facts=facts), running="times: 3 of 9")
+    assert "<strong>Still running:</strong> times: 3 of 9" in running
+    assert "Times are not to be trusted" in running
+    finished = render(replace(data, facts=facts | dict(load=dict(at_start=0.0))))
+    assert "Still running" not in finished
+    assert "Times are not to be trusted" not in finished
