@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ import pytest
 
 from contactqp.study.page import render as pages
 from contactqp.study.page.render import render_study
+from contactqp.study.telling_chart import telling_chart
+from tests.study.charts_examples import report
 from tests.study.page.samples import Part, chart, hostile
 
 pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
@@ -342,3 +345,43 @@ def test_without_scripts_the_tables_are_there(browser: Any, address: str) -> Non
         assert len(browser.find_elements("css selector", ".rows tbody tr")) > 10
     finally:
         browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", dict(value=False))
+
+
+FIRST_SCREEN = """
+const boxes = (selector) => [...document.querySelectorAll(selector)].filter((e) => e.checkVisibility()).map((e) => {
+  const b = e.getBoundingClientRect();
+  return [e.textContent.trim().slice(0, 40), b.left, b.top, b.right, b.bottom];
+});
+return {
+  sentence: boxes('.conclusion .sentence'), table: boxes('.conclusion tbody tr'), axis: boxes('.conclusion .xtitle'),
+  names: boxes('.conclusion .annotation-text'), plot: boxes('.conclusion .plot'),
+};
+"""
+
+
+def _apart(one: list[Any], other: list[Any]) -> bool:
+    (_, left, top, right, bottom), (_, left2, top2, right2, bottom2) = one, other
+    return bool(right <= left2 + 1 or right2 <= left + 1 or bottom <= top2 + 1 or bottom2 <= top + 1)
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width: int) -> None:
+    """Sentence, table and chart stand in one window, and no text over another; on a telephone one below another."""
+    data = report("one", "two")
+    facts = dict(command="contactqp report", machine=dict(python="CPython"))
+    file = tmp_path / "index.html"
+    text = pages.render(replace(data, facts=facts), telling=telling_chart(data))
+    file.write_text(text, encoding="utf-8")
+    _look(session, width, "light")
+    session.get(file.as_uri())
+    _wait(session, "document.querySelector('.conclusion .xtitle')")
+    found = session.execute_script(FIRST_SCREEN)
+    assert found["sentence"][0][0].startswith("On 2 cases: active-set, the default")
+    assert len(found["table"]) == 4
+    assert len(found["names"]) > 1
+    shown = [*found["sentence"], *found["table"], *found["axis"]]
+    if width == 1280:
+        assert max(box[4] for box in shown) <= 900
+    assert all(box[3] <= width for box in (*found["sentence"], *found["plot"]))
+    for i, box in enumerate(found["names"]):
+        assert all(_apart(box, other) for other in found["names"][:i]), found["names"]
