@@ -366,14 +366,15 @@ class Collector:
     def _timing_cells(self, studies: Sequence[CaseStudy]) -> Iterator[Cell]:
         """Yield the cells that time all answers, the smallest case first.
 
-        One linear solve and the methods of a case take turns: a machine that is busy for a while disturbs all alike.
+        One linear solve and the methods of a case take turns, to and fro: a machine that is busy for a while disturbs
+        all alike, and none is always the first.
         """
         for study in reversed(studies):
             answers = ((setting, self._found[answer_key(study, setting)]) for setting in study.settings)
             firsts = [(setting, row.seconds) for setting, row in answers if isinstance(row, Row)]
             for round_ in range(max(self._rounds.most, 1)):
                 yield limit_cell(study, round_)
-                for setting, first in firsts:
+                for setting, first in firsts if round_ % 2 == 0 else firsts[::-1]:
                     if first is not None and round_ < self._rounds.of(first):
                         yield timing_cell(study, setting, first, round_, _visit(first))
 

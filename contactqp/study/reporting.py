@@ -30,7 +30,7 @@ from contactqp.study.running.runner import Running, Stopped, progress, stopped_a
 from contactqp.study.running.workers import Workers
 from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.telling_cases import telling_cases
-from contactqp.study.telling_chart import telling_chart
+from contactqp.study.telling_chart import telling_case, telling_chart
 
 # Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
 REPEATS, ENOUGH = 3, 0.05
@@ -195,7 +195,10 @@ def _report_data(collector: Collector, facts: Mapping[str, Any]) -> ReportData:
 
 def _page(data: ReportData, notes: Sequence[str], running: str = "") -> str:
     charts = {case.name: case_charts(data, case) for case in data.cases}
-    return render(data, overview_charts(data), charts, notes=notes, telling=telling_chart(data), running=running)
+    case = telling_case(data)
+    opened = "" if case is None else case.name
+    first = telling_chart(data)
+    return render(data, overview_charts(data), charts, notes=notes, telling=first, running=running, opened=opened)
 
 
 class _GrowingPage:

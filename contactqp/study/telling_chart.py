@@ -10,7 +10,7 @@ from typing import Any
 from contactqp.study import rows
 from contactqp.study.curves import FLOOR, MARKS, Chart, Curve, curves, legend, method_style, rounded
 from contactqp.study.report_charts import QUANTITIES, case_chart
-from contactqp.study.report_data import ReportData
+from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
 
 COMPACT_HEIGHT, COMPACT_MARGIN = 520, dict(l=70, r=20, t=10, b=50)
@@ -24,10 +24,14 @@ NEARLY_ALL = 0.75
 
 
 def telling_chart(data: ReportData) -> Chart | None:
-    """Return the chart of the first screen: the error in the contact forces of the largest case that tells all.
+    """Return the chart of the first screen: the error in the contact forces of the case that tells most."""
+    case = telling_case(data)
+    chart = None if case is None else case_chart(data.rows_of(case.name), case, QUANTITIES[1])
+    return None if chart is None or case is None else _compact(chart, data.rows_of(case.name))
 
-    Of the cases with nearly all methods and nearly as many points as any, that is the one of most unknowns.
-    """
+
+def telling_case(data: ReportData) -> CaseRecord | None:
+    """Return the case of most unknowns among those with nearly all methods and nearly as many points as any."""
     points = {
         case.name: [row for row in data.rows_of(case.name) if row.error_force is not None and row.seconds is not None]
         for case in data.cases
@@ -41,9 +45,7 @@ def telling_chart(data: ReportData) -> Chart | None:
         and len(mine) >= NEARLY_ALL * most
         and len({row.method for row in mine}) >= NEARLY_ALL * every
     ]
-    case = max(telling, key=lambda case: case.sizes.unknowns, default=None)
-    chart = None if case is None else case_chart(data.rows_of(case.name), case, QUANTITIES[1])
-    return None if chart is None or case is None else _compact(chart, data.rows_of(case.name))
+    return max(telling, key=lambda case: case.sizes.unknowns, default=None)
 
 
 def _compact(chart: Chart, mine: Sequence[Row]) -> Chart:

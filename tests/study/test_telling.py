@@ -132,7 +132,7 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> _Pages:
     found = _Pages()
     monkeypatch.setattr(report, "render", found)
     monkeypatch.setattr(report, "missing_packages", lambda: "")
-    for name in ("overview_charts", "case_charts", "telling_chart"):
+    for name in ("overview_charts", "case_charts"):
         monkeypatch.setattr(report, name, lambda *_: ())
     monkeypatch.setattr(report, "EVERY", 0.0)
     monkeypatch.setattr(report, "SHARE", 0.0)
@@ -186,6 +186,8 @@ def test_an_unfinished_page_says_so_and_a_finished_one_does_not() -> None:
     running = render(replace(data, facts=facts), running="times: 3 of 9")
     assert "<strong>Still running:</strong> times: 3 of 9" in running
     assert "Times are not to be trusted" in running
-    finished = render(replace(data, facts=facts | dict(load=dict(at_start=0.0))))
+    finished = render(replace(data, facts=facts | dict(load=dict(at_start=0.0))), opened="two")
+    assert re.findall(r'<details class="case" id="case-(\w+)"[^>]* open', finished) == ["two"]
+    assert re.findall(r'<details class="case" id="case-(\w+)"[^>]* open', running) == ["one"]
     assert "Still running" not in finished
     assert "Times are not to be trusted" not in finished

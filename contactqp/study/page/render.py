@@ -109,6 +109,7 @@ def render(
     notes: Sequence[str] = (),
     telling: Chart | None = None,
     running: str = "",
+    opened: str = "",
 ) -> str:
     """Return the HTML page of a report.
 
@@ -125,6 +126,8 @@ def render(
         The chart of the first screen.
     running : str
         What is still running; empty of a finished report.
+    opened : str
+        Name of the case that is open at first; the first one by default.
 
     Raises
     ------
@@ -142,6 +145,7 @@ def render(
         lines=plain_table("methods, the most right first", headings, lines),
         first=first,
         running=running,
+        opened=opened or next((case.name for case in data.cases), ""),
         busy=busy(data.facts.get("load", {}).get("at_start")),
         overview=shared,
         views=views,
