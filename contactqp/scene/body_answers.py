@@ -234,7 +234,6 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)
-        finite = gaps[np.isfinite(gaps)]
         rows.append(
             {
                 "contact": contact.name,
@@ -242,7 +241,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": float(finite.min()) if finite.size else 0.0,
+                "smallest_gap": float(gaps.min()) if len(gaps) else 0.0,
             }
         )
         if model.problem.frictional:

@@ -95,6 +95,11 @@ class ContactEntries(ABC):
         """Return which rows of all pairings are contacts of the problem: those that a free unknown moves."""
 
     @property
+    @abstractmethod
+    def given(self) -> Vector:
+        """Return the displacements that supports prescribe to the unknowns of the rows, 0 where they are free."""
+
+    @property
     def row_names(self) -> list[str]:
         """Return ``floor 12`` for each row of all pairings: its entry in the scene and its node."""
         return [f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes]
@@ -160,10 +165,13 @@ class ContactEntries(ABC):
         return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: ContactAnswer) -> Vector:
-        """Return the gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes
-        meet.
+        """Return the gap of each paired node of one entry, (p,), positive when open.
+
+        Where only supported nodes meet it is what the supports leave.
         """
-        return self.of_entry(name, solution.gap, np.nan)
+        pairing = self.contacts[self.place(name)].pairing
+        gaps = self.of_entry(name, solution.gap, np.nan)
+        return np.where(np.isnan(gaps), pairing.gap - pairing.normal @ self.given, gaps)
 
     def tangential(self, name: str, values: Any) -> Vector:
         """Return values (m, d-1) of the problem's contacts at each paired node of one entry, (p, d-1).
@@ -211,6 +219,11 @@ class BodyModel(ContactEntries):
     def kept(self) -> NDArray[np.int64]:
         """Return which rows of all pairings are contacts of the problem."""
         return self.system.free_contacts([contact.pairing for contact in self.contacts])
+
+    @property
+    def given(self) -> Vector:
+        """Return the displacements that supports prescribe (n,), 0 at free unknowns."""
+        return self.system.given
 
     def load_on_all(self, time: Fraction) -> Vector:
         """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""

@@ -11,6 +11,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.scene.body_answers import summary_data
 from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
@@ -242,7 +243,29 @@ def test_contacts_of_held_nodes_are_left_out_and_counted():
     forces = model.normal_forces("foot", solution)
     assert len(forces) == 5
     assert forces[4] == 0
-    assert np.isnan(model.gaps("foot", solution)[4])
+    assert model.gaps("foot", solution)[4] == 0  # where the support leaves it
+
+
+def test_a_held_side_above_an_obstacle_has_the_gap_that_its_supports_leave():
+    """Its contacts are none of the problem: their gap is the initial one, less what the supports move."""
+    obstacle = {"name": "floor", "point": ["0 mm", "-1 mm"], "normal": [0, 1]}
+    for moved, gap in (("0 mm", 1e-3), ("-0.4 mm", 0.6e-3), ("0.5 mm", 1.5e-3)):
+        supports = [{"name": "held", "on": "block.bottom", "axis": "y", "value": moved}]
+        supports += [{"name": "middle", "on": "block.left", "axis": "x"}]
+        scene = Scene(
+            title="held", units={"length": "m", "force": "kN"}, axes=["x", "y"], obstacles=[obstacle],
+            contacts=[{"name": "foot", "side": "block.bottom", "obstacle": "floor"}], supports=supports,
+            tractions=[{"name": "press", "side": "block.top", "value": ["0 MPa", "-5 MPa"]}],
+            bodies=[{
+                "name": "block", "model": "plane-strain", "thickness": "1 m", "modulus": "21 GPa", "poisson": 0.3,
+                "shape": {"kind": "rectangle", "element": "quad4", "size": ["1 m", "1 m"], "divisions": [4, 4]},
+            }],
+        )  # fmt: skip
+        model, solution = build(scene), cq.run(scene)[-1]
+        assert model.problem.contacts == 0
+        np.testing.assert_allclose(model.gaps("foot", solution), gap, rtol=1e-12)
+        (told,) = summary_data(model, solution)["contacts"]
+        assert told["smallest_gap"] == pytest.approx(gap, rel=1e-12)
 
 
 def test_meshes_from_files_are_found_beside_the_case_and_have_their_unit(tmp_path):

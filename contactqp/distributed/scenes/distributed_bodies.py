@@ -104,10 +104,19 @@ class DistributedBodyModel(ContactEntries):
     @cached_property
     def free_contacts(self) -> FreeContacts:
         """The contacts that a free unknown moves, the same on all ranks; collective when they are first asked for."""
-        d = self.system.dimension
-        prescribed = self.surfaces.gathered(self.system.nodes, self.system.prescribed.reshape(-1, d)).ravel()
         pairings = [contact.pairing for contact in self.contacts]
-        return free_contacts(pairings, prescribed, friction=self.row_friction, names=self.row_names)
+        return free_contacts(pairings, self._prescribed, friction=self.row_friction, names=self.row_names)
+
+    @cached_property
+    def _prescribed(self) -> Vector:
+        """What supports prescribe to the unknowns of the surfaces, NaN where they are free; collective at first."""
+        d = self.system.dimension
+        return np.asarray(self.surfaces.gathered(self.system.nodes, self.system.prescribed.reshape(-1, d)).ravel())
+
+    @property
+    def given(self) -> Vector:
+        """The displacements that supports prescribe to the unknowns of the surfaces, 0 where they are free."""
+        return np.where(np.isnan(self._prescribed), 0.0, self._prescribed)
 
     @property
     def kept(self) -> Index:
