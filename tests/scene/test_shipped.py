@@ -60,9 +60,11 @@ def test_cases_are_listed_and_found_by_words(capsys) -> None:
 def test_a_package_without_cases_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(shipped, "shipped_files", list)
-    monkeypatch.setattr("contactqp.study.reporting.shipped_folder", lambda: None)
+    for module in ("reporting", "telling_cases"):
+        monkeypatch.setattr(f"contactqp.study.{module}.shipped_folder", lambda: None)
     assert run(capsys, "run", "bar_wall")[2].endswith("and there is none of that name\n")
-    assert "expected case files, or a folder 'cases' here" in run(capsys, "report")[2]
+    assert "expected case files, or a folder 'cases' here" in run(capsys, "report", "--full")[2]
+    assert "the cases that come with contactqp are missing here; name case files instead" in run(capsys, "report")[2]
 
 
 def test_a_name_of_five_hundred_letters_is_not_repeated_whole(tmp_path: Path) -> None:
