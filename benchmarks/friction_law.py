@@ -41,7 +41,14 @@ def broken(posed: Posed, solution: cq.Solution) -> float:
     meeting = (abs(E_T) @ abs(u)).reshape(slip.shape) + abs(p.slip_origin)
     rounding = 4 * np.finfo(float).eps * np.linalg.norm(meeting, axis=1) if slip.shape[1] > 1 else 0.0
     parts = (balance, resultant, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction, rounding))
-    return _worst(parts, (u, normal, friction, p.load))
+    return _worst(parts, (u, normal, friction, p.load, _lengths_at_rest(p)))
+
+
+def _lengths_at_rest(plain: cq.ContactProblem) -> Array:
+    """The smallest open gap where nothing acts and nothing overlaps: there is no other length to be right by."""
+    still = not np.any(plain.load) and not np.any(plain.tie_value) and not np.any(plain.gap < 0)
+    open_ones = plain.gap[(plain.gap > 0) & np.isfinite(plain.gap)]
+    return np.asarray(np.min(open_ones, keepdims=True)) if still and open_ones.size else np.zeros(0)
 
 
 def _rigid(K: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from benchmarks.friction_families import FAMILIES, contact_problem, local_problem
+from benchmarks.friction_families import FAMILIES, Posed, Units, contact_problem, local_problem
 from benchmarks.friction_law import broken, broken_locally
 from benchmarks.friction_on_bodies import MAKERS
 from benchmarks.friction_random import judge, table
@@ -84,3 +84,17 @@ def test_bad_units_change_no_answer() -> None:
     assert len(found) == len(plain)
     for u, known in zip(found, plain, strict=True):
         np.testing.assert_allclose(u, known.displacement, rtol=1e-12)
+
+
+def test_at_rest_under_nothing_an_answer_is_held_against_the_gap_that_is_there() -> None:
+    problem = cq.ContactProblem(
+        np.diag([2.0, 3.0]), [0.0, 0.0], [[1.0, 0.0], [1.0, 0.0]], [0.0, 0.5], tangent=[[0.0, 1.0], [0.0, 1.0]],
+        friction=0.5,
+    )  # fmt: skip
+    posed = Posed(problem, problem, Units(np.ones(2), np.ones(2), 1.0, 1.0), True)
+    rest = cq.solve(problem)
+    noisy = replace(rest, displacement=np.array([2e-16, 5e-16]))
+    assert broken(posed, noisy) < 1e-14  # of nothing at all it would be a large part
+    assert broken(posed, replace(rest, displacement=np.array([1e-6, 0.0]))) > 1e-7
+    loaded = Posed(problem, problem.replace(load=[1e-15, 0.0]), posed.units, True)
+    assert broken(loaded, noisy) > 1e-2
