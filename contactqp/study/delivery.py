@@ -23,13 +23,12 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def machine() -> dict[str, str]:
-    """Return the platform, the processor, the version of Python, and the libraries of linear algebra with threads."""
+    """Return the platform, the processor, the version of Python and the limits of threads."""
     found = dict(
         platform=platform.platform(),
         processor=_processor(),
         cores=str(os.cpu_count()),
         python=f"{platform.python_implementation()} {platform.python_version()}",
-        linear_algebra=_linear_algebra(),
     )
     return found | {name: os.environ[name] for name in THREADS if name in os.environ}
 
@@ -44,7 +43,8 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _linear_algebra() -> str:
+def linear_algebra() -> str:
+    """Return the libraries of linear algebra that are loaded, and how many threads they would take now."""
     from threadpoolctl import threadpool_info
 
     found = (f"{one['internal_api']} {one['version']}, {one['num_threads']} threads" for one in threadpool_info())

@@ -20,7 +20,18 @@ from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.changes import changes, read_report
 from contactqp.study.collecting import Collector, Rounds
 from contactqp.study.conclusion import conclude
-from contactqp.study.delivery import busy, deliver, load, machine, report_folder, unfinished, versions, workshop, write
+from contactqp.study.delivery import (
+    busy,
+    deliver,
+    linear_algebra,
+    load,
+    machine,
+    report_folder,
+    unfinished,
+    versions,
+    workshop,
+    write,
+)
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report_charts import case_charts, overview_charts
 from contactqp.study.report_data import ReportData, Summary, as_json, summarise
@@ -156,7 +167,7 @@ def write_report(
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
-            facts |= dict(load=dict(at_start=before))
+            facts |= dict(load=dict(at_start=before), linear_algebra=workers.ask(linear_algebra))
             page = _GrowingPage(folder, facts)
             collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief, page)
             with stopped_after(lambda: str(collector)):

@@ -158,3 +158,11 @@ def test_times_of_brief_reports_come_in_rounds(folder: Path) -> None:
     assert len(table) > 20
     assert all(row.repeats >= 2 and row.seconds_spread is not None for row in table)
     assert all(row.linear_solve_seconds and row.linear_solve_seconds > 0 for row in table)
+
+
+def test_the_machine_is_told_with_its_threads_and_load(folder: Path) -> None:
+    told = json.loads((folder / "results.json").read_text())
+    assert {"platform", "processor", "cores", "python"} <= set(told["machine"])
+    assert "threads" in told["linear_algebra"]
+    assert set(told["load"]) == {"at_start", "at_end"}
+    assert told["command"].startswith("contactqp report")

@@ -186,7 +186,7 @@ def _stopped(command: Command, lines: int, number: signal.Signals) -> int:
     command.when_lines(lines)
     os.killpg(command.process.pid, number)  # as a terminal does
     code, out, err = command.end()
-    assert [file.name for file in command.journal.parent.iterdir()] == [JOURNAL]
+    assert sorted(file.name for file in command.journal.parent.iterdir()) == ["index.html", JOURNAL]
     assert out == ""
     if number == signal.SIGKILL:
         assert code == -number
