@@ -100,11 +100,11 @@ def report_command(
 ) -> None:
     """Hold error against run time: run cases by every method and every value of its knob, and write a page to DIR.
 
-    Without CASE: a telling set in a minute or two, the examples small enough to check by hand and Hertz's contact at
+    Without CASE: a telling set in a few minutes, the examples small enough to check by hand and Hertz's contact at
     three sizes. With CASE, a file, a folder or a name, every setting of those; with --full all in the folder cases, or
     all that come with contactqp.
 
-    Answers are found side by side, then timed one after the other. What is found streams to DIR; a report that was
+    Answers are found side by side, then timed in turn. What is found streams to DIR; a report that was
     interrupted goes on from there by the same command.
 
     With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write

@@ -17,7 +17,9 @@ FACTOR, ROUNDING = 10.0, 1e-12
 # The least spread that a time is taken to have: two runs of the same differ by as much.
 LEAST_SPREAD = 0.2
 HEADINGS = ("case", "method", "answer", "knob", "what", "before", "now")
-_KEY = ("case", "method", "variant", "condensed", "knob", "knob_value")
+_WORDS = ("case", "method", "variant", "condensed", "knob")
+_KEY = (*_WORDS, "knob_value")
+_NUMBERS = ("knob_value", "error_judged", "seconds", "seconds_spread", "linear_solve_seconds")
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
@@ -48,9 +50,20 @@ def read_report(file: str | Path) -> dict[str, Any]:
         raise SceneError(f"{path}: expected the results.json of a report, got: {error.strerror}") from None
     except ValueError:
         raise SceneError(f"{path}: expected the results.json of a report, got no JSON") from None
-    if not isinstance(contents, dict) or contents.get("schema") != SCHEMA or not isinstance(contents.get("rows"), list):
+    if not (isinstance(contents, dict) and contents.get("schema") == SCHEMA and _is_whole(contents)):
         raise SceneError(f"{path}: expected the results.json of a report, got other JSON")
     return contents
+
+
+def _is_whole(contents: Mapping[str, Any]) -> bool:
+    """Return whether the parts that are compared are of the kinds that a report writes."""
+    groups = all(isinstance(contents.get(name, {}), dict) for name in ("versions", "machine"))
+    return groups and isinstance(contents.get("rows"), list) and all(map(_is_row, contents["rows"]))
+
+
+def _is_row(row: Any) -> bool:
+    words = isinstance(row, dict) and all(isinstance(row.get(name, ""), str) for name in (*_WORDS, "verdict"))
+    return words and all(isinstance(row.get(name), int | float | None) for name in _NUMBERS)
 
 
 def _rows(contents: Mapping[str, Any]) -> dict[tuple[Any, ...], Row]:

@@ -322,7 +322,9 @@ class Collector:
         if isinstance(record, Crash):
             record = unjudged(study, truth.source, f"{study.name}: not judged: {record.message}")
         if record is None:
-            record = self._unjudged.setdefault(study.name, unjudged(study, "not known yet"))
+            if study.name not in self._unjudged:
+                self._unjudged[study.name] = unjudged(study, "not known yet")
+            record = self._unjudged[study.name]
         footprint = self._found.get(f"{study.name}/footprint")
         return replace(
             record,

@@ -64,8 +64,12 @@ class Conclusion:
 
 
 def conclude(all_rows: Sequence[Row]) -> Conclusion:
-    """Return the conclusion of the rows of a report; those whose times are not known yet count without them."""
-    tried = [row for row in all_rows if row.verdict != rows.MISSING]
+    """Return the conclusion of the rows of a report; those whose times are not known yet count without them.
+
+    Cases whose answer is not known, as of motions, are left out: nobody is right or wrong there.
+    """
+    judged = {row.case for row in all_rows if row.error_judged is not None}
+    tried = [row for row in all_rows if row.verdict != rows.MISSING and row.case in judged]
     timed = {row.case for row in tried if row.linear_solve_seconds and (row.unknowns or 0) >= BODY}
     timed = timed or {row.case for row in tried if row.linear_solve_seconds}
     names = dict.fromkeys(row.method for row in tried)
@@ -110,7 +114,7 @@ def _smallest(tried: Sequence[Row], timed: set[str]) -> int:
 
 def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     if not lines:
-        return "Nothing has been found yet."
+        return "No answer is known yet that others could be held against."
     default = next((line for line in lines if line.method == "active-set"), None)
     parts = []
     if default is not None:
@@ -122,14 +126,14 @@ def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
         parts.append(f"{_right(default)}{force}{_time(default, smallest)}.")
     others = [line.method for line in lines if line is not default and line.exact and line.right == line.cases]
     if others:
-        parts.append(f"As right: {', '.join(others)}.")
+        parts.append(f"As right where they were tried: {', '.join(others)}.")
     parts += [
         f"At its best setting {line.method} is {_off(line.force_error)} off{_time(line, 0)}."
         for line in lines
         if not line.exact and line.force_error is not None
     ]
     parts.append(_flags(lines))
-    return f"On {cases} case{'' if cases == 1 else 's'}: {' '.join(filter(None, parts))}"
+    return f"On {cases} case{'' if cases == 1 else 's'} with a known answer: {' '.join(filter(None, parts))}"
 
 
 def _right(line: MethodLine) -> str:

@@ -130,7 +130,8 @@ def write_report(
     cases : sequence of paths
         Case files.
     output : path
-        The folder, made if need be. Files appear in it complete or not at all, when everything has been run.
+        The folder, made if need be. Files appear in it complete or not at all: the page from the beginning on, and
+        again as it grows; the others when everything has been run.
     methods : sequence of names, optional
         All by default, the missing ones listed as missing.
     tolerances : sequence of float
@@ -161,13 +162,13 @@ def write_report(
             machine=workers.ask(machine),
             versions=workers.ask(partial(versions, chosen)),
             settings=_settings(BRIEF_TOLERANCES if brief else tolerances, rounds, workers),
-            command=_command(cases, brief),
             seeds="none: nothing is random",
             left_out=list(_limited(studies)),
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
-            facts |= dict(load=dict(at_start=before), linear_algebra=workers.ask(linear_algebra))
+            facts |= dict(command=_command(cases, brief), load=dict(at_start=before))
+            facts |= dict(linear_algebra=workers.ask(linear_algebra))
             page = _GrowingPage(folder, facts)
             collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief, page)
             with stopped_after(lambda: str(collector)):

@@ -68,7 +68,16 @@ def test_errors_of_rounding_are_the_same() -> None:
 
 @pytest.mark.parametrize(
     ("text", "told"),
-    [(None, "No such file"), ("{", "no JSON"), ("[]", "other JSON"), ('{"schema": "x"}', "other JSON")],
+    [
+        (None, "No such file"),
+        ("{", "no JSON"),
+        ("[]", "other JSON"),
+        ('{"schema": "x"}', "other JSON"),
+        ('{"schema": "contactqp-report", "rows": [3]}', "other JSON"),
+        ('{"schema": "contactqp-report", "rows": [{"seconds": "long"}]}', "other JSON"),
+        ('{"schema": "contactqp-report", "rows": [{"case": []}]}', "other JSON"),
+        ('{"schema": "contactqp-report", "rows": [], "versions": 3}', "other JSON"),
+    ],
 )
 def test_what_is_no_report_is_refused_before_anything_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, told: str

@@ -296,7 +296,7 @@ LONGEST = 365 * 24 * 3600.0
 
 @dataclass(frozen=True)
 class Running:
-    """Where and how a study runs.
+    """Settings that say where and how a study runs.
 
     Parameters
     ----------

@@ -350,7 +350,7 @@ def test_without_scripts_the_tables_are_there(browser: Any, address: str) -> Non
 FIRST_SCREEN = """
 const boxes = (selector) => [...document.querySelectorAll(selector)].filter((e) => e.checkVisibility()).map((e) => {
   const b = e.getBoundingClientRect();
-  return [e.textContent.trim().slice(0, 40), b.left, b.top, b.right, b.bottom];
+  return [e.textContent.trim().slice(0, 80), b.left, b.top, b.right, b.bottom];
 });
 return {
   sentence: boxes('.conclusion .sentence'), table: boxes('.conclusion tbody tr'), axis: boxes('.conclusion .xtitle'),
@@ -376,7 +376,7 @@ def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width:
     session.get(file.as_uri())
     _wait(session, "document.querySelector('.conclusion .xtitle')")
     found = session.execute_script(FIRST_SCREEN)
-    assert found["sentence"][0][0].startswith("On 2 cases: active-set, the default")
+    assert found["sentence"][0][0].startswith("On 2 cases with a known answer: active-set, the default")
     assert len(found["table"]) == 4
     assert len(found["names"]) > 1
     shown = [*found["sentence"], *found["table"], *found["axis"]]
