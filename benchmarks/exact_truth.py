@@ -90,6 +90,11 @@ class Truth:
         return max(*self._sizes, *(float(np.max(part, initial=0.0)) for part in outer))
 
     @cached_property
+    def work(self) -> float:
+        """sqrt(2 |f'u*|), which energies are relative to where nothing is strained [square root of energy]."""
+        return float(np.sqrt(2 * abs(floats(self.reduced.data.f.transpose() * self.displacement)[0])))
+
+    @cached_property
     def tiny(self) -> tuple[bool, bool]:
         """Whether |u*|_K and |l*|_W are next to nothing and judged against `size`."""
         return self._sizes[0] <= TINY * self.size, self._sizes[1] <= TINY * self.size

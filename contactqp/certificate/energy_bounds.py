@@ -92,6 +92,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     """
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
+    root = float(np.sqrt(unit))
     wide = _width(state)
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
@@ -99,7 +100,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     energy, size = _energy(problem, state.answer)
     unique = uniqueness(held)
     sees = unique.displacement and not mostly_bare(problem)
-    scale = strain if sees and strain > 0 else max(strain, float(np.sqrt(2 * size)))
+    scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > ROUNDED * state.length else 0.0
     strained = strain if strain > ROUNDED * state.length else scale
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
@@ -113,12 +114,12 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
     found = Bounds(
-        energy_error=_relative(error, strained),
-        force_error=_relative(missed, largest),
+        energy_error=_relative(error * root, strained * root),
+        force_error=_relative(missed * root, largest * root),
         force_bound=abs(change) * scaling.force / scaling.contacts if unique.forces else None,
         relative_force_bound=abs(change) / largest if one_by_one else None,
-        energy_scale=scale * np.sqrt(unit),
-        force_scale=largest * np.sqrt(unit),
+        energy_scale=scale * root,
+        force_scale=largest * root,
         energy_bounds=((energy - wide) * unit, (energy - wide + above) * unit),
         energy_size=size * unit,
         energy_rounding=rounded * unit,

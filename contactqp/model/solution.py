@@ -98,7 +98,8 @@ class Certificate(ReadOnly):
     vectors of all forces, rows having entries near one.
 
     `determined` is "energy" where K does not see everything, as in a linear program: displacement and forces may be one
-    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart. Where
+    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart;
+    `energy_error` is then relative to sqrt(2 |f'u*|) where nothing is strained, |u*|_K being zero. Where
     closed contacts and ties contradict each other by rounding of the data, nothing is `proven`, and `energy_bounds` are
     those of a problem whose gaps are moved by as much, which `reasons` says.
     """

@@ -101,3 +101,35 @@ def test_the_bound_of_a_stiff_chain_beside_a_bare_unknown_counts_the_rounding_of
         v = np.array([Fraction(x) for x in (doubles + off).tolist()]) - u
         square = (v @ exact_K @ v) / (u @ exact_K @ u)
         assert Fraction(judged.energy_error) ** 2 >= square * (1 - Fraction(1, 10**14))
+
+
+@pytest.mark.parametrize("length", [1.0, 4.0**10], ids=["metres", "micrometres"])
+def test_where_nothing_is_strained_and_all_is_seen_the_error_is_an_energy(length: float) -> None:
+    """A spring of 4 between two walls that touch: u* = 0, and 1e-3 beside it costs |du|_K = 2e-3, whatever pushes."""
+    walls = np.array([[1.0], [-1.0]])
+    problem = cq.ContactProblem([[4.0]], [100.0 * length], walls, [0.0, 0.0])
+    found = energy_bounds(
+        problem, Answer(np.array([1e-3 * length]), np.array([100.0 * length, 0.0]), None, np.zeros(0))
+    )
+    assert found.energy_error == pytest.approx(2e-3 * length, rel=1e-12)
+    assert (found.energy_scale, found.by_energy) == (0.0, False)
+
+
+@pytest.mark.parametrize("length", [1.0, 4.0**10], ids=["metres", "micrometres"])
+def test_where_nothing_is_strained_and_not_all_is_seen_the_error_is_relative_to_the_work_of_the_load(
+    length: float,
+) -> None:
+    """A load of 2 takes two joined boards, loose against each other, 3 down to a stop beside a spring at rest.
+
+    f'u* = 6, so energies are relative to sqrt(12); strained by 1e-3 alone the spring costs |du|_K = 2e-3.
+    """
+    K = np.diag([4.0, 0.0, 0.0])
+    tie = np.array([[0.0, 1.0, 1.0]])
+    problem = cq.ContactProblem(
+        K, [0.0, 2.0, 2.0], [[0.0, 1.0, 1.0]], [3.0 * length], tie=tie, tie_value=[3.0 * length]
+    )
+    answer = Answer(np.array([1e-3, 1.0, 2.0]) * length, np.array([0.0]), None, np.array([2.0]))
+    found = energy_bounds(problem, answer)
+    assert found.by_energy
+    assert found.energy_error is not None
+    assert 2e-3 * length / np.sqrt(12.0 * length) <= found.energy_error <= 2.01e-3 * length / np.sqrt(12.0 * length)
