@@ -152,12 +152,15 @@ class BodyFields:
         (xx, yy, zz, xy, yz, zx), tension positive, averaged at nodes [force / length^2].
     contact_force : (N, d) array
         Forces of contact on the body at each node, -(E_N' l_N + E_T' l_T) [force]; zero away from contact.
+    load : (N, d) array
+        Nodal loads: point loads, tractions, pressures and weights [force].
     """
 
     body: Body
     displacement: NDArray[np.float64]
     stress: NDArray[np.float64]
     contact_force: NDArray[np.float64]
+    load: NDArray[np.float64]
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -269,8 +272,8 @@ def contact_fields(
         if not isinstance(body, Body):
             raise Unsupported(f"{body.name}: a membrane has no stresses to draw or to write")
         mine = slice(structure.first(body.name), structure.first(body.name) + body.size)
-        own, pushed = (v[mine].reshape(body.mesh.points.shape) for v in (u, on_nodes))
-        bodies.append(BodyFields(body, own, stress_at_nodes(body, u[mine]), pushed))
+        own, pushed, load = (v[mine].reshape(body.mesh.points.shape) for v in (u, on_nodes, system.load))
+        bodies.append(BodyFields(body, own, stress_at_nodes(body, u[mine]), pushed, load))
     ends = np.cumsum(sizes)
     fields = [
         _pairing_fields(system, bodies, pairing, name, u, force[end - size : end], status[end - size : end])

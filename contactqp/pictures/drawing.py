@@ -22,7 +22,7 @@ from contactqp.pictures.contact_fields import (
     pieces,
     sample,
 )
-from contactqp.pictures.space_drawing import draw_space
+from contactqp.pictures.space_drawing import draw_space, load_arrows, load_handle
 from contactqp.pictures.style import Colour, magnification, scale_text
 
 if TYPE_CHECKING:
@@ -117,7 +117,8 @@ def draw_plane(
     for under_pressure in (True, False):
         tails, handle = _draw_arrows(axes, fields, under_pressure, scale, longest)
         seen, handles = [*seen, *tails], [*handles, *handle]
-    handles += _draw_points(axes, fields, scale)
+    tails, handle = _draw_loads(axes, fields, scale, longest)
+    seen, handles = [*seen, *tails], [*handles, *handle, *_draw_points(axes, fields, scale)]
     _set_axes(axes, fields, np.concatenate(seen) if window is None else window)
     return coloured, handles
 
@@ -211,6 +212,16 @@ def _draw_arrows(
     return tails, [handle]
 
 
+def _draw_loads(axes: Any, fields: ContactFields, scale: float, longest: float) -> tuple[list[Array], list[Any]]:
+    """Draw nodal loads as arrows that end at their nodes; return their tails and the legend entry."""
+    heads, shafts = load_arrows(fields, scale, longest)
+    if not len(heads):
+        return [], []
+    look: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, color=style.LOAD, width=0.003, zorder=3.5)
+    axes.quiver(*(heads - shafts).T, *shafts.T, gid="loads", **look)
+    return [heads - shafts], [load_handle(fields)]
+
+
 def _draw_points(axes: Any, fields: ContactFields, scale: float) -> list[Any]:
     """Draw the contact points by state, and return the entries of the legend with their counts."""
     if not fields.pairings:
@@ -259,7 +270,7 @@ def draw(
     scale: float | None = None,
     title: str = "",
 ) -> None:
-    """Draw deformed bodies, coloured, with the contact pressure along the boundary and the contact points by state.
+    """Draw deformed bodies, coloured, with loads, contact pressure along the boundary, and contact points by state.
 
     Parameters
     ----------

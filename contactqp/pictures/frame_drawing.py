@@ -81,6 +81,8 @@ class FrameFields:
     position, displacement : (N, d) arrays [length]
     held : (N, d) array of bool
         Whether a support fixes each displacement.
+    load : (N, d) array
+        Loads on the nodes, without those on supports and without moments [force].
     members, contacts, units
     """
 
@@ -89,9 +91,22 @@ class FrameFields:
     position: Array
     displacement: Array
     held: NDArray[np.bool_]
+    load: Array
     members: tuple[Member, ...]
     contacts: tuple[FrameContact, ...]
     units: Units
+
+    @property
+    def upright(self) -> bool:
+        """Whether the nodes stand above each other: those of one axis that is not x."""
+        return self.axes in (("y",), ("z",))
+
+    def flat(self, points: Array, row: float) -> Array:
+        """Return points on a line in the plane, in a row at that distance beside it; others as they are."""
+        if points.shape[1] > 1:
+            return points
+        beside = np.full(len(points), row)
+        return np.column_stack([-beside, points] if self.upright else [points, beside])
 
 
 LINES: dict[str, dict[str, Any]] = {
@@ -106,6 +121,8 @@ OTHER_LINE: dict[str, Any] = dict(color="#CC79A7", linewidth=1.6)
 GROUNDED = "spring to the ground"
 # Contacts that the legend lists at most, and names of nodes that are shown at most.
 MOST_CONTACTS, MOST_NAMES = 12, 24
+# Arrows of loads, of which more would overlap.
+MOST_LOADS = 40
 # Relative to the size: half the length of an obstacle's symbol, and how far the deformed line is below the undeformed.
 OBSTACLE, BELOW = 0.07, 0.12
 # An obstacle further than this from its node, relative to the size, is mentioned in the legend only.
@@ -118,7 +135,7 @@ CLOSE = 0.02
 
 
 def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None = None, title: str = "") -> None:
-    """Draw the undeformed and the deformed members, supports, and contacts with their force or gap.
+    """Draw the undeformed and the deformed members, supports, loads, and contacts with their force or gap.
 
     Parameters
     ----------
@@ -140,7 +157,8 @@ def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None
     Notes
     -----
     An obstacle is a symbol, drawn at `scale` times the initial gap from the undeformed node, so that the deformed node
-    meets it exactly where the contact is closed. In 1D the deformed line is drawn below the undeformed one.
+    meets it exactly where the contact is closed. In 1D the deformed line is drawn below the undeformed one; along y
+    or z they stand upright beside each other.
     """
     path = style.check_picture(file)
     style.save(structure_figure(fields, scale=scale, title=title), path)
@@ -156,11 +174,13 @@ def structure_figure(fields: FrameFields, *, scale: float | None = None, title: 
     axes: Any = result.add_subplot(projection="3d") if len(fields.axes) == 3 else result.add_subplot()
     below = BELOW * size
     handles = _draw_members(axes, fields, scale, below)
-    seen = [_flat(fields.position, 0.0), _flat(fields.position + scale * fields.displacement, -below)]
+    seen = [fields.flat(fields.position, 0.0), fields.flat(fields.position + scale * fields.displacement, -below)]
     handles += _draw_nodes(axes, fields, scale, below)
     for contact in fields.contacts:
         seen += _draw_partner(axes, fields, contact, scale, size)
     seen += _draw_forces(axes, fields, scale, size)
+    tails, entries = _draw_loads(axes, fields, scale, size)
+    seen, handles = seen + tails, handles + entries
     handles += _draw_contacts(axes, fields, scale, below)
     shape = _set_axes(axes, fields, np.concatenate(seen), size)
     result.set_size_inches(WIDTH, TEXT + 0.12 * len(handles) + max(WIDTH * min(shape, MOST_UPRIGHT), LEAST))
@@ -176,13 +196,6 @@ def _size(fields: FrameFields) -> float:
     return side if side > 0 else (moved / LARGEST if moved > 0 else 1.0)
 
 
-def _flat(points: Array, row: float) -> Array:
-    """Return points on a line with a second coordinate, the row that they are drawn in; others as they are."""
-    if points.shape[1] > 1:
-        return points
-    return np.column_stack([points, np.full(len(points), row)])
-
-
 def _joined(paths: Iterable[Array]) -> Array:
     """Return one line with breaks between the paths."""
     return np.concatenate([part for path in paths for part in (path, np.full((1, path.shape[1]), np.nan))])
@@ -193,15 +206,15 @@ def _draw_members(axes: Any, fields: FrameFields, scale: float, below: float) ->
     handles = []
     if lines:
         look = dict(color=style.UNDEFORMED, linestyle="--", linewidth=1.0)
-        axes.plot(*_joined(_flat(member.path, 0.0) for member in lines).T, gid="undeformed", **look)
+        axes.plot(*_joined(fields.flat(member.path, 0.0) for member in lines).T, gid="undeformed", **look)
         handles.append(style.line_handle("undeformed", **look))
     others = dict.fromkeys((member.kind for member in lines if member.kind not in LINES), OTHER_LINE)
     for kind, look in {**LINES, **others}.items():
-        mine = [_flat(_deformed(member, scale), -below) for member in lines if member.kind == kind]
+        mine = [fields.flat(_deformed(member, scale), -below) for member in lines if member.kind == kind]
         if mine:
             axes.plot(*_joined(mine).T, gid=kind, **look)
             handles.append(style.line_handle(f"{kind}, deformed", **look))
-    grounded = [_flat(_deformed(member, scale), -below) for member in fields.members if len(member.nodes) == 1]
+    grounded = [fields.flat(_deformed(member, scale), -below) for member in fields.members if len(member.nodes) == 1]
     if grounded:
         look = dict(color=LINES["spring"]["color"], linestyle="none", marker="v", markersize=9, fillstyle="none")
         axes.plot(*np.concatenate(grounded).T, gid=GROUNDED, **look)
@@ -215,8 +228,8 @@ def _deformed(member: Member, scale: float) -> Array:
 
 def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
     """Draw nodes with their names; in 1D thin lines lead from the undeformed to the deformed row."""
-    start = _flat(fields.position, 0.0)
-    end = _flat(fields.position + scale * fields.displacement, -below)
+    start = fields.flat(fields.position, 0.0)
+    end = fields.flat(fields.position + scale * fields.displacement, -below)
     axes.plot(*end.T, color="#0072B2", linestyle="none", marker="o", markersize=3.5, gid="nodes")
     if len(fields.axes) == 1:
         axes.plot(*start.T, color=style.UNDEFORMED, linestyle="none", marker="o", markersize=3)
@@ -248,14 +261,14 @@ def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: 
     row = -BELOW * size
     if len(contact.nodes) == 2:
         i, j = contact.nodes
-        ends = _flat((fields.position + scale * fields.displacement)[[i, j]], row)
+        ends = fields.flat((fields.position + scale * fields.displacement)[[i, j]], row)
         axes.plot(*ends.T, color="black", linewidth=0.8, linestyle=":", gid="pair")
         return []
     if scale * abs(contact.initial_gap) > FAR * size:
         return []
     out = contact.push[0]
-    foot = _flat((fields.position[contact.nodes[0]] - scale * contact.initial_gap * out)[np.newaxis], row)[0]
-    along = np.array([[0.0, 1.0]]) if len(out) == 1 else tangents(out)
+    foot = fields.flat((fields.position[contact.nodes[0]] - scale * contact.initial_gap * out)[np.newaxis], row)[0]
+    along = [[1.0, 0.0] if fields.upright else [0.0, 1.0]] if len(out) == 1 else tangents(out)
     for tangent in np.asarray(along, dtype=float):
         ends = foot + OBSTACLE * size * np.array([[-1.0], [1.0]]) * tangent
         axes.plot(*ends.T, color=style.OBSTACLE, linewidth=3.5, gid="obstacle", zorder=1.5)
@@ -269,19 +282,34 @@ def _draw_forces(axes: Any, fields: FrameFields, scale: float, size: float) -> l
         return []
     nodes = [node for contact in pushed for node in contact.nodes]
     forces = np.concatenate([contact.force * contact.push for contact in pushed])
-    shafts = style.ARROW * size / np.abs(forces).max() * forces
-    heads = _flat((fields.position + scale * fields.displacement)[nodes], -BELOW * size)
-    shafts = np.column_stack([shafts, np.zeros((len(shafts), heads.shape[1] - shafts.shape[1]))])
-    look: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, width=0.004)
-    if heads.shape[1] == 3:
-        look = dict(arrow_length_ratio=0.2)
-    axes.quiver(*(heads - shafts).T, *shafts.T, color=style.PRESSURE, zorder=3, gid="contact forces", **look)
-    return [heads - shafts]
+    heads = fields.flat((fields.position + scale * fields.displacement)[nodes], -BELOW * size)
+    return [_draw_arrows(axes, fields, heads, forces, size, gid="contact forces", color=style.PRESSURE)]
+
+
+def _draw_loads(axes: Any, fields: FrameFields, scale: float, size: float) -> tuple[list[Array], list[Any]]:
+    """Draw the load on each node as an arrow that ends there; return the tails, and the entry of the legend."""
+    sizes = np.linalg.norm(fields.load, axis=1)
+    loaded = style.arrows_to_draw(fields.position, sizes, MOST_LOADS)
+    if not len(loaded):
+        return [], []
+    heads = fields.flat((fields.position + scale * fields.displacement)[loaded], -BELOW * size)
+    tails = _draw_arrows(axes, fields, heads, fields.load[loaded], size, gid="loads", color=style.LOAD)
+    return [tails], [style.line_handle(style.load_label(fields.load, fields.axes, fields.units), color=style.LOAD)]
+
+
+def _draw_arrows(axes: Any, fields: FrameFields, heads: Array, forces: Array, size: float, **look: Any) -> Array:
+    """Draw forces as arrows that end at their heads, and return their tails."""
+    shafts = fields.flat(style.ARROW * size / np.abs(forces).max() * forces, 0.0)
+    in_space: dict[str, Any] = dict(arrow_length_ratio=0.2)
+    in_plane: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, width=0.004)
+    look |= in_space if shafts.shape[1] == 3 else in_plane
+    axes.quiver(*(heads - shafts).T, *shafts.T, zorder=3, **look)
+    return heads - shafts
 
 
 def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
     """Draw contact points by state; return the entries of the legend, with the force and gap of each."""
-    places = _flat(fields.position + scale * fields.displacement, -below)
+    places = fields.flat(fields.position + scale * fields.displacement, -below)
     handles = []
     for contact in fields.contacts:
         marker = style.MARKERS[contact.status]
@@ -311,7 +339,6 @@ def _set_axes(axes: Any, fields: FrameFields, seen: Array, size: float) -> float
     low, high = seen.min(axis=0) - MARGIN * size, seen.max(axis=0) + MARGIN * size
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    axes.set_xlabel(f"{fields.axes[0]} [{unit}]")
     if len(fields.axes) == 3:
         axes.set_zlim(low[2], high[2])
         axes.set_zlabel(f"{fields.axes[2]} [{unit}]")
@@ -321,9 +348,11 @@ def _set_axes(axes: Any, fields: FrameFields, seen: Array, size: float) -> float
         axes.set_aspect("equal")
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-    if len(fields.axes) > 1:
-        axes.set_ylabel(f"{fields.axes[1]} [{unit}]")
-    else:
-        axes.yaxis.set_visible(False)
-        axes.spines["left"].set_visible(False)
+    names = ["", *fields.axes] if fields.upright else [*fields.axes, ""]
+    for axis, side, name in zip((axes.xaxis, axes.yaxis), ("bottom", "left"), names, strict=False):
+        if name:
+            axis.set_label_text(f"{name} [{unit}]")
+        else:
+            axis.set_visible(False)
+            axes.spines[side].set_visible(False)
     return float((high - low)[1] / (high - low)[0]) if len(low) == 2 else MOST_UPRIGHT

@@ -157,6 +157,7 @@ def fans(at: Array, value: Array, polygons: list[Index]) -> tuple[Array, Array, 
 AZIMUTH, FROM_ABOVE, FROM_BELOW = -60.0, 24.0, -18.0
 # Arrows of one pairing; more of them would hide the body.
 MOST_ARROWS = 80
+MOST_LOADS = 40
 # Edges of the undeformed body are drawn where facets turn by more than this.
 FEATURE = np.cos(np.radians(35.0))
 
@@ -260,25 +261,47 @@ def sharp_edges(block: Block, points: Array) -> Array:
     return points[edge[~hidden]]
 
 
+def load_arrows(fields: ContactFields, scale: float, longest: float) -> tuple[Array, Array]:
+    """Return where the arrows of nodal loads end (q, d), and their vectors (q, d), the longest of that length.
+
+    Of many loads only some of each body get an arrow.
+    """
+    largest = max((float(np.linalg.norm(body.load, axis=1).max(initial=0.0)) for body in fields.bodies), default=0.0)
+    heads, shafts = [np.zeros((0, fields.dimension))], [np.zeros((0, fields.dimension))]
+    for body in fields.bodies:
+        loaded = style.arrows_to_draw(body.points, np.linalg.norm(body.load, axis=1), MOST_LOADS)
+        heads.append((body.points + scale * body.displacement)[loaded])
+        shafts.append(longest / largest * body.load[loaded] if largest > 0 else body.load[loaded])
+    return np.concatenate(heads), np.concatenate(shafts)
+
+
+def load_handle(fields: ContactFields) -> Any:
+    """Return the entry of the loads in a legend, with their resultant."""
+    load = np.concatenate([body.load for body in fields.bodies])
+    label = style.load_label(load, ("x", "y", "z")[: fields.dimension], fields.units)
+    return style.line_handle(label, color=style.LOAD, marker=">")
+
+
 def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float) -> list[Array]:
-    """Draw contact forces on their bodies as arrows; pressures are in the maps."""
+    """Draw contact forces and loads on their bodies as arrows; pressures are in the maps."""
+    heads, shafts = load_arrows(fields, scale, longest)
+    look: dict[str, Any] = dict(linewidth=0.9, arrow_length_ratio=0.2, zorder=3)
+    tails, handles = [], [style.line_handle("undeformed", color=style.UNDEFORMED, linewidth=0.8)]
+    if len(heads):
+        tails.append(heads - shafts)
+        axes.quiver(*tails[-1].T, *shafts.T, color=style.LOAD, **look)
+        handles.insert(0, load_handle(fields))
     largest = max((float(np.nanmax(p.force, initial=0.0)) for p in fields.pairings), default=0.0)
-    if largest <= 0:
-        return []
-    tails = []
-    for pairing in fields.pairings:
+    for pairing in fields.pairings if largest > 0 else ():
         pushed = style.arrows_to_draw(pairing.position, pairing.force, MOST_ARROWS)
         heads = (pairing.position + scale * pairing.displacement)[pushed]
         shafts = longest / largest * pairing.force[pushed, np.newaxis] * pairing.direction[pushed]
         tails.append(heads - shafts)
-        look: dict[str, Any] = dict(color=style.PRESSURE, linewidth=0.9, arrow_length_ratio=0.2, zorder=3)
-        axes.quiver(*tails[-1].T, *shafts.T, **look)
-    unit = style.force_unit(fields.units)
-    handle = style.line_handle(
-        f"contact force of a node, longest arrow {style.number(largest)} {unit}", color=style.PRESSURE
-    )
-    undeformed = style.line_handle("undeformed", color=style.UNDEFORMED, linewidth=0.8)
-    axes.legend(handles=[handle, undeformed], loc="lower left", fontsize="small", frameon=False)
+        axes.quiver(*tails[-1].T, *shafts.T, color=style.PRESSURE, **look)
+    if largest > 0:
+        label = f"contact force of a node, longest arrow {style.number(largest)} {style.force_unit(fields.units)}"
+        handles.insert(0, style.line_handle(label, color=style.PRESSURE))
+    axes.legend(handles=handles, loc="lower left", fontsize="small", frameon=False)
     return tails
 
 

@@ -25,6 +25,7 @@ COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"
 # Colours of Okabe and Ito (2008), distinct to colour-blind readers and from those of the colour map.
 PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
+LOAD = "#AA3377"  # of P. Tol's bright scheme
 # Colours of curves, without the yellow of Okabe and Ito, which is too light for a line on white; and dashes, which
 # distinguish curves in print.
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -121,7 +122,7 @@ def number(value: float) -> str:
     >>> number(14992.27), number(0.00012345), number(2.5e-9)
     ('14990', '0.0001234', '2.5e-09')
     """
-    if 1e-4 <= abs(value) < 1e7:
+    if value == 0 or 1e-4 <= abs(value) < 1e7:
         return np.format_float_positional(value, precision=4, fractional=False, trim="-")
     return f"{value:.4g}"
 
@@ -144,6 +145,17 @@ def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64
     if not len(pushing):
         return pushing
     return np.unique([*pushing[:: -(-len(pushing) // most)], pushing[np.argmax(value[pushing])]])
+
+
+def load_label(load: Array, axes: Sequence[str], units: Units) -> str:
+    """Return the entry of nodal loads (N, d) in a legend, with their resultant.
+
+    >>> load_label(np.array([[0.0, -2.0], [0.0, -1.0]]), ("x", "y"), Units(force="kN"))
+    'load, in all 0 and -3 kN along x and y'
+    """
+    largest = float(np.max(abs(load).sum(axis=0), initial=0.0))
+    total = [0.0 if abs(part) <= 1e-12 * largest else part for part in load.sum(axis=0).tolist()]
+    return f"load, in all {' and '.join(map(number, total))} {force_unit(units)} along {' and '.join(axes)}"
 
 
 def headline(title: str, text: str) -> str:

@@ -60,12 +60,14 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
         return _fields_of_bodies(scene, solution)
     unknowns = exact_problem(scene).unknowns
     value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
+    load = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.problem.load.tolist(), strict=True))
     return FrameFields(
         axes=scene.axes,
         nodes=tuple(scene.every_node),
         position=np.array([_point(scene, node) for node in scene.every_node]),
         displacement=np.array([[value[name] for name in scene.displacements(node)] for node in scene.every_node]),
         held=np.array([[name in unknowns.fixed for name in scene.displacements(node)] for node in scene.every_node]),
+        load=np.array([[load[name] for name in scene.displacements(node)] for node in scene.every_node]),
         members=tuple(_members(scene, value)),
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),

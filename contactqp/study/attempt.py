@@ -21,7 +21,7 @@ from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row, finite
-from contactqp.study.settings import Setting, condensable
+from contactqp.study.settings import STIFFNESSES, Setting, condensable, contact_stiffness
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
 
 # A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
@@ -230,9 +230,16 @@ def _setting_columns(problem: ContactProblem, setting: Setting, case: str) -> di
         condensed=rows.WHOLE if setting.whole else condensed,
         knob=setting.knob,
         knob_value=setting.value,
+        knob_stiffnesses=_stiffnesses(problem, setting),
         unknowns=problem.dimension,
         contacts=problem.contacts,
     )
+
+
+def _stiffnesses(problem: ContactProblem, setting: Setting) -> float | None:
+    if setting.knob not in STIFFNESSES or setting.value is None:
+        return None
+    return finite(setting.value / contact_stiffness(problem))
 
 
 _VERDICTS_OF_ERRORS = (

@@ -11,6 +11,7 @@ from zlib import crc32
 
 from contactqp.study import rows
 from contactqp.study.rows import Row
+from contactqp.study.settings import STIFFNESSES
 from contactqp.study.statistics import Route
 
 
@@ -338,9 +339,11 @@ def hover(row: Row, stiffness: str) -> list[str]:
 
 def knob_text(row: Row, stiffness: str) -> str:
     """Return a knob with its value and unit as text."""
+    if row.knob_value is None and row.knob_stiffnesses is not None:
+        return f"{row.knob} = {row.knob_stiffnesses:g} contact stiffnesses"
     if row.knob_value is None:
         return f"{row.knob}: its default" if row.knob else "no knob"
-    unit = f" {stiffness}" if row.knob in ("penalty", "perturbation") else ""
+    unit = f" {stiffness}" if row.knob in STIFFNESSES else ""
     return f"{row.knob} = {row.knob_value:g}{unit}"
 
 

@@ -462,11 +462,15 @@ def overview_charts(data: ReportData) -> tuple[Chart, ...]:
 
 
 def _medians(all_rows: Sequence[Row]) -> Iterator[Chart]:
+    charts = (median_chart(all_rows, quantity) for quantity in QUANTITIES)
+    return (chart for chart in charts if chart is not None)
+
+
+def median_chart(all_rows: Sequence[Row], quantity: Quantity) -> Chart | None:
+    """Return the chart of median errors against median times; None where fewer than two cases can be laid together."""
     cases, middle = median_cases(all_rows), median_rows(all_rows)
-    for quantity in QUANTITIES:
-        figure = work_precision(middle, quantity, f"{quantity.measure} [1]", "", median_limit(all_rows))
-        if len(cases) > 1 and figure is not None:
-            yield _median_chart(cases, middle, quantity, figure)
+    figure = work_precision(middle, quantity, f"{quantity.measure} [1]", "", median_limit(all_rows))
+    return None if len(cases) < 2 or figure is None else _median_chart(cases, middle, quantity, figure)
 
 
 def _median_chart(cases: Sequence[str], middle: Sequence[Row], quantity: Quantity, figure: Mapping[str, Any]) -> Chart:
@@ -476,7 +480,7 @@ def _median_chart(cases: Sequence[str], middle: Sequence[Row], quantity: Quantit
         caption="Lower is more exact, further left is faster. Of each value of a knob, the median time and the median "
         f"error over the {len(cases)} cases that every installed method was put to and whose errors are relative. An "
         "answer that failed has infinite errors and takes infinitely long; what fails in more than half of the cases "
-        "has no point. Penalties have units, differ from case to case, and are left out. One linear solve is the "
+        "has no point. Penalties are multiples of the contact stiffness of each case. One linear solve is the "
         "median time of factorising the stiffness of these bodies and solving once without contact: the physical limit "
         "of a solver that factorises.",
         figure=figure,

@@ -57,6 +57,7 @@ class Row:
     )
     knob: str = column("what trades error for time: tolerance, penalty, perturbation, iterations", "")
     knob_value: float | None = column("its value; stiffnesses in the case's units; none: the method's own default")
+    knob_stiffnesses: float | None = column("a penalty or perturbation as a multiple of the contact stiffness")
     verdict: str = column("one of the verdicts listed below", "")
     error_displacement: float | None = column("true error in u, energy norm, relative to that of the truth")
     error_displacement_max: float | None = column("largest true error of an unknown, relative to the largest unknown")

@@ -18,6 +18,8 @@ from contactqp.solving.methods import Method, find, methods
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.
 STIFFENINGS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
+# Knobs that are stiffnesses.
+STIFFNESSES = ("penalty", "perturbation")
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 # The tolerance that `solve` asks for by default.
 DEFAULT_TOLERANCE = 1e-9

@@ -128,19 +128,25 @@ def median_cases(all_rows: Sequence[Row]) -> tuple[str, ...]:
 def median_rows(all_rows: Sequence[Row]) -> tuple[Row, ...]:
     """Return the medians of error and run time over `median_cases`, one row for each route and value of the knob.
 
-    An answer that failed has infinite errors and takes infinitely long; a median that is infinite is None. Knobs with
-    units differ from case to case and are left out.
+    An answer that failed has infinite errors and takes infinitely long; a median that is infinite is None. Penalties
+    are the same where they are the same multiples of the contact stiffness; other knobs with units are left out.
     """
     cases = median_cases(all_rows)
-    shared = [row for row in all_rows if row.case in cases and (row.knob == "tolerance" or row.knob_value is None)]
-    shared = [row for row in shared if row.verdict != rows.MISSING]
-    tried = dict.fromkeys((Route.of(row), row.variant, row.knob, row.knob_value) for row in shared)
+    shared = [row for row in all_rows if row.case in cases and row.verdict != rows.MISSING]
+    tried = dict.fromkeys((Route.of(row), row.variant, *_knob(row)) for row in shared)
     found = []
     for route, *setting in tried:
-        group = [row for row in shared if route.takes(row) and [row.variant, row.knob, row.knob_value] == setting]
+        group = [row for row in shared if route.takes(row) and [row.variant, *_knob(row)] == setting]
         if {row.case for row in group} == set(cases):
             found.append(_median_row(route, group))
     return tuple(found)
+
+
+def _knob(row: Row) -> tuple[str, float | None]:
+    """Return a knob with its value, a stiffness as a multiple of that of the contacts, rounded to one digit."""
+    if row.knob_stiffnesses is not None:
+        return row.knob, float(f"{row.knob_stiffnesses:.1g}")
+    return row.knob, row.knob_value
 
 
 def median_limit(all_rows: Sequence[Row]) -> float | None:
@@ -160,7 +166,8 @@ def _median_row(route: Route, group: Sequence[Row]) -> Row:
         variant=one.variant,
         condensed=rows.WHOLE if route.whole else "",
         knob=one.knob,
-        knob_value=one.knob_value,
+        knob_value=None if one.knob_stiffnesses is not None else one.knob_value,
+        knob_stiffnesses=None if one.knob_stiffnesses is None else _knob(one)[1],
         seconds=_median(group, "seconds"),
         error_displacement=_median(group, "error_displacement"),
         error_force=_median(group, "error_force"),

@@ -1,4 +1,7 @@
-"""The chart of a report's first screen: error of the contact forces against run time, on the case that tells most."""
+"""The charts that a report begins with: error of the contact forces against run time.
+
+On the case that tells most, and over the cases that are small enough to be checked by hand.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 from contactqp.study import rows
+from contactqp.study.conclusion import BODY
 from contactqp.study.curves import FLOOR, MARKS, Chart, Curve, curves, legend, method_style, rounded
-from contactqp.study.report_charts import QUANTITIES, case_chart
+from contactqp.study.report_charts import QUANTITIES, case_chart, median_chart
 from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
+from contactqp.study.statistics import median_cases
 
 COMPACT_HEIGHT, COMPACT_MARGIN = 520, dict(l=70, r=20, t=10, b=50)
 COMPACT_CAPTION = (
@@ -28,6 +33,16 @@ def telling_chart(data: ReportData) -> Chart | None:
     case = telling_case(data)
     chart = None if case is None else case_chart(data.rows_of(case.name), case, QUANTITIES[1])
     return None if chart is None or case is None else _compact(chart, data.rows_of(case.name))
+
+
+def examples_chart(data: ReportData) -> Chart | None:
+    """Return the chart of the medians over the small cases of a report; None where there are fewer than two."""
+    small = [row for row in data.rows if (row.unknowns or BODY) < BODY]
+    chart = median_chart(small, QUANTITIES[1])
+    if chart is None:
+        return None
+    names = ", ".join(median_cases(small))
+    return replace(chart, name="examples", caption=f"{names}: {chart.caption}")
 
 
 def telling_case(data: ReportData) -> CaseRecord | None:

@@ -81,7 +81,7 @@ def unloaded(kind: str) -> ContactFields:
     """The body of `cube` in its uniform state, in no contact at all."""
     body = Body(box((2.0, 1.0, 1.0), (2, 2, 1), kind), MATERIAL, "3d", name="cube")
     u = uniaxial(body.mesh.points)
-    fields = BodyFields(body, u, stress_at_nodes(body, u.ravel()), np.zeros_like(u))
+    fields = BodyFields(body, u, stress_at_nodes(body, u.ravel()), np.zeros_like(u), np.zeros_like(u))
     return ContactFields((fields,), (), cq.Units(**UNITS))
 
 

@@ -86,8 +86,16 @@ def test_the_picture_of_two_bodies():
         "undeformed",
         "rigid obstacle",
         "contact pressure, longest arrow 3 N/mm²",
+        "load, in all 0 and -6 N along x and y",
         "closed (9)",
     ]
+    loads = drawn["loads"]
+    ends = loads.get_offsets() + np.stack([loads.U, loads.V], axis=1)
+    upper = fields.bodies[1]
+    on_top = upper.points[:, 1] == 2.0
+    np.testing.assert_allclose(np.sort(ends, axis=0), np.sort((upper.points + 10 * upper.displacement)[on_top], axis=0))
+    np.testing.assert_allclose(loads.V / loads.V.min(), [0.5, 1.0, 1.0, 0.5])  # of three elements, and at most 0.14 * 2
+    assert loads.V.min() == pytest.approx(-0.14 * 2)
     obstacle = np.concatenate(drawn["obstacle"].get_segments())
     assert np.abs(obstacle[:, 1]).max() == 0
     assert (obstacle[:, 0].min(), obstacle[:, 0].max()) == (0, 2)

@@ -75,6 +75,36 @@ def test_the_picture_of_the_truss():
     assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
 
 
+def test_the_load_of_the_truss_is_an_arrow_that_ends_at_its_foot():
+    figure = structure_figure(fields("truss_floor"), scale=100.0)
+    (arrow,) = [c for c in figure.axes[0].collections if c.get_gid() == "loads"]
+    foot = 100 * np.array([59 * np.sqrt(2) / 274204 + 55807 / 68551000, -1e-3])
+    np.testing.assert_allclose(arrow.get_offsets()[0] + [arrow.U[0], arrow.V[0]], foot)
+    np.testing.assert_allclose([arrow.U[0], arrow.V[0]], 0.14 * 6 * np.array([0.6, -1.0]))  # 60 kN and -100 kN
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "load, in all 60 and -100 kN along x and z" in labels
+
+
+@pytest.mark.parametrize(("axis", "across"), [("x", 1), ("z", 0)])
+def test_a_bar_along_z_stands_upright(axis, across):
+    scene = cq.Scene(
+        title="bar", axes=[axis], nodes=[{"name": "a", "at": ["0 m"]}, {"name": "b", "at": ["2 m"]}],
+        bars=[{"name": "bar", "nodes": ["a", "b"], "area": "1 m^2", "modulus": "8 Pa"}], fixed=["a"],
+        obstacles=[{"name": "wall", "point": ["2.1 m"], "normal": [-1]}],
+        contacts=[{"name": "tip", "node": "b", "obstacle": "wall"}], loads=[{"unknown": f"b.{axis}", "value": "1 N"}],
+    )  # fmt: skip
+    figure = structure_figure(fields_of(scene, cq.run(scene)[-1]))
+    axes = figure.axes[0]
+    (bar,), (wall,) = lines(figure, "bar"), lines(figure, "obstacle")
+    assert abs(np.ptp(bar[:2, 1 - across])) == pytest.approx(2.1)
+    assert np.ptp(bar[:2, across]) == 0
+    assert np.ptp(wall[:, across]) > 0  # it lies across the bar,
+    assert np.ptp(wall[:, 1 - across]) == 0
+    assert wall[0, 1 - across] == pytest.approx(2.1)  # where that ends
+    assert [axes.xaxis.get_visible(), axes.yaxis.get_visible()] == ([False, True] if axis == "z" else [True, False])
+    assert (axes.get_ylabel() if axis == "z" else axes.get_xlabel()) == f"{axis} [m]"
+
+
 def test_a_beam_is_drawn_as_its_cubic():
     """A cantilever under a force at its tip: v(s) = v(1) s^2 (3 - s) / 2, exact at every point."""
     scene = cq.Scene(
@@ -124,7 +154,8 @@ def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     canvas.draw()
     renderer = canvas.get_renderer()
     legend = figure.legends[0].get_window_extent(renderer)
-    assert figure.axes[0].xaxis.label.get_window_extent(renderer).y0 > legend.y1
+    shown = figure.axes[0].yaxis if found.upright else figure.axes[0].xaxis
+    assert shown.label.get_window_extent(renderer).y0 > legend.y1
     for line in figure.axes[0].get_lines():
         x = np.asarray(line.get_xdata(), dtype=float)
         low, high = figure.axes[0].get_xlim()
