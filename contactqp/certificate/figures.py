@@ -255,9 +255,37 @@ def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    entries, friction = contact_entries(problem, "tangent"), problem.friction
+    across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
     rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
-    return Rubbing(slip, rounding, friction, lambda force: vector_measure(entries, force, F, none))
+    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along))
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """The unknowns that rows of contacts act on, the forces that meet there, and those that are nothing [force]."""
+
+    entries: ContactEntries
+    meeting: Vector
+    nothing: Vector
+
+    def measure(self, force: Array) -> Vector:
+        """max_j |E_i'v|_j / F_j (m,) of one force vector v (m, w) a contact."""
+        return vector_measure(self.entries, force, self.meeting, self.nothing)
+
+
+def friction_measure(across: Felt, along: Felt) -> Callable[[Array], Vector]:
+    """The measure (m,) of tangential forces (m, d-1): what the unknowns feel of them.
+
+    Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
+    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too.
+    """
+    felt = tangential_force(across.entries, across.meeting)[1]
+
+    def measure(force: Array) -> Vector:
+        own = across.measure(force)
+        return own if np.all(felt) else np.where(felt, own, np.maximum(own, along.measure(lengths(force)[:, None])))
+
+    return measure
 
 
 def rounded_slips(rows: Any, displacement: Vector, origin: Array) -> Vector:
@@ -287,8 +315,7 @@ class Rubbing:
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
     rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
     friction: Vector  # (m,) the coefficients
-    measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact,
-    # without what is nothing
+    measure: Callable[[Array], Vector]  # `friction_measure`
 
 
 def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:

@@ -249,4 +249,6 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
     if answer.friction_force is None or problem.tangent is None:
         return push, np.zeros(m)
-    return push, vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))
+    rub = vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))
+    held = np.diff(problem.tangent.indptr).reshape(answer.friction_force.shape) == 0
+    return push, np.where(np.any(held & (answer.friction_force != 0), axis=1), 1.0, rub)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.certificate.figures import (
+    Felt,
     Rubbing,
     Sizes,
     figures,
+    friction_measure,
     law_residual,
     least_force,
     normal_force,
@@ -29,9 +31,8 @@ from contactqp.linalg.measures import (
     force_measure,
     imposed,
     sizes_of,
-    vector_measure,
 )
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
 
@@ -168,10 +169,9 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
     tangent, origin = problem.tangent, problem.slip_origin
     near = tangent.at_touched(displacement)
     slip = np.asarray(tangent.entries @ near).reshape(origin.shape) - origin
-    entries = entries_of(tangent.entries, problem.contacts)
-    meeting, least = tangent.at_touched(F), tangent.at_touched(none)
-
-    def measure(force: Array) -> Vector:
-        return vector_measure(entries, force, meeting, least)
-
-    return Rubbing(slip, rounded_slips(tangent.sizes, near, origin), problem.friction, measure)
+    across, along = (
+        Felt(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(none))
+        for rows in (tangent, problem.normal)
+    )
+    rounding = rounded_slips(tangent.sizes, near, origin)
+    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along))

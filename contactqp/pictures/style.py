@@ -281,6 +281,22 @@ def scale_text(scale: float) -> str:
 PALETTE_SIZE = 64
 
 
+# Pixels of the longer side of the smallest picture.
+THUMBNAIL = 180
+
+
+def thumbnail(png: bytes) -> bytes:
+    """Return a PNG in the size of a stamp."""
+    from PIL import Image
+
+    small = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        reduced = image.convert("RGB")
+        reduced.thumbnail((THUMBNAIL, THUMBNAIL))
+        reduced.quantize(PALETTE_SIZE, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    return small.getvalue()
+
+
 def small_png(figure: Figure, dpi: float) -> bytes:
     """Return the figure as a PNG of at most `PALETTE_SIZE` colours, for pages that hold many of them.
 

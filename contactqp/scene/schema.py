@@ -30,6 +30,17 @@ OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
+# What cases are about, in the order in which they are shown.
+PHYSICS = (
+    "bars, springs and beams",
+    "strings and membranes",
+    "elastic bodies",
+    "friction",
+    "large displacements",
+    "motion and impact",
+)
+
+
 _TOUCHING = ("node", "nodes", "side", "sides", "membrane")
 
 
@@ -313,6 +324,19 @@ class SceneData(Frame):
     def weighs(self) -> bool:
         """Return whether masses act: as weights under gravity, or as inertia in a motion."""
         return self.gravity is not None or self.motion is not None
+
+    @property
+    def physics(self) -> str:
+        """Return what it is about, one of `PHYSICS`."""
+        if self.motion is not None:
+            return "motion and impact"
+        if self.large:
+            return "large displacements"
+        if any(contact.friction for contact in self.contacts):
+            return "friction"
+        if self.membranes or self.strings:
+            return "strings and membranes"
+        return "elastic bodies" if self.bodies else "bars, springs and beams"
 
     @property
     def meshed(self) -> tuple[Body | Membrane, ...]:

@@ -71,6 +71,7 @@ class CaseRecord:
     history_picture: bytes | None = None  # PNG of a path or a motion
     no_picture: str = ""  # why there is no picture
     contradicted: bool = False  # whether the proven solution contradicts the case's exact values
+    physics: str = ""  # what it is about: one of `contactqp.scene.schema.PHYSICS`
     scheme: str = ""  # impact scheme of a motion
     linear_solve: float | None = None  # time of one linear solve of the bodies without contact [s]
     footprint: Footprint | None = None  # time and memory of one answer in a process of its own
@@ -107,6 +108,7 @@ def unjudged(study: CaseStudy, truth: str, *unmet: str) -> CaseRecord:
         judgements=(),
         unmet=unmet,
         remarks=scene.remarks,
+        physics=scene.physics,
         scheme="" if scene.motion is None else scene.motion.scheme,
     )
 

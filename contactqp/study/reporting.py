@@ -33,6 +33,7 @@ from contactqp.study.delivery import (
     write,
 )
 from contactqp.study.page.render import missing_packages, render
+from contactqp.study.page.stability_bars import stability_bars
 from contactqp.study.report_charts import case_charts, overview_charts
 from contactqp.study.report_data import ReportData, Summary, as_json, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
@@ -41,7 +42,7 @@ from contactqp.study.running.runner import Running, Stopped, progress, stopped_a
 from contactqp.study.running.workers import Workers
 from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.telling_cases import telling_cases
-from contactqp.study.telling_chart import telling_case, telling_chart
+from contactqp.study.telling_chart import examples_chart, telling_case, telling_chart
 
 # Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
 REPEATS, ENOUGH = 3, 0.05
@@ -188,7 +189,7 @@ def write_report(
                     write(shop / "results.csv", to_csv(data.rows))
                     write(shop / "results.json", as_json(data))
                     if not missing_packages():
-                        write(shop / PAGE, _page(data, notes))
+                        write(shop / PAGE, _page(data, folder, notes))
                     files = _deliver(shop, folder)
     return ReportResult(data.summary, data.rows, files, notes)
 
@@ -205,12 +206,21 @@ def _report_data(collector: Collector, facts: Mapping[str, Any]) -> ReportData:
     return ReportData(records, found, summary, dict(facts) | dict(created=created))
 
 
-def _page(data: ReportData, notes: Sequence[str], running: str = "") -> str:
+def _page(data: ReportData, folder: Path, notes: Sequence[str], running: str = "") -> str:
     charts = {case.name: case_charts(data, case) for case in data.cases}
     case = telling_case(data)
     opened = "" if case is None else case.name
-    first = telling_chart(data)
-    return render(data, overview_charts(data), charts, notes=notes, telling=first, running=running, opened=opened)
+    return render(
+        data,
+        overview_charts(data),
+        charts,
+        notes=notes,
+        telling=telling_chart(data),
+        examples=examples_chart(data),
+        ranges=stability_bars(folder),
+        running=running,
+        opened=opened,
+    )
 
 
 class _GrowingPage:
@@ -228,7 +238,7 @@ class _GrowingPage:
         data = _report_data(collector, self._facts)
         try:
             with workshop(self._folder) as shop:
-                write(shop / PAGE, _page(data, (), running=collector.progress))
+                write(shop / PAGE, _page(data, self._folder, (), running=collector.progress))
                 deliver(shop, self._folder)
         except OSError:  # the journal says so, which cannot be written either
             self._off = True

@@ -27,6 +27,8 @@ UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
 # Tolerances of raw answers in a brief report; and unknowns beyond which it tries final answers alone, and every second
 # stiffness.
 BRIEF_TOLERANCES, BRIEF_LADDERS = (1e-3, 1e-6, 1e-9), 20_000
+# Unknowns of problems on all of which a brief report tries final answers too: what condensation saves is told by them.
+BRIEF_WHOLE = range(500, 2_000)
 # What is tried on all unknowns where the contact unknowns alone would do: every setting, where condensation takes away
 # so many unknowns of at most so many; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
 WORTH_A_LADDER, WHOLE_LADDER, WHOLE_DEFAULT = 10, 1_000, 10_000
@@ -146,12 +148,17 @@ def brief_settings(problem: ContactProblem, method: Method) -> Iterator[Setting]
     """
     large = problem.dimension > BRIEF_LADDERS
     stiffnesses = stiffness_ladder(problem)[1::2]
+    final = []
     for setting in all_settings(problem, method, BRIEF_TOLERANCES):
         if setting.knob == "tolerance" and setting.variant == "polished" and setting.value != DEFAULT_TOLERANCE:
             continue
         if large and (setting.variant in ("raw", "uzawa") or (method.required and setting.value not in stiffnesses)):
             continue
         yield setting
+        if setting.variant in ("", "polished") and not method.required:
+            final.append(setting)
+    if problem.dimension in BRIEF_WHOLE:
+        yield from on_all_unknowns(problem, final)
 
 
 def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Setting]:

@@ -389,3 +389,36 @@ def test_where_nothing_is_elastic_equilibrium_and_gaps_decide() -> None:
     assert tilted.penetration > 1e-9
     assert not tilted.passed
     assert not cq.certify(table, np.zeros(3), [*share[:3], share[3] + 1e-6]).passed
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-40])
+@pytest.mark.parametrize(("rub", "passes"), [(0.0, True), (1.5, True), (-1.5, True), (1.51, False), (1e6, False)])
+def test_friction_on_a_node_that_is_held_across_stays_within_its_bound(rub: float, passes: bool, length: float) -> None:
+    """A load of 5 presses a node that only moves along the normal: any friction up to 0.3 * 5 would do, and no more."""
+    problem = cq.ContactProblem([[10.0 / length]], [5.0], [[1.0]], [0.0], tangent=[[0.0]], friction=[0.3])
+    judged = cq.certify(problem, [0.0], [5.0], [[rub]])
+    assert judged.passed is passes, judged
+    assert (judged.cone > 1e-3) is not passes
+
+
+@pytest.mark.parametrize("tangent", [[[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.6], [0.0, 0.8]]], ids=["zero", "parallel"])
+def test_friction_along_what_no_unknown_feels_counts_in_the_cone(tangent: list[list[float]]) -> None:
+    """In space a node that is held in one tangential direction, along an axis or between the two that are stated."""
+    problem = cq.ContactProblem(np.diag([10.0, 10.0]), [5.0, 1.0], [[1.0, 0.0]], [0.0], tangent=tangent, friction=[0.3])
+    solution = cq.solve(problem)
+    along = np.array(tangent)[:, 1]
+    across = np.array([-along[1], along[0]])
+    assert solution.friction_force[0] @ along == pytest.approx(1.0, abs=1e-12)
+    for unfelt, passes in ((1.1, True), (1.2, False), (100.0, False), (1e6, False)):  # 1.118 is left by 0.3 * 5 and 1
+        judged = cq.certify(problem, [0.0, 0.0], [5.0], [along + unfelt * across])
+        assert judged.passed is passes, (unfelt, judged)
+    beyond = cq.certify(problem, [0.0, 0.0], [5.0], [along + 100.0 * across])
+    assert beyond.cone > 1.0  # though the excess along what is felt is half of the load there
+
+
+def test_friction_where_nothing_touches_and_nothing_moves_is_refused() -> None:
+    problem = cq.ContactProblem([[10.0]], [5.0], [[1.0]], [np.inf], tangent=[[0.0]], friction=[0.3])
+    assert cq.certify(problem, [0.5], [0.0], [[0.0]]).passed
+    judged = cq.certify(problem, [0.5], [0.0], [[1e-3]])
+    assert not judged.passed
+    assert judged.failures == ("cone: contact 0 constrains nothing and has friction",)

@@ -163,3 +163,10 @@ def test_rows_that_constrain_nothing_have_no_force(stiffness: float, friction: f
     assert not cq.certify(problem, displacement=[0.6, 0.0]).passed
     force = judged.answer.normal_force
     assert cq.certify(problem, normal_force=force, friction_force=judged.answer.friction_force).passed
+
+
+def test_a_displacement_that_no_row_would_hold_still_gets_forces() -> None:
+    """Two contacts along the sum of the unknowns, under a load along their difference: neither acts."""
+    problem = cq.ContactProblem(np.eye(2), [1.0, -1.0], [[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
+    assert not cq.certify(problem, [0.0, 0.0]).passed
+    assert cq.certify(problem, [1.0, -1.0]).passed

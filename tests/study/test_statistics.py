@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from contactqp.study import rows
+from contactqp.study.curves import knob_text
 from contactqp.study.rows import Row
 from contactqp.study.statistics import (
     LIMIT,
@@ -133,6 +134,17 @@ def test_absolute_errors_and_settings_of_few_cases_are_left_out() -> None:
     assert [row.knob_value for row in median_rows(rows)] == [1e-3]
     rows.append(right("a", "m", 1.0, knob="penalty", knob_value=1e3))
     assert [row.knob for row in median_rows(rows)] == ["tolerance"]
+
+
+def test_penalties_are_laid_together_as_multiples_of_the_contact_stiffness() -> None:
+    cases = (("a", 1e3, 9.96, 1.0), ("b", 7e8, 10.03, 3.0), ("c", 2e-5, 10.0, 2.0))
+    rows = [
+        right(case, "penalty", seconds, knob="penalty", knob_value=value, knob_stiffnesses=multiple)
+        for case, value, multiple, seconds in cases
+    ]
+    (middle,) = median_rows(rows)
+    assert (middle.seconds, middle.knob_value, middle.knob_stiffnesses) == (2.0, None, 10.0)
+    assert knob_text(middle, "") == "penalty = 10 contact stiffnesses"
 
 
 def test_the_limit_is_a_median_too_and_is_known_of_all_cases_or_not_at_all() -> None:

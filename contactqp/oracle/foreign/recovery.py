@@ -102,7 +102,7 @@ def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector)
     most = np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL
     if not left <= most:
         return np.asarray(force), True
-    if np.any(cost):
+    if np.any(cost) and np.any(share):  # where no row acts there is nothing to choose among
         chosen = _of_least_work(B, share, pushing_only, cost)
         cheaper, left = _without_tension(B[chosen], r / size, pushing_only[chosen])
         if left <= most:

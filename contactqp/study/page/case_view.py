@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from contactqp.pictures.style import thumbnail
 from contactqp.scene.explaining import shortened
 from contactqp.scene.tables import MOST_ROWS, shown, written
 from contactqp.study import rows
@@ -149,6 +150,11 @@ class CaseView:
     def picture(self) -> str:
         """The picture as a data URL; empty where there is none."""
         return _url(self.case.picture)
+
+    @property
+    def thumbnail(self) -> str:
+        """The picture, small, as a data URL; empty where there is none."""
+        return _url(None if self.case.picture is None else thumbnail(self.case.picture))
 
     @property
     def history_picture(self) -> str:

@@ -13,9 +13,11 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from contactqp.scene.schema import PHYSICS
 from contactqp.study.conclusion import conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.delivery import busy
+from contactqp.study.left_out import left_out_lines
 from contactqp.study.page.case_view import (
     FACETS,
     CaseView,
@@ -27,6 +29,7 @@ from contactqp.study.page.case_view import (
     plain_table,
     table_of_chart,
 )
+from contactqp.study.page.stability_bars import StabilityBars
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
 
@@ -108,6 +111,8 @@ def render(
     by_case: Mapping[str, Sequence[Chart]] | None = None,
     notes: Sequence[str] = (),
     telling: Chart | None = None,
+    examples: Chart | None = None,
+    ranges: StabilityBars | None = None,
     running: str = "",
     opened: str = "",
 ) -> str:
@@ -124,6 +129,10 @@ def render(
         Limitations of this report, in addition to those of any report.
     telling : Chart, optional
         The chart of the first screen.
+    examples : Chart, optional
+        The chart after it, of the small cases.
+    ranges : StabilityBars, optional
+        Those of the stability study beside this report.
     running : str
         What is still running; empty of a finished report.
     opened : str
@@ -134,21 +143,27 @@ def render(
     ModuleNotFoundError
         One of `NEEDED` is not installed; `missing_packages` says so before.
     """
-    first, shared = items("first", [telling] if telling else []), items("all", overview)
+    first, second = items("first", [telling] if telling else []), items("second", [examples] if examples else [])
+    shared = items("all", overview)
+    opened = opened or next((case.name for case in data.cases), "")
     views, found = tuple(_views(data, by_case or {})), conclude(data.rows)
     headings, *lines = found.cells()
     return fill_template(
         "page.html",
-        [*first, *shared, *(item for _, charts in views for item in charts)],
+        [*first, *second, *shared, *(item for _, charts in views for item in charts)],
         data=data,
         sentence=found.sentence,
         lines=plain_table("methods, the most right first", headings, lines),
         first=first,
+        second=second,
+        ranges=ranges,
+        left_out=tuple(_left_out(data)),
         running=running,
-        opened=opened or next((case.name for case in data.cases), ""),
+        opened=opened,
         busy=busy(data.facts.get("load", {}).get("at_start")),
         overview=shared,
         views=views,
+        groups=tuple(_by_physics(view for view, _ in views)),
         tiles=_tiles(data),
         parts=_parts(bool(overview)),
         facets=_facets(data),
@@ -197,6 +212,23 @@ def _views(
     for anchor, case in zip(anchors, data.cases, strict=True):
         charts = by_case.get(case.name, ())
         yield case_view(anchor, case, data.rows_of(case.name)), items(anchor, charts)
+
+
+def _left_out(data: ReportData) -> Iterator[str]:
+    """Yield what was left out of the largest case whose footprint is known, or of the largest."""
+    measured = [case for case in data.cases if case.footprint is not None] or data.cases
+    largest = max(measured, key=lambda case: case.sizes.unknowns, default=None)
+    return iter(()) if largest is None else left_out_lines(largest, data.rows)
+
+
+def _by_physics(views: Iterable[CaseView]) -> Iterator[tuple[str, list[CaseView]]]:
+    """Yield the cases by what they are about, simple ones first."""
+    groups: dict[str, list[CaseView]] = {}
+    for view in views:
+        groups.setdefault(view.case.physics, []).append(view)
+    for physics in (*PHYSICS, ""):
+        if physics in groups:
+            yield physics, groups[physics]
 
 
 def anchors_of(names: Iterable[str]) -> list[str]:
@@ -300,6 +332,7 @@ def render_study(
     columns: Mapping[str, str],
     facts: Mapping[str, Any],
     command: str,
+    beside: str = "",
 ) -> str:
     """Return the HTML page of a study along axes.
 
@@ -315,6 +348,8 @@ def render_study(
         Machine, versions, settings.
     command : str
         The command that makes this page again.
+    beside : str
+        The page of a report in the same folder; empty where there is none.
 
     Raises
     ------
@@ -330,6 +365,7 @@ def render_study(
         columns=plain_table("columns of the data", ("column", "meaning"), columns.items()),
         facts=tuple(fact_tables(facts)),
         command=command,
+        beside=beside,
     )
 
 

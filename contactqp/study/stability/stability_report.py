@@ -313,6 +313,7 @@ def reason_of(message: str) -> str:
     return words[1] if len(words) > 1 else words[0]
 
 
+REPORT = "index.html"
 JOURNAL = "unfinished_stability.jsonl"
 # By default the study runs in this process, which has the methods that its user registered.
 HERE = Running(jobs=0)
@@ -382,7 +383,7 @@ def write_stability(
                 write(shop / "stability.csv", to_csv(study.rows))
                 write(shop / "stability.json", as_json(study))
                 if not missing_packages():
-                    write(shop / "stability.html", page_of(study))
+                    write(shop / "stability.html", page_of(study, folder))
                 files = deliver(shop, folder)
         notes = (*workers.notes, *journal.notes, *filter(None, [missing_packages()]))
     return study, files, notes
@@ -425,10 +426,11 @@ def _facts(workers: Workers, methods: Sequence[str] | None) -> dict[str, Any]:
     )
 
 
-def page_of(study: StabilityStudy) -> str:
-    """Return the text of stability.html."""
+def page_of(study: StabilityStudy, folder: Path) -> str:
+    """Return the text of stability.html, which names the report in the same folder where there is one."""
     command = shlex.join(["contactqp", "report", "--stability"])
-    return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command)
+    beside = REPORT if (folder / REPORT).exists() else ""
+    return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command, beside)
 
 
 def _tiles(study: StabilityStudy) -> tuple[Tile, ...]:

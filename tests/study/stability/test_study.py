@@ -21,6 +21,7 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
+from contactqp.study.page.stability_bars import stability_bars
 from contactqp.study.running.journal import Crash
 from contactqp.study.running.runner import Stopped
 from contactqp.study.settings import condensable
@@ -42,6 +43,7 @@ from contactqp.study.stability.stability_cells import (
 from contactqp.study.stability.stability_charts import LETTERS
 from contactqp.study.stability.stability_report import (
     StabilityStudy,
+    as_json,
     grouped,
     page_of,
     safe_ranges,
@@ -279,14 +281,50 @@ def test_a_cell_whose_process_died_is_a_row() -> None:
     assert "SIGSEGV" in row.message
 
 
-def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy) -> None:
-    page = page_of(small)
+def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy, tmp_path: Path) -> None:
+    page = page_of(small, tmp_path)
     assert all(axis.title in page for axis in small.axes)
     assert "21.684" in page
     assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=[\"']https?:", page)
     assert "must be 0" not in page
     wrong = dataclasses.replace(small, rows=(dataclasses.replace(small.rows[0], verdict=report_rows.WRONG),))
-    assert "must be 0" in page_of(wrong)
+    assert "must be 0" in page_of(wrong, tmp_path)
+
+
+def test_the_page_and_that_of_a_report_name_each_other(small: StabilityStudy, tmp_path: Path) -> None:
+    assert "index.html" not in page_of(small, tmp_path)
+    (tmp_path / "index.html").touch()
+    assert '<a href="index.html">' in page_of(small, tmp_path)
+    assert stability_bars(tmp_path) is None
+    (tmp_path / "stability.json").write_text(as_json(small), encoding="utf-8")
+    found = stability_bars(tmp_path)
+    assert found is not None
+    assert found.page == ""
+    (tmp_path / "stability.html").touch()
+    assert getattr(stability_bars(tmp_path), "page", None) == "stability.html"
+
+
+def test_bars_are_the_safe_ranges(small: StabilityStudy, tmp_path: Path) -> None:
+    (tmp_path / "stability.json").write_text(as_json(small), encoding="utf-8")
+    found = stability_bars(tmp_path)
+    assert found is not None
+    assert [title for title, _ in found.axes] == [axis.title for axis in small.axes]
+    bars = {method: line for method, line in found.lines}
+    for place, axis in enumerate(small.axes):
+        for one in small.ranges(axis):
+            bar = bars[one.method][place]
+            assert bar is not None
+            assert bar.words == one.words
+            inside = [v for v in axis.values if one.lowest is not None and one.lowest <= v <= (one.highest or 0)]
+            assert bar.width == pytest.approx(100 * len(inside) / len(axis.values))
+            if inside:
+                assert bar.start == pytest.approx(100 * axis.values.index(inside[0]) / len(axis.values))
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"axes": [1]}', '{"axes": [{"title": "a"}]}'])
+def test_a_study_that_cannot_be_read_has_no_bars(tmp_path: Path, text: str) -> None:
+    (tmp_path / "stability.json").write_text(text, encoding="utf-8")
+    assert stability_bars(tmp_path) is None
 
 
 def test_the_command_line_runs_the_study_alone(
