@@ -6,6 +6,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -285,6 +286,7 @@ PALETTE_SIZE = 64
 THUMBNAIL = 180
 
 
+@lru_cache(maxsize=256)
 def thumbnail(png: bytes) -> bytes:
     """Return a PNG in the size of a stamp."""
     from PIL import Image

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from math import ceil
+from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,14 @@ from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
 from contactqp.study.attempt import LONG, VISIT, VISIT_CALLS, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.conclusion import BODY
 from contactqp.study.footprint import Footprint, measure
 from contactqp.study.report_data import CaseRecord, record, unjudged
 from contactqp.study.rows import CRASHED, Row
 from contactqp.study.running.journal import Cell, Crash, Journal, Result
 from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Pool, Workers
-from contactqp.study.settings import Setting
+from contactqp.study.settings import BRIEF_LADDERS, Setting
 from contactqp.study.truth import Truth
 
 # Timed linear solves at most, and the seconds after which their median is good enough.
@@ -84,9 +85,9 @@ def _positive(stiffness: Any) -> bool:
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# Costs of cells, relative to one answer to a problem of a few unknowns: the unknowns that double it, and the pictures
-# of a record.
-DOUBLING, PICTURES = 100, 30
+# Costs of cells, relative to one answer to a problem of a few unknowns: the unknowns that double it, beyond which the
+# cost is as their square root, and the pictures of a record.
+DOUBLING, PICTURES = 150, 30
 
 
 @dataclass(frozen=True)
@@ -183,13 +184,23 @@ def timing_cell(study: CaseStudy, setting: Setting, first: float, round_: int, c
     return Cell(f"{study.name}/{_name(setting)}/time {round_}", take_time, arguments, Timing, study.digest, cost)
 
 
-def limit_cell(study: CaseStudy, round_: int) -> Cell:
-    """Return the cell that times linear solves of the bodies of a case, in one of the rounds of its methods."""
-    return _cell(study, f"linear solve {round_}", time_linear_solve, (ticket_of(study),), LinearSolve)
+def limit_cell(study: CaseStudy, round_: int, cost: float) -> Cell:
+    """Return the cell that times linear solves of the bodies of a case, in one of the rounds of its methods.
+
+    Parameters
+    ----------
+    study : CaseStudy
+    round_ : int
+        The number of the round, from 0.
+    cost : float
+        Expected time [s].
+    """
+    cell = _cell(study, f"linear solve {round_}", time_linear_solve, (ticket_of(study),), LinearSolve)
+    return replace(cell, cost=cost)
 
 
 def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...], result: type) -> Cell:
-    cost = 1 + study.problem.dimension / DOUBLING
+    cost = 1 + sqrt(study.problem.dimension / DOUBLING)
     return Cell(f"{study.name}/{name}", function, arguments, result, study.digest, cost)
 
 
@@ -224,12 +235,14 @@ def find_answer(ticket: Ticket, truth: FoundTruth, setting: Setting) -> Row:
 def take_time(ticket: Ticket, setting: Setting, first: float) -> Timing:
     """Return run times of one setting, whose first call took so many seconds.
 
-    The process is warm from the second time on that it times this method on this case.
+    The process is warm from the second time on that it times this method on this case; on bodies, whose answers take
+    longer than what a first one loads, from the second body on.
     """
-    tried = (ticket.digest, setting.method.name)
+    study = _study(ticket)
+    tried = ("" if study.problem.dimension >= BODY else ticket.digest, setting.method.name)
     warm = tried in _WARM
     _WARM.add(tried)
-    return _study(ticket).timing(setting, first, warm)
+    return study.timing(setting, first, warm)
 
 
 def time_linear_solve(ticket: Ticket) -> LinearSolve:
@@ -246,8 +259,9 @@ def _study(ticket: Ticket) -> CaseStudy:
     return CaseStudy(ticket.name, ticket.scene, ticket.scene.problem(), ())
 
 
-# Seconds that a cell takes in addition to its function.
-OVERHEAD = 1e-3
+# Least seconds of a call; seconds that a cell takes in addition to its calls, and the time of these over that which is
+# measured: a certificate and a fresh problem are not.
+OVERHEAD, AROUND, BESIDE = 1e-3, 2e-2, 1.5
 
 
 class Collector:
@@ -289,7 +303,8 @@ class Collector:
         self.answered = self.timed = 0
         self._changed: dict[str, None] = {}  # cases that changed since their results were kept
         self._kept = 0
-        self._seconds = 0.0  # that timing the answered rows is expected to take
+        # Seconds that timing each answered row is expected to take, by its case.
+        self._expected: dict[str, list[float]] = {study.name: [] for study in studies}
 
     def collect(self) -> None:
         """Run all cells; `found` then returns all records and rows.
@@ -375,15 +390,17 @@ class Collector:
             answers = ((setting, self._found[answer_key(study, setting)]) for setting in study.settings)
             firsts = [(setting, row.seconds) for setting, row in answers if isinstance(row, Row)]
             for round_ in range(max(self._rounds.most, 1)):
-                yield limit_cell(study, round_)
+                yield limit_cell(study, round_, min((first for _, first in firsts if first is not None), default=0.0))
                 for setting, first in firsts if round_ % 2 == 0 else firsts[::-1]:
                     if first is not None and round_ < self._rounds.of(first):
-                        yield timing_cell(study, setting, first, round_, _visit(first))
+                        yield timing_cell(study, setting, first, round_, _cost(first))
 
     def _footprint_cells(self, studies: Sequence[CaseStudy]) -> list[Cell]:
-        """Return the cells of the cases that have a file; in brief of the largest and of the smallest alone."""
-        measured = [*studies[:1], *studies[-1:]] if self._brief and len(studies) > 1 else studies
-        return [footprint_cell(study) for study in measured if study.scene.file is not None]
+        """Return the cells of the cases that have a file; in brief of the largest that all settings are run on."""
+        have_file = [study for study in studies if study.scene.file is not None]
+        if self._brief:
+            have_file = [study for study in have_file if study.problem.dimension <= BRIEF_LADDERS][:1]
+        return [footprint_cell(study) for study in have_file]
 
     def _run(self, what: str, cells: Sequence[Cell], pool: Pool, later: Callable[[], float] | None) -> None:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
@@ -417,14 +434,14 @@ class Collector:
         self._found[cell.key] = result
         self.answered += cell.result is Row
         self.timed += cell.result is Timing and cell.key.endswith("/time 0")
-        self._seconds += self._expected(result) if isinstance(result, Row) else 0.0
+        if isinstance(result, Row):
+            seconds = 0.0 if result.seconds is None else self._rounds.of(result.seconds) * _cost(result.seconds)
+            self._expected[cell.key.partition("/")[0]].append(seconds)
 
     def _timing_left(self) -> float:
-        return self._seconds * self.rows / max(self.answered, 1)
-
-    def _expected(self, row: Row) -> float:
-        """Return the seconds that timing a row is expected to take."""
-        return 0.0 if row.seconds is None else self._rounds.of(row.seconds) * _visit(row.seconds)
+        """Return the seconds that timing is expected to take: those of unanswered rows are as others of their case."""
+        means = {name: sum(seconds) / len(seconds) for name, seconds in self._expected.items() if seconds}
+        return sum(means.get(study.name, AROUND) * len(study.settings) for study in self._studies)
 
 
 @dataclass(frozen=True)
@@ -443,7 +460,12 @@ class Rounds:
 
 def _visit(seconds: float) -> float:
     """Return the seconds of one round of a setting whose call takes so many."""
-    return min(VISIT_CALLS, ceil(VISIT / max(seconds, OVERHEAD))) * seconds + OVERHEAD
+    return min(VISIT_CALLS, ceil(VISIT / max(seconds, OVERHEAD))) * seconds
+
+
+def _cost(seconds: float) -> float:
+    """Return the seconds that a cell for such a round takes."""
+    return BESIDE * _visit(seconds) + AROUND
 
 
 def _timed(row: Row, found: Sequence[Timing | Crash]) -> Row:

@@ -51,7 +51,7 @@ HERE = Running()
 DEFAULT_CASES = "cases"
 PAGE = "index.html"
 # Seconds between two pages of an unfinished report, at least; and so many times what writing one takes.
-EVERY, SHARE = 5.0, 10.0
+EVERY, SHARE = 5.0, 20.0
 WIDTH = 100  # letters of a line of prose on the terminal
 
 

@@ -79,11 +79,15 @@ class RouteTimes:
 
 
 def route_times(all_rows: Sequence[Row]) -> tuple[RouteTimes, ...]:
-    """Return the run times of every route of the installed methods, in the order of the rows."""
+    """Return the run times of every route of the installed methods, in the order of the rows.
+
+    What was tried on all unknowns of some of the cases only is no route over all of them.
+    """
     cases = compared_cases(all_rows)
     compared = [row for row in all_rows if row.case in cases and row.verdict != rows.MISSING]
-    routes = dict.fromkeys(Route.of(row) for row in compared)
-    return tuple(_times(route, cases, [row for row in compared if route.takes(row)]) for route in routes)
+    routes = {route: [row for row in compared if route.takes(row)] for route in map(Route.of, compared)}
+    everywhere = {route for route, mine in routes.items() if {row.case for row in mine} == set(cases)}
+    return tuple(_times(route, cases, mine) for route, mine in routes.items() if route in everywhere or not route.whole)
 
 
 def _times(route: Route, cases: Sequence[str], mine: Sequence[Row]) -> RouteTimes:

@@ -111,7 +111,7 @@ def test_the_page_says_what_was_found(written: tuple[Path, report.ReportResult])
     for text in ("Called solved, and was right", "against run time", "one linear solve", "Performance profile"):
         assert text in page
     if importlib.util.find_spec("matplotlib"):
-        assert page.count('<img src="data:image/png;base64,') == 2  # the answers
+        assert page.count('<img src="data:image/png;base64,') == 2 * 2  # the answers, and their stamps
 
 
 @pytest.fixture(scope="module")

@@ -136,6 +136,13 @@ def test_absolute_errors_and_settings_of_few_cases_are_left_out() -> None:
     assert [row.knob for row in median_rows(rows)] == ["tolerance"]
 
 
+def test_what_was_tried_on_all_unknowns_of_one_case_is_no_failure_on_the_others() -> None:
+    rows = [right(case, "m", 1.0, condensed="yes") for case in "abc"]
+    assert [times.route.whole for times in route_times([*rows, right("a", "m", 2.0, condensed="no")])] == [False]
+    everywhere = [right(case, "m", 2.0, condensed="no") for case in "abc"]
+    assert [times.route.whole for times in route_times([*rows, *everywhere])] == [False, True]
+
+
 def test_penalties_are_laid_together_as_multiples_of_the_contact_stiffness() -> None:
     cases = (("a", 1e3, 9.96, 1.0), ("b", 7e8, 10.03, 3.0), ("c", 2e-5, 10.0, 2.0))
     rows = [

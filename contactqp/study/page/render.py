@@ -178,20 +178,27 @@ def render(
 
 def fill_template(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
     """Return a template filled with values, style, script, Plotly and the figures of its charts."""
+    from markupsafe import Markup
+
+    whole = dict(css=Markup(_page_file("page.css")), script=Markup(_page_file("page.js")))
+    whole |= dict(plotly=Markup(_packed_plotly()), figures=Markup(packed(_figures(drawn))))
+    return str(_templates().get_template(template).render(**whole, **values))
+
+
+@cache
+def _templates() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
-    templates = Environment(
+    found = Environment(
         loader=PackageLoader("contactqp.study.page"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
-    whole = dict(css=Markup(_page_file("page.css")), script=Markup(_page_file("page.js")))
-    whole |= dict(plotly=Markup(_packed_plotly()), figures=Markup(packed(_figures(drawn))))
-    return templates.get_template(template).render(**whole, **values)
+    found.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
+    return found
 
 
 @cache

@@ -160,11 +160,11 @@ def test_pictures_are_on_the_page(page: Page) -> None:
     from PIL import Image
 
     sources = [a["src"] for a in page.all("img")]
-    assert len(sources) == 3  # two answers, and one load path
+    assert len(sources) == 2 + 3  # stamps of two answers, these, and one load path
     for source in sources:
         with Image.open(io.BytesIO(base64.b64decode(source.partition(",")[2]))) as image:
             assert image.format == "PNG"
-    assert all(a["alt"] for a in page.all("img"))
+    assert [bool(a["alt"]) for a in page.all("img")] == [False] * 2 + [True] * 3  # stamps stand beside their titles
 
 
 def test_tables_and_charts_are_named_and_reached_by_keyboard(page: Page) -> None:
