@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from contactqp.errors import NotConverged as NotConverged
     from contactqp.errors import SceneError as SceneError
     from contactqp.errors import SeveralEquilibria as SeveralEquilibria
+    from contactqp.errors import StartWarning as StartWarning
     from contactqp.errors import TimeStepWarning as TimeStepWarning
     from contactqp.errors import Unsupported as Unsupported
     from contactqp.exchange.fclib import read_fclib as read_fclib
@@ -162,6 +163,7 @@ _HOME = {
     "Support": "elements.structure",
     "Supported": "elements.deformable",
     "Surface": "elements.surface",
+    "StartWarning": "errors",
     "TimeStepWarning": "errors",
     "Units": "model.problem",
     "Unsupported": "errors",

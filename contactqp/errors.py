@@ -110,6 +110,10 @@ class Unsupported(ContactQPError):
     code = "unsupported"
 
 
+class StartWarning(UserWarning):
+    """A contact starts deep inside of what it may touch, or is turned the wrong way; the message names the cure."""
+
+
 class TimeStepWarning(UserWarning):
     """The time step of a motion is too long for what happens in it; the message has both times."""
 

@@ -7,8 +7,10 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Sequence
-from typing import NoReturn
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NoReturn
 
 import click
 
@@ -19,6 +21,7 @@ from contactqp.cli.output import (
     NOT_INSTALLED,
     NOT_MET,
     Ending,
+    complain,
     explained,
     leave_to_the_first,
     print_error,
@@ -26,7 +29,7 @@ from contactqp.cli.output import (
 )
 from contactqp.cli.solving import run_command
 from contactqp.cli.surveying import cases_command, gallery_command, methods_command, report_command
-from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, StartWarning, Unsupported
 
 # Seconds after which a Ctrl-C that was ignored is repeated.
 ONCE_MORE = 0.05
@@ -92,12 +95,31 @@ def _interrupted(error: BaseException | None) -> bool:
 
 def _ended(arguments: Sequence[str] | None) -> Ending:
     """Run the command, and return how it ends in this process."""
+    with warnings.catch_warnings():
+        told: set[str] = set()
+        warnings.simplefilter("always", StartWarning)
+        warnings.showwarning = partial(_warn, warnings.showwarning, told)
+        return _run(arguments)
+
+
+def _warn(others: Callable[..., None], told: set[str], message: Warning | str, kind: type[Warning], *more: Any) -> None:
+    """Print a warning of a contact's start as one line, once; others are left to Python."""
+    if not issubclass(kind, StartWarning):
+        others(message, kind, *more)
+    elif str(message) not in told and speakers.speaks:
+        told.add(str(message))
+        complain(f"warning: {message}")
+
+
+def _run(arguments: Sequence[str] | None) -> Ending:
     try:
         command(arguments, prog_name="contactqp", standalone_mode=False)
     except SystemExit as end:
         return Ending(end.code if isinstance(end.code, int) else 0)
     except ContactQPError as error:
         return INTERRUPTION if _interrupted(error) else Ending(_exit_code(error), str(error), error=error.code)
+    except StartWarning as doubt:  # by --strict
+        return Ending(BAD_INPUT, str(doubt), error="start")
     except click.ClickException as error:
         leave_to_the_first()
         error.show()

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from contactqp.cli.output import NOT_MET, console, print_json
+from contactqp.cli.output import NOT_MET, console, print_json, strict_option
 from contactqp.errors import InvalidProblem
 
 
@@ -86,6 +86,7 @@ def _answer_file(candidate: str) -> Iterator[str]:
 
 @click.command("explain")
 @click.argument("case")
+@strict_option
 @click.option("--no-solve", is_flag=True, help="Say what the case is made of, and not what its answer takes.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def explain_command(case: str, no_solve: bool, as_json: bool) -> None:

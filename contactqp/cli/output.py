@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
+from contactqp.errors import StartWarning
 from contactqp.model.engines import SERIAL
 
 if TYPE_CHECKING:
@@ -71,6 +73,22 @@ def print_error(message: str, code: str, ending: int) -> None:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def refuse_doubts(_: click.Context, __: click.Parameter, strict: bool) -> bool:
+    """With --strict a contact that starts where it hardly can is an error; a callback of click."""
+    if strict:
+        warnings.simplefilter("error", StartWarning)
+    return strict
+
+
+strict_option = click.option(
+    "--strict",
+    is_flag=True,
+    expose_value=False,
+    callback=refuse_doubts,
+    help="Refuse contacts that start deep inside of what they touch, or are turned the wrong way.",
+)
 
 
 T = TypeVar("T")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers
+from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.engines import ENGINES, SERIAL
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 @click.option("--checkpoint", metavar="DIR", help="With petsc: keep the steps of a load path, go on from them.")
 @click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
+@strict_option
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(

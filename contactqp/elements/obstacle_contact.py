@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
-from contactqp.elements.pairing import pair
+from contactqp.elements.pairing import paired
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.elements.scalars import unit_vector
 from contactqp.elements.surface import Surface
@@ -69,7 +69,7 @@ class ObstacleContact(ReadOnly):
             nodes = self.points.nodes
             object.__setattr__(self, "unknowns", self.points.unknowns[nodes])
             object.__setattr__(self, "points", self.points.points[nodes])
-        found = pair(self.points, self.obstacle, unknowns=self.unknowns, dimension=self.dimension)
+        found = paired(self.points, self.obstacle, self.unknowns, self.dimension)
         places = np.arange(found.points.size).reshape(found.points.shape) if self.unknowns is None else self.unknowns
         object.__setattr__(self, "points", found.points)
         object.__setattr__(self, "unknowns", read_only(np.array(places, dtype=np.int64)))
@@ -93,7 +93,7 @@ class ObstacleContact(ReadOnly):
             A node where the obstacle has no normal.
         """
         x = self.positions(displacement)
-        found = pair(x, self.obstacle, unknowns=self.unknowns, dimension=self.dimension)
+        found = paired(x, self.obstacle, self.unknowns, self.dimension)
         size = np.max(abs(x), axis=1, initial=0.0) + abs(found.gap) + float(getattr(self.obstacle, "radius", 0.0))
         return ContactState(found.gap, found.normal, found.tangent, ROUNDING * size)
 

@@ -6,6 +6,7 @@ obstacle has one unknown a node, u >= height(x) (`pair_scalar`).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
@@ -17,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
+from contactqp.elements.start import doubt_of_points, doubt_of_side
 from contactqp.elements.surface import Surface, check_surface
 from contactqp.elements.tributary import tributary_areas
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, StartWarning
 from contactqp.model.arrays import Array, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
 
@@ -141,12 +143,32 @@ def pair(
         Shapes that do not fit, numbers that are not finite, unknowns out of range, a point where the obstacle has no
         normal.
 
+    Warns
+    -----
+    StartWarning
+        The points start inside of the obstacle, deeper than a tenth of their size, or the side of a body and the
+        obstacle face the same way.
+
     Examples
     --------
     >>> E_N, g, E_T = pair([[0.0, 0.001]], Plane(point=[0.0, 0.0], normal=[0.0, 1.0]))
     >>> E_N.toarray().tolist(), g.tolist(), E_T.toarray().tolist()
     ([[0.0, -1.0]], [0.001], [[1.0, 0.0]])
     """
+    found = paired(points, obstacle, unknowns, dimension)
+    if isinstance(points, Surface):
+        who, doubt = points.name, doubt_of_side(points, found.gap, found.direction, obstacle, "the obstacle")
+    else:
+        who, doubt = "points", doubt_of_points(found.points, found.gap, obstacle, "the obstacle", found.points[:0])
+    if doubt:
+        warnings.warn(f"{who}: {doubt}", StartWarning, stacklevel=3)
+    return found
+
+
+def paired(
+    points: ArrayLike | Surface, obstacle: Obstacle, unknowns: ArrayLike | None = None, dimension: int | None = None
+) -> Pairing:
+    """Return the pairing of `pair`, wherever the points start."""
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle.dimension)

@@ -25,8 +25,9 @@ from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, pair, pair_scalar
+from contactqp.elements.pairing import Pairing, pair_scalar, paired
 from contactqp.elements.solid import stress_at_nodes
+from contactqp.elements.start import doubt_of_side
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface, diameters
@@ -36,6 +37,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.body_geometry import body_mesh, height_of, nearest_node, obstacle
+from contactqp.scene.start import warn_of_start
 from contactqp.scene.units import number, vector
 from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 
@@ -429,8 +431,11 @@ def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> Paire
     surfaces = [whole.surface(*end) for end in ends]
     overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
     if contact.obstacle is not None:
-        found = pair(surfaces[0], obstacle(scene, contact.obstacle), dimension=whole.size)
+        touched = obstacle(scene, contact.obstacle)
+        found = paired(surfaces[0], touched, dimension=whole.size)
         _refuse_overlap(found, surfaces[0], contact.obstacle, overlap)
+        doubt = doubt_of_side(surfaces[0], found.gap, found.direction, touched, repr(contact.obstacle))
+        warn_of_start(scene, contact, doubt)
     else:
         method = pair_mortar if contact.pairing == "mortar" else pair_node_to_segment
         reach = None if contact.reach is None else number(scene.system, contact.reach)

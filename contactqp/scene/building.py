@@ -31,6 +31,7 @@ from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.body_geometry import obstacle
+from contactqp.scene.start import warn_of_nodes
 from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:
@@ -61,7 +62,9 @@ def build(scene: SceneData) -> Model:
             from contactqp.scene.body_model import body_model
 
             return body_model(scene)
-        return NodeModel(scene, exact_problem(scene))
+        exact = exact_problem(scene)
+        warn_of_nodes(scene, np.array([float(contact.gap) for contact in exact.contacts]))
+        return NodeModel(scene, exact)
 
 
 @dataclass(frozen=True)
