@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
+from typing import NoReturn
 
 import click
 
@@ -15,8 +16,8 @@ from contactqp.errors import InvalidProblem
 
 
 @click.command("check")
-@click.argument("problem")
-@click.argument("candidate")
+@click.argument("problem", required=False)
+@click.argument("candidate", required=False)
 @click.option(
     "--compression",
     type=click.Choice(["positive", "negative"]),
@@ -29,16 +30,20 @@ from contactqp.errors import InvalidProblem
 @click.option("--contact-map", metavar="FILE", help="The same for contacts.")
 @click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
 @click.option("--error-tolerance", type=float, default=1e-6, show_default=True, help="Largest bound that passes.")
+@click.option("--receipt", metavar="FILE.json", help="Write hashes, version, verdict, figures and bounds to it.")
+@click.option("--verify", "receipt_to_verify", metavar="FILE.json", help="Say whether that receipt still holds.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def check_command(
-    problem: str,
-    candidate: str,
+    problem: str | None,
+    candidate: str | None,
     compression: str,
     pressure_areas: str | None,
     dof_map: str | None,
     contact_map: str | None,
     tolerance: float,
     error_tolerance: float,
+    receipt: str | None,
+    receipt_to_verify: str | None,
     as_json: bool,
 ) -> None:
     """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
@@ -56,7 +61,16 @@ def check_command(
 
     A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
     problem,candidate.
+
+    A receipt can stand beside a report: `contactqp check --verify FILE.json` hashes the files again, whose paths are
+    relative to it, and judges once more; exit 0 if both are as they were, 1 with what differs if not.
     """
+    if receipt_to_verify is not None:
+        if problem is not None or receipt is not None:
+            raise click.UsageError("--verify takes the files from the receipt: expected no other files")
+        _verify(receipt_to_verify, as_json)
+    if problem is None or candidate is None:
+        raise click.UsageError("expected PROBLEM and CANDIDATE, or --verify FILE.json")
     from contactqp.study.checking import check_answer, print_check
     from contactqp.study.verdict import CheckOptions
 
@@ -65,11 +79,33 @@ def check_command(
         raise InvalidProblem("check: PROBLEM and CANDIDATE are both standard input; expected a file for one of them")
     with _answer_file(candidate) as file:
         verdict = check_answer(problem, file, options)
+    if receipt is not None:
+        from contactqp.study.receipt import write_receipt
+
+        write_receipt(receipt, problem, candidate, options, verdict)
     if as_json:
         print_json(verdict.data())
     else:
         print_check(console(), verdict)
+    if receipt is not None:
+        click.echo(f"written: {receipt}", err=as_json)
     sys.exit(0 if verdict.passed else NOT_MET)
+
+
+def _verify(receipt: str, as_json: bool) -> NoReturn:
+    from contactqp.study.receipt import verify
+
+    found = verify(receipt)
+    if as_json:
+        print_json(found.data())
+    else:
+        word = "right" if found.right else "WRONG"
+        click.echo(
+            f"{receipt}: {'holds' if found.holds else 'DOES NOT HOLD'} (by contactqp {found.written_by}: {word})"
+        )
+        for text in found.differences:
+            click.echo(f"  {text}")
+    sys.exit(0 if found.holds else NOT_MET)
 
 
 @contextmanager

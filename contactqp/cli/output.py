@@ -35,10 +35,15 @@ LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
 
-def console(heard: bool = True) -> Console:
-    """Return the console that tables go to; with `heard` False they are made and dropped."""
+def console(heard: bool = True, terminal: bool | None = None) -> Console:
+    """Return the console that tables go to; with `heard` False they are made and dropped.
+
+    `terminal` says of another process, which prints what is made here, whether it has one.
+    """
     from rich.console import Console
 
+    if terminal is not None:
+        return Console(file=io.StringIO(), width=WIDE, highlight=False, force_terminal=terminal)
     if not heard:
         return Console(file=io.StringIO(), width=WIDE)
     if launched_rank() is not None:  # the launcher passes it on, whatever stands at its own end

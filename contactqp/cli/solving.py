@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported
+from contactqp.linalg.runtime import cores
 from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
@@ -18,6 +23,9 @@ if TYPE_CHECKING:
     from contactqp.scene.scene import Scene
     from contactqp.study.answer_pictures import AnswerFiles
     from contactqp.study.friction_files import FileOutcome
+
+# Cases from which on they are solved side by side.
+MANY = 4
 
 
 @click.command("run")
@@ -38,6 +46,10 @@ if TYPE_CHECKING:
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @strict_option
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
+@click.option("--quiet", is_flag=True, help="Print what is not met or has no answer, and no more.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Cases side by side; of four and more as many as cores."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(
     cases: tuple[str, ...],
@@ -50,6 +62,8 @@ def run_command(
     plot: str | None,
     vtu: str | None,
     verbose: bool,
+    quiet: bool,
+    jobs: int | None,
     as_json: bool,
 ) -> None:
     """Solve each CASE (a file, a folder of them, or - for standard input) and compare with what it expects.
@@ -80,16 +94,13 @@ def run_command(
         scenes, files = _read(named, plot, vtu, every_method=bool(methods))
         if checkpoint is not None and len(scenes) != 1:
             raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
-    data, met, whole = list[Any](), True, 0
-    for scene in scenes:
-        from contactqp.scene.judging import Failure, judge_all
-
-        found = judge_all(scene, methods, knobs, engine, checkpoint)
-        speakers.meet(_failed((outcome.message, outcome.code) for outcome in found if isinstance(outcome, Failure)))
-        met = met and all(outcome.met for outcome in found)
-        whole += all(outcome.met for outcome in found)
-        data += _print_outcomes(found, files, as_json, verbose, in_a_line=len(scenes) > 1 and not verbose)
-    if len(scenes) > 1 and not verbose and not as_json and speakers.speaks:
+    asked = _Asked(methods, knobs, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose)
+    alone = engine != SERIAL or files is not None
+    answered = [told.print() for told in _answers(scenes, files, asked, 1 if alone else jobs)]
+    data = [outcome for told in answered for outcome in told.data]
+    whole = sum(told.met for told in answered)
+    met = whole == len(scenes)
+    if asked.in_a_line and not as_json and speakers.speaks:
         click.echo(f"{whole} of {len(scenes)} met (--verbose prints the answers)")
     if foreign:
         from contactqp.study.friction_files import run_files
@@ -131,6 +142,115 @@ def _read(
     return scenes, answer_files(scenes, plot, vtu, every_method=every_method)
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """How the cases of one command are to be solved and printed."""
+
+    methods: tuple[str, ...]
+    knobs: Mapping[str, Any]
+    engine: str
+    checkpoint: str | None
+    as_json: bool
+    verbose: bool
+    quiet: bool
+    in_a_line: bool
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is to be said of one case."""
+
+    met: bool
+    complaints: tuple[str, ...]
+    text: str  # for the standard output
+    data: list[Any]  # for --json
+    doubts: tuple[str, ...] = ()  # StartWarnings of another process
+
+    def print(self) -> _Told:
+        """Print it."""
+        for doubt in self.doubts:
+            warnings.warn(doubt, StartWarning, stacklevel=2)
+        for message in self.complaints if speakers.speaks else ():
+            complain(message)
+        click.echo(self.text, nl=False)
+        return self
+
+
+def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, jobs: int | None) -> Iterator[_Told]:
+    """Yield what is to be said of each case, solved here or side by side in as many processes."""
+    side_by_side = min(jobs or (cores() if len(scenes) >= MANY else 1), len(scenes))
+    if side_by_side <= 1:
+        yield from (_answer(scene, files, asked) for scene in scenes)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import active_children, get_context
+
+    pool = ProcessPoolExecutor(side_by_side, get_context("spawn"), _leave_ctrl_c_to_the_first)
+    try:
+        yield from pool.map(partial(_answer_elsewhere, asked=asked, terminal=sys.stdout.isatty()), scenes)
+    except BaseException as error:
+        for child in active_children():
+            child.terminate()
+        if isinstance(error, BrokenProcessPool):
+            text = "run: a process that solved a case died; with --jobs 1 they are solved one by one, in this one"
+            raise NotConverged(text) from None
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _leave_ctrl_c_to_the_first() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Told:
+    """Solve a case in a process of its own; its warnings come back as words."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", StartWarning)
+        told = _answer(scene, None, asked, terminal)
+    return replace(told, doubts=tuple(str(one.message) for one in caught if issubclass(one.category, StartWarning)))
+
+
+def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bool | None = None) -> _Told:
+    """Solve a case, and draw its answer; on several ranks all of them do so, as each has a piece of it."""
+    from contactqp.scene.judging import Failure, judge_all
+    from contactqp.scene.printing import judgement_data
+
+    found = judge_all(scene, asked.methods, asked.knobs, asked.engine, asked.checkpoint)
+    failures = [outcome for outcome in found if isinstance(outcome, Failure)]
+    speakers.meet(_failed((failure.message, failure.code) for failure in failures))
+    text = "" if asked.as_json else _text(found, asked, terminal)
+    written = [] if files is None else _draw(found, files)
+    lines = "".join(f"written: {file}\n" for file in written)
+    if asked.as_json and lines:
+        click.echo(lines, nl=False, err=True)
+    return _Told(
+        met=all(outcome.met for outcome in found),
+        complaints=tuple(failure.message for failure in failures),
+        text=text if asked.as_json else text + lines,
+        data=[judgement_data(outcome) for outcome in found] if asked.as_json else [],
+    )
+
+
+def _text(found: Sequence[Judgement | Failure], asked: _Asked, terminal: bool | None) -> str:
+    """Return what is printed of the outcomes of one case; `terminal` says whether it goes to one, from elsewhere."""
+    from contactqp.scene.judging import Judgement
+    from contactqp.scene.printing import print_case_line, print_failure, print_judgements
+
+    shown = console(heard=speakers.speaks, terminal=terminal)
+    with shown.capture() as captured:
+        if asked.in_a_line:
+            if not (asked.quiet and all(outcome.met for outcome in found)):
+                print_case_line(shown, found)
+        elif not asked.quiet:
+            for outcome in found:
+                if not isinstance(outcome, Judgement):
+                    print_failure(shown, outcome)
+            print_judgements(shown, [one for one in found if isinstance(one, Judgement)], asked.verbose)
+    return captured.get() if speakers.speaks else ""
+
+
 def _failed(failures: Iterable[tuple[str, str]]) -> Ending:
     """Return the ending of a rank that alone has no answer, for which the others wait in some exchange.
 
@@ -138,38 +258,6 @@ def _failed(failures: Iterable[tuple[str, str]]) -> Ending:
     """
     known = list(failures)
     return Ending(NOT_MET, "; ".join(message for message, _ in known), error=known[0][1] if known else "")
-
-
-def _print_outcomes(
-    found: Sequence[Judgement | Failure],
-    files: AnswerFiles | None,
-    as_json: bool,
-    verbose: bool,
-    in_a_line: bool,
-) -> list[Any]:
-    """Print and draw the outcomes of one scene; with `as_json`, return the data to be printed in the end.
-
-    On several ranks all of them do so, as each has a piece of the answer, and the output of one is shown.
-    """
-    from contactqp.scene.judging import Failure, Judgement
-    from contactqp.scene.printing import judgement_data, print_case_line, print_failure, print_judgements
-
-    terminal = console(heard=speakers.speaks)
-    failures = [outcome for outcome in found if isinstance(outcome, Failure)]
-    judgements = [outcome for outcome in found if isinstance(outcome, Judgement)]
-    for failure in failures:
-        if speakers.speaks:
-            complain(failure.message)
-        if not as_json and not in_a_line:
-            print_failure(terminal, failure)
-    if in_a_line and not as_json:
-        print_case_line(terminal, found)
-    elif not as_json:
-        print_judgements(terminal, judgements, verbose)
-    written = [] if files is None else _draw(found, files)
-    for file in written:
-        click.echo(f"written: {file}", err=as_json)
-    return [judgement_data(outcome) for outcome in found] if as_json else []
 
 
 def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
-from contactqp.elements.start import doubt_of_points, doubt_of_side
+from contactqp.elements.start import doubt_of_side
 from contactqp.elements.surface import Surface, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem, StartWarning
@@ -146,8 +146,7 @@ def pair(
     Warns
     -----
     StartWarning
-        The points start inside of the obstacle, deeper than a tenth of their size, or the side of a body and the
-        obstacle face the same way.
+        A surface starts inside of the obstacle, deeper than a tenth of the size of its body, or both face the same way.
 
     Examples
     --------
@@ -157,11 +156,9 @@ def pair(
     """
     found = paired(points, obstacle, unknowns, dimension)
     if isinstance(points, Surface):
-        who, doubt = points.name, doubt_of_side(points, found.gap, found.direction, obstacle, "the obstacle")
-    else:
-        who, doubt = "points", doubt_of_points(found.points, found.gap, obstacle, "the obstacle", found.points[:0])
-    if doubt:
-        warnings.warn(f"{who}: {doubt}", StartWarning, stacklevel=3)
+        doubt = doubt_of_side(points, found.gap, found.direction, obstacle, "the obstacle")
+        if doubt:
+            warnings.warn(f"{points.name}: {doubt}", StartWarning, stacklevel=3)
     return found
 
 

@@ -386,3 +386,39 @@ def test_an_error_that_nobody_reads_leaves_no_traceback(arguments, reader):
     assert "code 2" in done.stderr
     assert "Traceback" not in done.stderr
     assert "Exception" not in done.stderr
+
+
+def test_cases_side_by_side_print_what_they_print_one_by_one(capsys, tmp_path):
+    """Also warnings of where a contact starts, and what is not met."""
+    text = (CASES / "bar_wall.toml").read_text(encoding="utf-8")
+    turned = tmp_path / "turned.toml"
+    turned.write_text(text.replace("normal = [-1]", "normal = [1]"), encoding="utf-8")
+    files = [CASES / "truss_floor.toml", turned, CASES / "two_bars.toml"]
+    one_by_one, together = (run(capsys, "run", *files, "--jobs", jobs) for jobs in ("1", "3"))
+    assert one_by_one == together
+    code, out, err = together
+    assert code == 1
+    assert err.count("contactqp: warning: ") == 1
+    assert out.splitlines()[-1].startswith("2 of 3 met")
+    both = [run(capsys, "run", *files, "--jobs", jobs, "--json")[1] for jobs in ("1", "3")]
+    assert [one["certificate"] for one in json.loads(both[0])] == [one["certificate"] for one in json.loads(both[1])]
+
+
+def test_an_error_of_a_case_side_by_side_is_one_line(capsys):
+    code, out, err = run(capsys, "run", *[CASES / f"{name}.toml" for name in ("bar_wall", "two_bars")], "--jobs", "2",
+                         "--method", "nonesuch")  # fmt: skip
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert "no method is called 'nonesuch'" in err
+
+
+def test_quiet_prints_what_is_not_met_alone(capsys, tmp_path):
+    assert run(capsys, "run", "bar_wall", "--quiet") == (0, "", "")
+    code, out, _ = run(capsys, "run", CASES / "bar_wall.toml", CASES / "two_bars.toml", "--quiet", "--jobs", "1")
+    assert (code, out) == (0, "2 of 2 met (--verbose prints the answers)\n")
+    turned = tmp_path / "turned.toml"
+    text = (CASES / "two_bars.toml").read_text(encoding="utf-8")
+    turned.write_text(text.replace('value = "95 kN"', 'value = "96 kN"'), encoding="utf-8")
+    code, out, _ = run(capsys, "run", CASES / "bar_wall.toml", turned, "--quiet", "--jobs", "1")
+    assert code == 1
+    assert "NOT MET" in out
+    assert "bar_wall" not in out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -16,6 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.linalg.runtime import cores
 from contactqp.study.running.child import Death, Late, Raised
 from contactqp.study.running.journal import Cell, Crash, Journal, Result, refuse_twins
 from contactqp.study.running.workers import Pool, Processes, ThisProcess, Workers
@@ -331,14 +331,9 @@ class Running:
 def workers_of(running: Running) -> Iterator[Workers]:
     """Yield the workers that `running` asks for."""
     if running.dask is None:
-        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or _cores())
+        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or cores())
         return
     from contactqp.study.running.workers import cluster
 
     with cluster(running.dask) as workers:
         yield workers
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
