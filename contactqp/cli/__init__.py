@@ -28,7 +28,14 @@ from contactqp.cli.output import (
     speakers,
 )
 from contactqp.cli.solving import run_command
-from contactqp.cli.surveying import cases_command, gallery_command, methods_command, report_command
+from contactqp.cli.surveying import (
+    cases_command,
+    gallery_command,
+    init_command,
+    methods_command,
+    report_command,
+    schema_command,
+)
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, StartWarning, Unsupported
 
 # Seconds after which a Ctrl-C that was ignored is repeated.
@@ -48,6 +55,8 @@ for _command in (
     oracle_command,
     methods_command,
     cases_command,
+    init_command,
+    schema_command,
     report_command,
     gallery_command,
 ):

@@ -1,9 +1,11 @@
-"""Commands on many methods, cases or problems: methods, cases, report, gallery."""
+"""Commands on many methods, cases or problems, and on case files: methods, cases, init, schema, report, gallery."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -68,6 +70,34 @@ def cases_command(words: tuple[str, ...], as_json: bool) -> None:
     for case in found:
         table.add_row(case.name, escape(case.title))
     console().print(table)
+
+
+@click.command("init")
+@click.argument("file", default="case.toml")
+def init_command(file: str) -> None:
+    """Write a first case with comments to FILE, case.toml by default; a file that is there stays as it is."""
+    from contactqp.scene.shipped import first_case
+
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InvalidProblem(f"{file}: expected a name that ends in .toml")
+    try:
+        with path.open("x", encoding="utf-8") as new:
+            new.write(first_case(file))
+    except FileExistsError:
+        raise InvalidProblem(f"{file}: expected a name that is free, and a file is there") from None
+    click.echo(f"written: {file}; contactqp run {shlex.quote(file)}")
+
+
+@click.command("schema")
+def schema_command() -> None:
+    """Print the JSON schema of case files, by which editors check and complete their keys and quantities.
+
+    With Taplo or the extension Even Better TOML, the first line of a case file names it: `#:schema ./case.schema.json`.
+    """
+    from contactqp.scene.schema import case_schema
+
+    print_json(case_schema())
 
 
 @click.command("report")

@@ -19,7 +19,6 @@ from contactqp.exchange.answer_reader import (
     AnswerFile,
     AnswerReader,
     answer_of_names,
-    axis_called,
     names_of,
     part_called,
     places,
@@ -32,6 +31,7 @@ from contactqp.exchange.numpy_files import NUMPY, ZIP
 from contactqp.exchange.refusal import Ledger, Path, is_number, read_bytes, wrong
 from contactqp.exchange.tables import HEAD, Table, begins_with, is_table, read_tables
 from contactqp.model.problem import ContactProblem
+from contactqp.model.unknown_names import axis_called
 
 # Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
 #

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.answer_json import load_json
-from contactqp.exchange.answer_reader import plain_name
 from contactqp.exchange.matrix_files import companions, read_matrix, reader_of, stiffness_suffixes
 from contactqp.exchange.numpy_files import is_sparse, read_npz, real, sparse_matrix
 from contactqp.exchange.problem_writing import (
@@ -43,6 +42,7 @@ from contactqp.exchange.tables import (
     read_tie_rows,
 )
 from contactqp.model.problem import ContactProblem
+from contactqp.model.unknown_names import plain_name
 
 # A problem in one .npz file: arrays called stiffness (K), load (f), normal (E_N), gap (g), ..., dense or sparse.
 #

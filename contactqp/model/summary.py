@@ -12,6 +12,7 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.unknown_names import plain_name
 
 # Rows of a table, at most; of more the largest are shown.
 MOST = 10
@@ -194,7 +195,7 @@ def local_summary(solution: Any) -> str:
 
 
 def value_at(values: Vector, name: str | int, name_of: Callable[[int], str], what: str) -> float:
-    """Return the value that is called by a name, or by its number.
+    """Return the value that is called by a name, also as other codes spell it (``2.UX`` for ``2.x``), or its number.
 
     Raises
     ------
@@ -208,5 +209,9 @@ def value_at(values: Vector, name: str | int, name_of: Callable[[int], str], wha
     names = [name_of(i) for i in range(len(values))]
     if isinstance(name, str) and name in names:
         return float(values[names.index(name)])
+    meant = plain_name(name) if isinstance(name, str) else None
+    same = [i for i, other in enumerate(names) if meant is not None and plain_name(other) == meant]
+    if len(same) == 1:
+        return float(values[same[0]])
     near = get_close_matches(str(name), names, n=3) or names[:3]
     raise InvalidProblem(f"no {what} is called {name!r}; nearest: {', '.join(near) or 'there is none'}")

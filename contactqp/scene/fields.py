@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Annotated, Any, Self, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema
 
 from contactqp.errors import SceneError
 from contactqp.scene.units import KINDS, NotANumber, Quantity, describe, read_number, read_quantity
@@ -49,8 +49,20 @@ def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: S
             raise ValueError(f"{key}: a {kind} has no such key; its own: {own}")
 
 
-def _reader(kind: str, roots: bool = False) -> Callable[[Any], Quantity]:
-    return lambda value: read_quantity(value, [KINDS[kind]], roots=roots)
+# What a schema can say of a number in a text: it begins like one, as 12, -1.5e3, 5/7 or sqrt(2).
+_BEGINS_AS_NUMBER = r"^\s*[-+]?(\d|\.\d|sqrt)"
+
+
+def _quantity(*kinds: str, roots: bool = False) -> tuple[PlainValidator, WithJsonSchema]:
+    """Return the reader of a quantity of one of these kinds, and what a schema says of it."""
+    allowed = [KINDS[kind] for kind in kinds]
+    schema: dict[str, Any] = {
+        "type": ["string", "number"] if "number" in kinds else "string",
+        "pattern": _BEGINS_AS_NUMBER,
+        "description": " or ".join(f'{kind.article} such as "{kind.example}"' for kind in allowed),
+        "examples": [kind.example for kind in allowed],
+    }
+    return PlainValidator(lambda value: read_quantity(value, allowed, roots=roots)), WithJsonSchema(schema)
 
 
 def _number(value: Any) -> Fraction:
@@ -95,40 +107,45 @@ def _plain_name(owner: str, part: str) -> Callable[[Any], str]:
     return read
 
 
-Name = Annotated[str, PlainValidator(_name)]
-NodeName = Annotated[str, PlainValidator(_plain_name("node", "node.axis names an unknown"))]
+_NAME = WithJsonSchema({"type": "string", "description": "a name in quotes"})
+Name = Annotated[str, PlainValidator(_name), _NAME]
+NodeName = Annotated[str, PlainValidator(_plain_name("node", "node.axis names an unknown")), _NAME]
 TwoNames = Annotated[tuple[Name, ...], Field(min_length=2, max_length=2)]
-BodyName = Annotated[str, PlainValidator(_plain_name("body", "body.side names a side"))]
-Number = Annotated[Fraction, PlainValidator(_number)]
+BodyName = Annotated[str, PlainValidator(_plain_name("body", "body.side names a side")), _NAME]
+Number = Annotated[
+    Fraction,
+    PlainValidator(_number),
+    WithJsonSchema({"type": ["number", "string"], "pattern": _BEGINS_AS_NUMBER, "examples": [0.3, "5/7"]}),
+]
 FrictionCoefficient = Annotated[Number, _must(lambda size: size >= 0, "a number that is not negative")]
-Length = Annotated[Quantity, PlainValidator(_reader("length"))]
-PositiveLength = Annotated[Quantity, PlainValidator(_reader("length")), _POSITIVE]
-NotNegativeLength = Annotated[Quantity, PlainValidator(_reader("length")), _NOT_NEGATIVE]
-Area = Annotated[Quantity, PlainValidator(_reader("area")), _POSITIVE]
-Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), _POSITIVE]
-Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), _POSITIVE]
-Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), _POSITIVE]
-Tension = Annotated[Quantity, PlainValidator(_reader("tension")), _POSITIVE]
-KnobStiffness = Annotated[Quantity, PlainValidator(_reader("stiffness"))]  # the method says what it accepts
-Mass = Annotated[Quantity, PlainValidator(_reader("mass")), _POSITIVE]
-Density = Annotated[Quantity, PlainValidator(_reader("density")), _NOT_NEGATIVE]
+Length = Annotated[Quantity, *_quantity("length")]
+PositiveLength = Annotated[Quantity, *_quantity("length"), _POSITIVE]
+NotNegativeLength = Annotated[Quantity, *_quantity("length"), _NOT_NEGATIVE]
+Area = Annotated[Quantity, *_quantity("area"), _POSITIVE]
+Inertia = Annotated[Quantity, *_quantity("second moment of area"), _POSITIVE]
+Modulus = Annotated[Quantity, *_quantity("modulus"), _POSITIVE]
+Stiffness = Annotated[Quantity, *_quantity("stiffness"), _POSITIVE]
+Tension = Annotated[Quantity, *_quantity("tension"), _POSITIVE]
+KnobStiffness = Annotated[Quantity, *_quantity("stiffness")]  # the method says what it accepts
+Mass = Annotated[Quantity, *_quantity("mass"), _POSITIVE]
+Density = Annotated[Quantity, *_quantity("density"), _NOT_NEGATIVE]
 Poisson = Annotated[Number, _must(lambda size: -1 < size < Fraction(1, 2), "Poisson's ratio above -1 and below 0.5")]
 Grading = Annotated[Number, _must(lambda size: size >= 1, "a ratio of sizes of at least 1")]
-Pressure = Annotated[Quantity, PlainValidator(_reader("pressure"))]
-PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), _POSITIVE]
-PureForce = Annotated[Quantity, PlainValidator(_reader("force"))]
-Acceleration = Annotated[Quantity, PlainValidator(_reader("acceleration"))]
-Force = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["force"], KINDS["moment"]]))]
-Factor = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["number"], KINDS["length"]]))]
-TieValue = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["length"], KINDS["angle"]]))]
+Pressure = Annotated[Quantity, *_quantity("pressure")]
+PositiveForce = Annotated[Quantity, *_quantity("force"), _POSITIVE]
+PureForce = Annotated[Quantity, *_quantity("force")]
+Acceleration = Annotated[Quantity, *_quantity("acceleration")]
+Force = Annotated[Quantity, *_quantity("force", "moment")]
+Factor = Annotated[Quantity, *_quantity("number", "length")]
+TieValue = Annotated[Quantity, *_quantity("length", "angle")]
 # Times in which a wave crosses an element are roots.
-Time = Annotated[Quantity, PlainValidator(_reader("time", roots=True))]
+Time = Annotated[Quantity, *_quantity("time", roots=True)]
 PositiveTime = Annotated[Time, _POSITIVE]
-Velocity = Annotated[Quantity, PlainValidator(_reader("velocity"))]
+Velocity = Annotated[Quantity, *_quantity("velocity")]
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
 LineForces = Annotated[
-    tuple[Annotated[Quantity, PlainValidator(_reader("force per length"))], ...], Field(min_length=2, max_length=3)
+    tuple[Annotated[Quantity, *_quantity("force per length")], ...], Field(min_length=2, max_length=3)
 ]
 Tractions = Annotated[tuple[Pressure, ...], Field(min_length=2, max_length=3)]
 Velocities = Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=3)]

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from math import ceil
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
@@ -350,3 +350,9 @@ class SceneData(Frame):
     def obstacle(self, name: str) -> Obstacle:
         """Return the obstacle of that name."""
         return next(obstacle for obstacle in self.obstacles if obstacle.name == name)
+
+
+def case_schema() -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of case files; blocks that were registered are in it."""
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return head | SceneData.model_json_schema() | {"title": "A case of contactqp"}

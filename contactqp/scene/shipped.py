@@ -69,6 +69,12 @@ def case_path(named: str | Path) -> Path:
     return next((file for file in shipped_files() if file.stem == path.stem), path)
 
 
+def first_case(name: str) -> str:
+    """Return the text of the commented case that `contactqp init` writes to a file of that name."""
+    text = (Path(__file__).parent / "first_case.toml").read_text(encoding="utf-8")
+    return text.replace("{name}", name, 1)
+
+
 def nearest_names(named: str | Path) -> list[str]:
     """Return the names of shipped cases that a name may mean."""
     return difflib.get_close_matches(Path(named).stem, [file.stem for file in shipped_files()], n=3)

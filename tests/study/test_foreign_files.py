@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
-from contactqp.exchange.answer_reader import axis_called, plain_name
+from contactqp.model.unknown_names import axis_called, plain_name
 from tests.cli.test_cli import CASES, run
 
 NAMES = ("1.x", "1.y", "2.x")
@@ -61,6 +61,7 @@ def test_directions_by_all_their_names():
     assert {axis_called(name) for name in ("rotz", "6", "UR3", "rz", "ROTZ")} == {"rotz"}
     assert [axis_called(name) for name in ("", "0", "7", "temp", "u", "xx")] == [None] * 6
     assert plain_name("12.UX") == plain_name("12.1") == "12.x"
+    assert plain_name("12.ROTZ") == plain_name("12.UR3") == plain_name("12.6") == plain_name("12.theta")
     assert plain_name("tip") is None
     assert plain_name(".x") is None
 
