@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from docs.generating.case_gallery import gallery
 from docs.generating.case_keys import case_keys
 from docs.generating.command_line import command_line
 from docs.generating.errata import errata
@@ -13,6 +14,7 @@ from docs.generating.what_is_measured import what_is_measured
 
 DOCS = Path(__file__).parent.parent
 PARTS: Mapping[Path, Callable[[], str]] = {
+    DOCS / "cases.md": gallery,
     DOCS / "case_keys.md": case_keys,
     DOCS / "command_line.md": command_line,
     DOCS / "errata.md": errata,

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 from contactqp.cli import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET, command
 from contactqp.scene.claims import QUANTITIES
+from contactqp.scene.scene import load_scene
+from contactqp.scene.schema import PHYSICS
+from contactqp.scene.shipped import shipped_files
+from docs.generating.case_gallery import PICTURES, picture
 from docs.generating.case_keys import blocks
 from docs.generating.errata import held, listed
 from docs.generating.parts import DOCS, PARTS, with_part
@@ -44,6 +50,34 @@ def test_every_key_of_every_block_is_there() -> None:
     keys = {key for block in blocks() for key in block.model_fields}
     assert {key for key in keys if f"| `{key}` |" not in text} == set()
     assert [name for name in QUANTITIES if f"| `{name}` |" not in text] == []
+
+
+def test_every_case_is_in_the_gallery_with_a_picture() -> None:
+    text = (DOCS / "cases.md").read_text(encoding="utf-8")
+    names = {file.stem for file in shipped_files()}
+    assert set(re.findall(r"`contactqp run (\w+)` solves it", text)) == names
+    assert {file.stem for file in PICTURES.glob("*.png")} == names
+    assert set(re.findall(r"\]\(static/cases/(\w+)\.png\)", text)) == names
+    assert re.findall(r"^## (.+)$", text, re.MULTILINE) == [physics.capitalize() for physics in PHYSICS]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "truss_floor",
+        "string_over_floor",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("hertz_line", "bar_impact")),
+    ],
+)
+def test_a_picture_of_the_gallery_is_what_is_drawn_now(name: str) -> None:
+    """But for letters and antialiasing. Otherwise: python -m docs.generating.case_gallery NAME."""
+    image = pytest.importorskip("PIL.Image")
+    pytest.importorskip("matplotlib")
+    (file,) = (file for file in shipped_files() if file.stem == name)
+    with image.open(PICTURES / f"{name}.png") as kept, image.open(io.BytesIO(picture(load_scene(file)))) as drawn:
+        assert abs(np.subtract(kept.size, drawn.size)).max() <= 8
+        both = [np.asarray(one.convert("L").resize((60, 45)), dtype=float) for one in (kept, drawn)]
+    assert abs(both[0] - both[1]).mean() < 6  # of 255
 
 
 def test_links_to_blocks_lead_to_their_headings() -> None:
