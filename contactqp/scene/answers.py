@@ -22,9 +22,9 @@ from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
 from contactqp.model.solution import Solution
 from contactqp.scene import building
-from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.claims import Claim, uniqueness_in_words
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import SceneData
 
 if TYPE_CHECKING:

@@ -416,9 +416,9 @@ def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:
-    """Return whether all that is named is case files by their suffix, or a case on standard input."""
+    """Return whether all that is named is case files by their suffix or their shipped names, or on standard input."""
     return all(
-        argument == STANDARD_INPUT or (Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir())
+        argument == STANDARD_INPUT or (case_path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir())
         for argument in arguments
     )
 

@@ -19,7 +19,6 @@ from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
 from contactqp.scene.answers import friction_along_axes
-from contactqp.scene.body_answers import motions_in_words, summaries, summary_data
 from contactqp.scene.building import NodeModel
 from contactqp.scene.judging import Comparison, Failure, Judgement
 from contactqp.scene.schema import SceneData
@@ -94,6 +93,8 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
     if not isinstance(judgement.model, NodeModel):
+        from contactqp.scene.body_answers import summaries
+
         for header, table in summaries(judgement.model, solution):
             cells = [[c if isinstance(c, str) else written(c) for c in row] for row in table]
             print_table(console, header, cells, most=most)
@@ -122,10 +123,17 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
     _print_comparisons(console, [judgement], [], unmet_alone=claims > most)
     if claims > most:
         console.print(f"what the case claims: {met_in_words([judgement])} (--verbose lists all)")
-    model = judgement.model
-    free = map(str, solution.free_motions) if isinstance(model, NodeModel) else motions_in_words(model, solution)
-    for motion in free:
+    for motion in _free_motions(judgement):
         console.print(escape(f"free to move: {motion}"))
+
+
+def _free_motions(judgement: Judgement) -> Iterable[str]:
+    model, solution = judgement.model, judgement.solution
+    if isinstance(model, NodeModel):
+        return map(str, solution.free_motions)
+    from contactqp.scene.body_answers import motions_in_words
+
+    return motions_in_words(model, solution)
 
 
 def _print_largest(
@@ -403,7 +411,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "basis": certificate.basis,
             "failures": [str(failure) for failure in certificate.failures],
         },
-        **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
+        **_body_data(judgement),
         **_friction_data(judgement),
         **_energy_data(judgement),
         **large_data(judgement.history),
@@ -411,6 +419,14 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],
     }
+
+
+def _body_data(judgement: Judgement) -> dict[str, Any]:
+    if isinstance(judgement.model, NodeModel):
+        return {}
+    from contactqp.scene.body_answers import summary_data
+
+    return summary_data(judgement.model, judgement.solution)
 
 
 def _friction_data(judgement: Judgement) -> dict[str, Any]:

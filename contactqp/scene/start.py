@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactqp.elements.start import DEEP, doubt_of_points
 from contactqp.errors import StartWarning
-from contactqp.scene.body_geometry import obstacle
+from contactqp.scene.obstacles import obstacle
 
 if TYPE_CHECKING:
     from contactqp.model.arrays import Array
@@ -28,6 +27,8 @@ def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
     """Warn of contacts of nodes, whose initial gaps are these [length]."""
     if not len(gaps) or np.min(gaps) >= 0:
         return
+    from contactqp.elements.start import DEEP, doubt_of_points
+
     points = {node: np.array(scene.point(node), dtype=float) for node in scene.every_node}
     size = float(np.ptp(np.array(list(points.values())), axis=0).max())
     for contact, gap in zip(scene.contacts, gaps.tolist(), strict=True):

@@ -28,9 +28,9 @@ from contactqp.pictures.solution_drawing import solution_figure
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
-from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import exact_problem
 from contactqp.scene.judging import Failure, Judgement, Trial
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.scene import load_scene
 from contactqp.scene.schema import SceneData
 
