@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from contactqp.elements.energies.springs import PlasticHinge as PlasticHinge
     from contactqp.elements.energies.springs import Spring as Spring
     from contactqp.elements.energies.springs import Strut as Strut
+    from contactqp.elements.loads import Gravity as Gravity
+    from contactqp.elements.loads import PointLoad as PointLoad
+    from contactqp.elements.loads import Pressure as Pressure
+    from contactqp.elements.loads import Traction as Traction
     from contactqp.elements.material import Material as Material
     from contactqp.elements.mesh import Mesh as Mesh
     from contactqp.elements.mesh_files import read_mesh as read_mesh
@@ -59,6 +63,7 @@ if TYPE_CHECKING:
     from contactqp.elements.solid import Body as Body
     from contactqp.elements.structure import Structure as Structure
     from contactqp.elements.structure import Support as Support
+    from contactqp.elements.structure import System as System
     from contactqp.elements.surface import Surface as Surface
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
@@ -130,6 +135,7 @@ _HOME = {
     "ExactSolution": "oracle.exact.exact_solution",
     "Finding": "oracle.diagnosis.evidence",
     "GlobalProblem": "model.global_problem",
+    "Gravity": "elements.loads",
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "JudgedAnswer": "oracle.judged_answer",
@@ -151,6 +157,8 @@ _HOME = {
     "PartState": "elements.energies.constrained_energy",
     "Plane": "elements.obstacle",
     "PlasticHinge": "elements.energies.springs",
+    "PointLoad": "elements.loads",
+    "Pressure": "elements.loads",
     "Scene": "scene.scene",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
@@ -158,13 +166,15 @@ _HOME = {
     "Solution": "model.solution",
     "Sphere": "elements.round_obstacle",
     "Spring": "elements.energies.springs",
+    "StartWarning": "errors",
     "Structure": "elements.structure",
     "Strut": "elements.energies.springs",
     "Support": "elements.structure",
     "Supported": "elements.deformable",
     "Surface": "elements.surface",
-    "StartWarning": "errors",
+    "System": "elements.structure",
     "TimeStepWarning": "errors",
+    "Traction": "elements.loads",
     "Units": "model.problem",
     "Unsupported": "errors",
     "UpdatedTruss": "elements.nonlinear_truss",

@@ -117,7 +117,7 @@ def objects() -> dict[str, Any]:
             cq.Paraboloid([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], 1.0),
             cq.SignedDistance(from_floor, 2),
         ),
-        "bodies": (free, cq.UpdatedTruss(arch), solid(), block(), cq.Support("block", "top", 0, 0.0)),
+        "bodies": (free, cq.UpdatedTruss(arch), solid(), block(), cq.Support("block", "top", 0, 0.0), *loads()),
         "contacts": cq.ContactGroup([floor]),
         "errors": tuple(example(kind) for kind in sorted(errors(), key=lambda kind: kind.__name__)),
     }
@@ -126,6 +126,16 @@ def objects() -> dict[str, Any]:
 def block() -> cq.Structure:
     steel = cq.Material(1.0, poisson=0.0)
     return cq.Structure([cq.Body(cq.rectangle(1.0, 1.0, (1, 1)), steel, "plane-strain", name="block")])
+
+
+def loads() -> tuple[Any, ...]:
+    """One of every kind, and the system that they act on."""
+    acting = (
+        cq.Traction("block", "top", [0.0, -1.0]),
+        cq.Pressure("block", "top", 1.0),
+        cq.PointLoad("block", "top", [0.0, -1.0]),
+    )
+    return (*acting, cq.Gravity("block", [0.0, -10.0]), block().assemble([cq.Support("block", "bottom", 1)], acting))
 
 
 def solid() -> cq.NonlinearSolid:

@@ -180,7 +180,7 @@ class History(ReadOnly, Sequence[Solution]):
 
     def summary(self) -> str:
         """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
-        return history_table(self.times, self, self.events)
+        return history_table(self.times, self, self.normal_forces, self.events, exact=self._linear)
 
     def __str__(self) -> str:
         try:

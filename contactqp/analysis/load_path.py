@@ -145,7 +145,7 @@ def _follow_steps(
         for fraction in fractions:
             solutions.go_to(fraction)
             times.append(leg + fraction)
-    return History(solutions, times, lambda: found if exactly else changes(solutions, times))
+    return History(solutions, times, lambda: found if exactly else changes(solutions, times), linear=exactly)
 
 
 class _Steps(LazySolutions):

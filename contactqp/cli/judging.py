@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 from typing import NoReturn
@@ -79,6 +80,9 @@ def check_command(
         raise InvalidProblem("check: PROBLEM and CANDIDATE are both standard input; expected a file for one of them")
     with _answer_file(candidate) as file:
         verdict = check_answer(problem, file, options)
+    if candidate == "-":
+        read = replace(verdict.ledgers[1], source=STANDARD_INPUT)
+        verdict = replace(verdict, candidate_file=STANDARD_INPUT, ledgers=(verdict.ledgers[0], read))
     if receipt is not None:
         from contactqp.study.receipt import write_receipt
 
@@ -100,12 +104,14 @@ def _verify(receipt: str, as_json: bool) -> NoReturn:
         print_json(found.data())
     else:
         word = "right" if found.right else "WRONG"
-        click.echo(
-            f"{receipt}: {'holds' if found.holds else 'DOES NOT HOLD'} (by contactqp {found.written_by}: {word})"
-        )
+        holds = "holds" if found.holds else "DOES NOT HOLD"
+        click.echo(f"{receipt}: {holds}; it says that the answer is {word}, by contactqp {found.written_by}")
         for text in found.differences:
             click.echo(f"  {text}")
     sys.exit(0 if found.holds else NOT_MET)
+
+
+STANDARD_INPUT = "standard input"
 
 
 @contextmanager

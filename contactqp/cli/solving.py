@@ -100,8 +100,8 @@ def run_command(
     data = [outcome for told in answered for outcome in told.data]
     whole = sum(told.met for told in answered)
     met = whole == len(scenes)
-    if asked.in_a_line and not as_json and speakers.speaks:
-        click.echo(f"{whole} of {len(scenes)} met (--verbose prints the answers)")
+    if asked.in_a_line and not as_json and speakers.speaks and not (quiet and met):
+        click.echo(f"{whole} of {len(scenes)} met{'' if quiet else ' (--verbose prints the answers)'}")
     if foreign:
         from contactqp.study.friction_files import run_files
 

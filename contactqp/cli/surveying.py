@@ -63,7 +63,8 @@ def cases_command(words: tuple[str, ...], as_json: bool) -> None:
         print_json([{"name": case.name, "title": case.title, "file": str(case.file)} for case in found])
         return
     if not found:
-        raise InvalidProblem(f"cases: expected words that some case has, got {' '.join(words)!r}")
+        alone = ", ".join(f"{word!r} {len(shipped_cases((word,)))}" for word in words)
+        raise InvalidProblem(f"cases: expected words that one case has together; alone stand {alone}")
     table = Table(box=box.SIMPLE, pad_edge=False)
     table.add_column("name", no_wrap=True)
     table.add_column("what it is")
@@ -91,8 +92,9 @@ def init_command(file: str) -> None:
 
 @click.command("schema")
 def schema_command() -> None:
-    """Print the JSON schema of case files, by which editors check and complete their keys and quantities.
+    """Print the JSON schema of case files, by which editors check and complete their keys.
 
+    It knows what each key takes, and that a quantity begins with a number; its unit is checked when the case is read.
     With Taplo or the extension Even Better TOML, the first line of a case file names it: `#:schema ./case.schema.json`.
     """
     from contactqp.scene.schema import case_schema

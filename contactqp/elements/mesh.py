@@ -59,6 +59,13 @@ class Mesh(ReadOnly):
         check_mesh(self.points, self.blocks, self.node_sets)
         object.__setattr__(self, "sides", self._checked(self.sides))
 
+    def __repr__(self) -> str:
+        """``Mesh(153 nodes, 128 quad4, sides bottom, left, right, top)``."""
+        elements = " and ".join(f"{len(block)} {block.kind.name}" for block in self.blocks)
+        named = (("sides", self.sides), ("node sets", self.node_sets))
+        parts = [f"{what} {', '.join(sorted(sets))}" for what, sets in named if sets]
+        return f"Mesh({', '.join([f'{len(self.points)} nodes', elements, *parts])})"
+
     @property
     def dimension(self) -> int:
         """Return d, 2 or 3."""

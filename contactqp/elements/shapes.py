@@ -22,8 +22,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import update_wrapper
-from typing import Generic, Literal, ParamSpec
+from functools import wraps
+from inspect import signature
+from typing import Any, Literal, ParamSpec, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,18 +56,27 @@ _BALL_PARTS: dict[str, tuple[Half, ...]] = {
 CORE, ROUNDNESS = 0.5, 0.5
 
 
-class Shape(Generic[P]):
+class Shape(Protocol[P]):
     """A function for a shape: called, it returns the mesh; its `lattice` is the mesh before it is made."""
 
-    def __init__(self, lattice: Callable[P, Lattice]) -> None:
-        self.lattice = lattice
-        update_wrapper(self, lattice)
+    lattice: Callable[P, Lattice]
 
     def __call__(self, *args: P.args, **options: P.kwargs) -> Mesh:
-        return self.lattice(*args, **options).mesh()
+        """Return the mesh."""
 
 
-@Shape
+def _shape(lattice: Callable[P, Lattice]) -> Shape[P]:
+    @wraps(lattice)
+    def mesh(*args: P.args, **options: P.kwargs) -> Mesh:
+        return lattice(*args, **options).mesh()
+
+    found: Any = mesh
+    found.lattice = lattice
+    found.__signature__ = signature(lattice).replace(return_annotation="Mesh")
+    return cast(Shape[P], found)
+
+
+@_shape
 def rectangle(
     width: float,
     height: float,
@@ -79,12 +89,22 @@ def rectangle(
 ) -> Lattice:
     """Mesh the rectangle from `corner`, its lowest x and y, to corner + (width, height).
 
+    Its sides are ``"left"``, ``"right"``, ``"bottom"`` and ``"top"``.
+
     Parameters
     ----------
+    width, height : float
+        Lengths along x and y [length].
     divisions : (int, int)
-        Elements along x and y; each counts for two triangles.
+        Cells along x and y.
+    kind : str
+        Kind of element: ``"quad4"``, ``"quad8"``, ``"quad9"``, or ``"tri3"``, ``"tri6"``, two of which make a cell.
+    grading : float
+        The largest over the smallest element, at least 1.
     towards : sequence of str
         The sides that elements get smaller towards; ``"middle"`` is the middle of the width.
+    corner : (float, float)
+        Lowest x and y [length].
 
     >>> mesh = rectangle(2.0, 1.0, (4, 2), "tri6")
     >>> mesh.elements, round(mesh.volume(), 12)
@@ -93,7 +113,7 @@ def rectangle(
     return _box((width, height), divisions, kind, grading, towards, corner)
 
 
-@Shape
+@_shape
 def box(
     lengths: tuple[float, float, float],
     divisions: tuple[int, int, int],
@@ -143,7 +163,7 @@ def box(
     return replace(lattice, position=crowned)
 
 
-@Shape
+@_shape
 def disc(
     radius: float,
     divisions: tuple[int, int],
@@ -171,7 +191,7 @@ def disc(
     return _round(OGrid(("full", "full"), *_pair(divisions), grading), radius, center, kind, {})
 
 
-@Shape
+@_shape
 def half_disc(
     radius: float,
     divisions: tuple[int, int],
@@ -190,7 +210,7 @@ def half_disc(
     return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
 
 
-@Shape
+@_shape
 def quarter_disc(
     radius: float,
     divisions: tuple[int, int],
@@ -210,7 +230,7 @@ def quarter_disc(
     return _round(grid, radius, center, kind, {"top": 1, "left": 0})
 
 
-@Shape
+@_shape
 def ball(
     radius: float,
     divisions: tuple[int, int],
@@ -242,7 +262,7 @@ def ball(
     return _round(OGrid(halves, *_pair(divisions), grading), radius, center, kind, cuts)
 
 
-@Shape
+@_shape
 def cylinder(
     radius: float,
     height: float,

@@ -13,6 +13,7 @@ DEEP, ROUNDING = 0.1, 1e-9
 # Cosine of the angle between the outward normals of a side and of an obstacle, from which they agree.
 AGREE = 0.5
 CURE = "the normal of an obstacle points out of it, to where the body is"
+TURN = f"{CURE}; turn it round?"
 
 
 def doubt_of_points(points: Array, gap: Array, obstacle: Obstacle, called: str, body: Array) -> str:
@@ -35,11 +36,13 @@ def doubt_of_points(points: Array, gap: Array, obstacle: Obstacle, called: str, 
     if depth <= ROUNDING * size:
         return ""
     if len(body) and float(obstacle.distance(body.mean(axis=0)[np.newaxis])[0]) < -depth:
-        return f"it starts {depth:.6g} inside {called}, and what it belongs to lies deeper still: {CURE}"
+        return (
+            f"it starts {depth:.6g} inside {called}, and the rest of its body lies deeper still: {CURE}; turn it round?"
+        )
     if depth > DEEP * size > 0:
         return (
-            f"it starts {depth:.6g} inside {called}, {100 * depth / size:.2g} % of the size of what it belongs to, and "
-            f"will be dragged out: move it or the obstacle; {CURE}"
+            f"it starts {depth:.6g} inside {called}, {100 * depth / size:.2g} % of the size of its body, and will be "
+            f"dragged out: move it or the obstacle; {CURE}"
         )
     return ""
 
@@ -56,5 +59,5 @@ def doubt_of_side(surface: Surface, gap: Array, normals: Array, obstacle: Obstac
         facets = np.any(surface.facets == nodes[worst], axis=1)
         outward = middle_normals(surface)[facets].mean(axis=0)
         if float(outward @ normals[worst]) > AGREE:
-            return f"the side and {called} face the same way: {CURE}"
+            return f"the side and {called} face the same way: {TURN}"
     return doubt_of_points(surface.points[nodes], gap, obstacle, called, surface.points)

@@ -142,6 +142,12 @@ class Structure:
     def assemble(self, supports: Sequence[Support] = (), loads: Sequence[Load] = ()) -> System:
         """Return the system of the free unknowns under these supports and loads, which all add up.
 
+        Parameters
+        ----------
+        supports : sequence of Support
+        loads : sequence of Traction, Pressure, PointLoad or Gravity
+            Or of anything with a `body` and `forces(body)`, which are nodal forces (N d,) [force].
+
         Raises
         ------
         InvalidProblem
@@ -149,7 +155,10 @@ class Structure:
             everything held.
         """
         load = np.zeros(self.size)
-        for acting in loads:
+        for i, acting in enumerate(loads):
+            if not hasattr(acting, "forces"):
+                kinds = "Traction, Pressure, PointLoad or Gravity"
+                raise InvalidProblem(f"loads[{i}]: expected a {kinds} of contactqp, got {type(acting).__name__}")
             first = self.first(acting.body)
             body = self.solid(acting.body)
             load[first : first + body.size] += acting.forces(body)

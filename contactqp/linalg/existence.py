@@ -11,7 +11,8 @@ a motion that only the rest of the cone would allow is not claimed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -474,10 +475,26 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     """A motion in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > NO_PART * np.max(abs(motion)))
+    together = _moving_together([problem.dof_name(int(j)) for j in moving], motion[moving])
+    if together:
+        return _listed(together)
     # Rounded, so that unknowns that move alike are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
     return _listed(named, len(order))
+
+
+def _moving_together(names: Sequence[str], motion: Vector) -> list[str]:
+    """Translations of whole bodies in words: ``"block along x by +1 (153 nodes)"``; nothing where nodes move apart."""
+    nodes: dict[tuple[str, str, float], int] = {}
+    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
+        found = re.fullmatch(r"(.+) node \d+ (\w+)", name)
+        if found is None:
+            return []
+        nodes[found[1], found[2], step] = nodes.get((found[1], found[2], step), 0) + 1
+    if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
+        return []
+    return [f"{body} along {axis} by {step:+.3g} ({count} nodes)" for (body, axis, step), count in nodes.items()]
 
 
 def _listed(names: list[str], count: int | None = None) -> str:

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.unknown_names import plain_name
 
 # Rows of a table, at most; of more the largest are shown.
 MOST = 10
+MOST_INSTANTS = 12
 # Gaps below this part of the lengths that meet are the rounding of zero.
 ROUNDING = 1e-14
 # Characters of a line of text.
@@ -157,12 +158,22 @@ def wrapped(text: str) -> list[str]:
 
 
 @own_floating_point
-def history_table(times: Vector, solutions: Sequence[Any], events: Sequence[Any]) -> str:
-    """Return instants of a history, evenly chosen, with their largest forces, and its events."""
+def history_table(
+    times: Vector, solutions: Sequence[Any], normal_forces: Array, events: Sequence[Any], exact: bool = False
+) -> str:
+    """Return instants of a history with their largest forces, and its events.
+
+    Of many instants some are shown, evenly chosen, and that of the largest force. Where events are not `exact` they are
+    told at the first instant that has them.
+    """
     force = _named("largest force", solutions[0].problem.units.force)
-    chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), MOST)).round().astype(int))
+    chosen = np.arange(len(times))
+    if len(times) > MOST_INSTANTS:
+        evenly = np.linspace(0, len(times) - 1, MOST_INSTANTS - 1).round().astype(int)
+        largest = int(np.argmax(np.max(normal_forces, axis=1, initial=0.0)))
+        chosen = np.unique([*evenly, largest])
     rows = []
-    for k in chosen:
+    for k in chosen.tolist():
         status = solutions[k].contact_status
         pushed = solutions[k].normal_force
         at = int(np.argmax(pushed)) if len(pushed) else -1
@@ -171,7 +182,10 @@ def history_table(times: Vector, solutions: Sequence[Any], events: Sequence[Any]
         rows.append((number(times[k]), str(closed), number(np.max(pushed, initial=0.0)), name))
     told = [f"{event.name or event.contact} {event.kind} at {number(event.time)}" for event in events[:MOST]]
     more = [f"and {len(events) - MOST} events more"] if len(events) > MOST else []
-    title = f"{len(times)} instants, {len(events)} events"
+    shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"
+    title = f"{len(times)} instants{shown}; {len(events)} event{'' if len(events) == 1 else 's'}"
+    if events and not exact:
+        title += ", each told at the first instant that has it"
     table = Table(title, ("time", "closed", force, "at"), tuple(rows)).text()
     return "\n".join([table, *(f"  {text}" for text in (*told, *more))])
 

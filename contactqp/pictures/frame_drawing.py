@@ -119,6 +119,10 @@ LINES: dict[str, dict[str, Any]] = {
 # Line of kinds of elements that are not listed.
 OTHER_LINE: dict[str, Any] = dict(color="#CC79A7", linewidth=1.6)
 GROUNDED = "spring to the ground"
+# Nodes that are held along all axes, and along some: across the axis lies the line that the node may move along.
+SUPPORT: dict[str, Any] = dict(color="black", linestyle="none", marker="^", markersize=9, fillstyle="none")
+HELD_ALONG: dict[str, Any] = dict(color="0.45", linestyle="none", markersize=7)
+ALONG = ("|", "_", "x")  # x, the second axis, the third
 # Contacts that the legend lists at most, and names of nodes that are shown at most.
 MOST_CONTACTS, MOST_NAMES = 12, 24
 # Arrows of loads, of which more would overlap.
@@ -236,12 +240,16 @@ def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> l
         axes.plot(*_joined(np.stack([start, end], axis=1)).T, color=style.UNDEFORMED, linewidth=0.5)
     if len(fields.nodes) <= MOST_NAMES:
         _draw_names(axes, fields.nodes, start, CLOSE * below / BELOW)
-    supported = end[fields.held.any(axis=1)]
-    if not len(supported):
-        return []
-    look: dict[str, Any] = dict(color="black", linestyle="none", marker="^", markersize=9, fillstyle="none")
-    axes.plot(*supported.T, gid="support", **look)
-    return [style.line_handle("support", **look)]
+    handles = []
+    held = {"support": fields.held.all(axis=1)}
+    for axis, along in zip(fields.axes, fields.held.T, strict=True):
+        held[f"held along {axis}"] = along & ~held["support"]
+    for name, nodes in held.items():
+        if np.any(nodes):
+            look = SUPPORT if name == "support" else HELD_ALONG | dict(marker=ALONG[fields.axes.index(name[-1])])
+            axes.plot(*end[nodes].T, gid=name, **look)
+            handles.append(style.line_handle(name, **look))
+    return handles
 
 
 def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) -> None:

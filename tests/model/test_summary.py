@@ -77,10 +77,25 @@ def test_numbers_are_had_by_name() -> None:
 def test_a_history_prints_its_instants_and_events() -> None:
     history = cq.follow_path(TRUSS, [TRUSS.load], events="exact")
     lines = str(history).splitlines()
-    assert lines[0] == f"{len(history)} instants, 1 events"
+    assert lines[0] == f"{len(history)} instants; 1 event"
     assert lines[1].split() == ["time", "closed", "largest", "force", "[kN]", "at"]
     assert lines[-2].split() == ["1", "1", "30.255", "floor"]
     assert lines[-1].startswith("  floor closed at 0.7")
+
+
+def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_not_passed_off_as_all() -> None:
+    """Pressed hardest at the 20th of 30 steps, which no even choice of twelve has."""
+    peak = [*np.linspace(0.0, 1.0, 21)[1:], *np.linspace(1.0, 0.5, 11)[1:]]
+    history = cq.follow_path(TRUSS, [size * TRUSS.load for size in peak], steps=1)
+    lines = str(history).splitlines()
+    shown = [line.split() for line in lines[2:] if line.strip()[0].isdigit()]
+    assert lines[0].startswith(f"{len(history)} instants, {len(shown)} shown, that of the largest force among them; ")
+    assert lines[0].endswith("each told at the first instant that has it")
+    largest = np.max(history.normal_forces)
+    assert f"{largest:.6g}" in {row[2] for row in shown}
+    few = cq.follow_path(TRUSS, [TRUSS.load], steps=11)
+    assert len(few) == 12
+    assert str(few).count("\n") >= 12
 
 
 @pytest.mark.parametrize(

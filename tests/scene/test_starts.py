@@ -16,7 +16,7 @@ from contactqp.elements.shapes import disc
 from contactqp.elements.surface import Surface
 from tests.shipped_cases import SCENES
 
-LIES_DEEPER, SAME_WAY, DRAGGED = "lies deeper still", "face the same way", "will be dragged out"
+LIES_DEEPER, SAME_WAY, DRAGGED = "the rest of its body lies deeper still", "face the same way", "will be dragged out"
 
 
 def doubts_of(make: Any) -> list[str]:

@@ -47,7 +47,8 @@ def test_a_receipt_holds_wherever_its_folder_is(capsys: Any, folder: Path, answe
     moved = folder.rename(folder.parent / "elsewhere")
     code, out, err = run(capsys, "check", "--verify", moved / "receipt.json")
     assert (code, err) == (0, "")
-    assert out == f"{moved / 'receipt.json'}: holds (by contactqp {data['contactqp']}: {word})\n"
+    said = f"holds; it says that the answer is {word}, by contactqp {data['contactqp']}"
+    assert out == f"{moved / 'receipt.json'}: {said}\n"
 
 
 def _longer(folder: Path, _: dict[str, Any]) -> None:
