@@ -45,11 +45,13 @@ from contactqp.linalg.measures import (
     contact_entries,
     force_measure,
     forces_that_count,
+    hardly_felt,
     intrinsic_size,
     nothing,
     outer_forces,
     ratio,
     row_sizes,
+    slips_that_are_nothing,
     vector_measure,
     without_rigid_part,
 )
@@ -218,7 +220,7 @@ def violations(
     """
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
-    none = nothing(problem, answer, elastic, size, rounding)
+    none = slips_that_are_nothing(nothing(problem, answer, elastic, size, rounding), *_compliances(problem))
     inner = problem.stiffness_sizes @ abs(elastic)
     F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
     return figures(
@@ -257,7 +259,23 @@ def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
     rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
-    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along))
+    hardly = hardly_felt(*_compliances(problem))
+    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+
+
+def _compliances(problem: ContactProblem) -> tuple[Vector, Array]:
+    """Those of the normal rows (m,) and of the tangential ones (m, d-1), infinite where one acts on no stiffness."""
+    normal = row_sizes(problem, problem.normal).compliance
+    if problem.tangent is None or problem.slip_origin is None:
+        return normal, np.zeros((problem.contacts, 0))
+    tangent = row_sizes(problem, problem.tangent).compliance
+    return normal, bare_infinite(problem.tangent, tangent, problem.diagonal).reshape(problem.slip_origin.shape)
+
+
+def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
+    """The compliances of rows, infinite where they act on an unknown without stiffness."""
+    bare = abs(rows) @ (diagonal == 0).astype(float) > 0
+    return np.asarray(np.where(bare, np.inf, compliance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +291,14 @@ class Felt:
         return vector_measure(self.entries, force, self.meeting, self.nothing)
 
 
-def friction_measure(across: Felt, along: Felt) -> Callable[[Array], Vector]:
+def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Callable[[Array], Vector]:
     """The measure (m,) of tangential forces (m, d-1): what the unknowns feel of them.
 
     Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
-    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too.
+    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too; so are
+    those of contacts that have a row which is `hardly` felt (m,).
     """
-    felt = tangential_force(across.entries, across.meeting)[1]
+    felt = tangential_force(across.entries, across.meeting)[1] & ~hardly
 
     def measure(force: Array) -> Vector:
         own = across.measure(force)

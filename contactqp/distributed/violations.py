@@ -12,6 +12,7 @@ from contactqp.certificate.figures import (
     Felt,
     Rubbing,
     Sizes,
+    bare_infinite,
     figures,
     friction_measure,
     law_residual,
@@ -29,10 +30,12 @@ from contactqp.linalg.measures import (
     RowSizes,
     entries_of,
     force_measure,
+    hardly_felt,
     imposed,
     sizes_of,
+    slips_that_are_nothing,
 )
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
 
@@ -56,7 +59,7 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
     elastic = without_rigid_part(problem, bodies, u)
     F = problem.product_sizes(abs(elastic)) + outer_forces(problem, answer)
     size = intrinsic_size(problem, answer, elastic)
-    none = _nothing(problem, u, elastic, size, rounding)
+    none = slips_that_are_nothing(_nothing(problem, u, elastic, size, rounding), *_compliances(problem))
     residuals = (
         outer_resultant(problem, answer) - problem.product(u),
         problem.gap - normal.lengths(u),
@@ -174,4 +177,15 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
         for rows in (tangent, problem.normal)
     )
     rounding = rounded_slips(tangent.sizes, near, origin)
-    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along))
+    hardly = hardly_felt(*_compliances(problem))
+    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+
+
+def _compliances(problem: DistributedProblem) -> tuple[Vector, Array]:
+    """Return what `contactqp.certificate.figures` does of this rank's contacts. Collective."""
+    normal = row_sizes(problem, problem.normal).compliance
+    if problem.tangent is None or problem.slip_origin is None:
+        return normal, np.zeros((problem.contacts, 0))
+    rows = problem.tangent
+    found = bare_infinite(rows.entries, row_sizes(problem, rows).compliance, rows.at_touched(problem.diagonal))
+    return normal, found.reshape(problem.slip_origin.shape)

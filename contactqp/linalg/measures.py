@@ -22,7 +22,7 @@ What is excused is in the residuals that the bounds are made of, so it hides no 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -456,6 +456,28 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
     measure = np.zeros(rows.shape[0])
     np.maximum.at(measure, row, ratio(acting, meeting[rows.indices]))
     return measure
+
+
+# Tangential rows of which this part of the normal row's compliance is left are the rounding of zero.
+WEAK = 1e-16
+
+
+def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
+    """Which contacts have a tangential row that is rounding beside their normal one, or zero, (m,).
+
+    `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; nothing is
+    told of unknowns without stiffness.
+    """
+    return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
+
+
+def slips_that_are_nothing(none: Nothing, normal: Vector, tangent: Array) -> Nothing:
+    """What is nothing, with the length of its normal row for the slip of a contact that is `hardly_felt`."""
+    if not none.tangent.size:
+        return none
+    lengths_ = none.tangent.reshape(tangent.shape)
+    along = np.maximum(lengths_, none.normal[:, None])
+    return replace(none, tangent=np.where(hardly_felt(normal, tangent)[:, None], along, lengths_).ravel())
 
 
 def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:

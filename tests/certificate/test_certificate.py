@@ -416,6 +416,28 @@ def test_friction_along_what_no_unknown_feels_counts_in_the_cone(tangent: list[l
     assert beyond.cone > 1.0  # though the excess along what is felt is half of the load there
 
 
+@pytest.mark.parametrize("weak", [0.0, np.cos(np.pi / 2), 1e-13, 1e-10])
+def test_a_tangential_row_that_is_rounding_is_none(weak: float) -> None:
+    """A node whose tangent is (cos 90 deg, 1) in a mesh where the second direction is held."""
+    K = np.array([[3.0, -1.0, -1.0], [-1.0, 3.0, -1.0], [-1.0, -1.0, 3.0]])
+    u, normal, tangent = np.array([0.0, 0.1, -0.2]), np.array([[-1.0, 0.0, 0.0]]), np.array([[weak, 0.0, 0.0]])
+    for rub, passes in ((1.5, True), (-1.5, True), (1.6, False), (1e3, False), (1e5, False)):
+        load = K @ u + normal[0] * 5.0 + tangent[0] * rub
+        problem = cq.ContactProblem(K, load, normal, [0.0], tangent=tangent, friction=[0.3])
+        assert cq.certify(problem, u, [5.0], [[rub]]).passed is passes, rub
+
+
+@pytest.mark.parametrize(("origin", "passes"), [(1e-17, True), (-1e-13, True), (1e-3, False)])
+@pytest.mark.parametrize("length", [1.0, 1e-20, 1e20])
+def test_a_slip_of_rounding_where_a_node_is_held_across_turns_no_friction(
+    origin: float, passes: bool, length: float
+) -> None:
+    problem = cq.ContactProblem(
+        [[1.0 / length]], [5.0], [[1.0]], [0.0], tangent=[[0.0]], friction=[0.3], slip_origin=[[origin * length]]
+    )
+    assert cq.certify(problem, [0.0], [5.0], [[1.0]]).passed is passes
+
+
 def test_friction_where_nothing_touches_and_nothing_moves_is_refused() -> None:
     problem = cq.ContactProblem([[10.0]], [5.0], [[1.0]], [np.inf], tangent=[[0.0]], friction=[0.3])
     assert cq.certify(problem, [0.5], [0.0], [[0.0]]).passed

@@ -424,3 +424,17 @@ def test_where_clarabel_is_missing_the_others_are_tried(monkeypatch: pytest.Monk
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "clarabel" else find(name, *a))
     slides = cq.LocalProblem(delassus=np.diag([2.0, 1.0, 1.0]), offset=[-2.0, 5.0, 0.0], friction=0.5, dimension=3)
     np.testing.assert_allclose(cq.solve(slides).force, [[1.0, -0.5, 0.0]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("huge", [1e290, 1e300, 1e306, 1.7e308])
+def test_forces_whose_figures_leave_the_doubles_are_refused(huge: float) -> None:
+    """The natural map is not a number there; that is no figure that passes."""
+    W = np.diag([2.0, 1.0, 2.0, 1.0])
+    W[0, 1] = W[1, 0] = 0.3
+    problem = cq.LocalProblem(delassus=W, offset=[-1.0, 0.2, -1.0, 0.1], friction=[0.3, 0.3], dimension=2)
+    force = cq.solve(problem).force.copy()
+    assert cq.certify_local(problem, force).passed
+    force[0] = [huge, 0.0]
+    judged = cq.certify_local(problem, force)
+    assert not judged.passed
+    assert judged.failures
