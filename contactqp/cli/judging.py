@@ -67,8 +67,9 @@ def check_command(
     relative to it, and judges once more; exit 0 if both are as they were, 1 with what differs if not.
     """
     if receipt_to_verify is not None:
-        if problem is not None or receipt is not None:
-            raise click.UsageError("--verify takes the files from the receipt: expected no other files")
+        told = (problem, receipt, pressure_areas, dof_map, contact_map)
+        if told != (None,) * 5 or (compression, tolerance, error_tolerance) != ("positive", 1e-9, 1e-6):
+            raise click.UsageError("--verify takes files and options from the receipt: expected no others")
         _verify(receipt_to_verify, as_json)
     if problem is None or candidate is None:
         raise click.UsageError("expected PROBLEM and CANDIDATE, or --verify FILE.json")
@@ -78,14 +79,16 @@ def check_command(
     options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
     if problem == candidate == "-":
         raise InvalidProblem("check: PROBLEM and CANDIDATE are both standard input; expected a file for one of them")
+    if receipt is not None:
+        from contactqp.study.receipt import receipt_path, write_receipt
+
+        receipt_path(receipt, problem, candidate, options)  # refused before anything is judged
     with _answer_file(candidate) as file:
         verdict = check_answer(problem, file, options)
     if candidate == "-":
         read = replace(verdict.ledgers[1], source=STANDARD_INPUT)
         verdict = replace(verdict, candidate_file=STANDARD_INPUT, ledgers=(verdict.ledgers[0], read))
     if receipt is not None:
-        from contactqp.study.receipt import write_receipt
-
         write_receipt(receipt, problem, candidate, options, verdict)
     if as_json:
         print_json(verdict.data())
@@ -106,6 +109,8 @@ def _verify(receipt: str, as_json: bool) -> NoReturn:
         word = "right" if found.right else "WRONG"
         holds = "holds" if found.holds else "DOES NOT HOLD"
         click.echo(f"{receipt}: {holds}; it says that the answer is {word}, by contactqp {found.written_by}")
+        if found.tolerances != (1e-9, 1e-6):
+            click.echo(f"  by tolerances of {found.tolerances[0]:g} (violations) and {found.tolerances[1]:g} (errors)")
         for text in found.differences:
             click.echo(f"  {text}")
     sys.exit(0 if found.holds else NOT_MET)

@@ -7,18 +7,22 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from contactqp.errors import InvalidProblem
+from contactqp.exchange.problem_files import is_problem_file
 from contactqp.exchange.refusal import read_text, wrong
 from contactqp.exchange.whole_file import write_whole
+from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.scene.scene import load_scene
 from contactqp.scene.shipped import case_path
 from contactqp.study.checking import check_answer
+from contactqp.study.rows import finite
 from contactqp.study.verdict import CheckOptions, Verdict
 
 SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1
@@ -26,6 +30,7 @@ SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1
 FILES = ("pressure_areas", "dof_map", "contact_map")
 # What a verdict is compared by, and the factor by which a figure or a bound may grow with the version or the machine.
 SAME = ("right", "proven")
+EXPECTED = "a receipt, as `contactqp check PROBLEM CANDIDATE --receipt FILE` writes"
 GROWTH = 10.0
 # Figures and bounds below this are rounding, however they compare.
 ROUNDING = 1e-11
@@ -37,61 +42,91 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
     Raises
     ------
     InvalidProblem
-        The problem or the candidate is standard input, or the file cannot be written.
+        The problem or the candidate is standard input, the file is one of those that are judged or no regular file, or
+        it cannot be written.
     """
-    if "-" in (problem, candidate):
-        raise InvalidProblem("--receipt: expected files, whose hashes it holds, got standard input")
-    found, problem = verdict.data(), str(case_path(problem))
-    folder = Path(file).resolve().parent
-    asked = {name: None if value is None else _relative(value, folder) if name in FILES else value
-             for name, value in asdict(options).items()}  # fmt: skip
-    named = [problem, candidate, *_meshes(problem), *(getattr(options, name) for name in FILES)]
+    target, problem = receipt_path(file, problem, candidate, options), str(case_path(problem))
+    asked = {
+        name: _relative(value, target.parent) if name in FILES and value is not None else value
+        for name, value in asdict(options).items()
+    }
+    found = verdict.data()
     data = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
         "contactqp": version("contactqp"),
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "problem": _relative(problem, folder),
-        "candidate": _relative(candidate, folder),
+        "problem": _relative(problem, target.parent),
+        "candidate": _relative(candidate, target.parent),
         "options": asked,
-        "sha256": {_relative(path, folder): digest for path, digest in _hashes(filter(None, named))},
+        "sha256": hashes(target, problem, candidate, options),
         "verdict": {name: found.get(name) for name in (*SAME, "basis", "diagnosis", "failures", "notes")},
-        "figures": found["certificate"] | _bounds(verdict),
+        "figures": _figures(verdict),
     }
-    text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    write_whole(Path(file), lambda beside: _write(beside, text))
+    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+    write_whole(target, lambda beside: _write(beside, text))
+
+
+def receipt_path(file: str, problem: str, candidate: str, options: CheckOptions) -> Path:
+    """Return the file of a receipt, if one can be written there.
+
+    Raises
+    ------
+    InvalidProblem
+        As `write_receipt`.
+    """
+    if "-" in (problem, candidate):
+        raise InvalidProblem("--receipt: expected files, whose hashes it holds, got standard input")
+    target = Path(file).resolve()
+    if not file or target.is_dir() or (target.exists() and not target.is_file()) or not target.parent.is_dir():
+        raise InvalidProblem(f"--receipt: expected a file in a folder that is there, got {file!r}")
+    judged = (str(case_path(problem)), candidate, *(getattr(options, name) for name in FILES))
+    if target in {Path(name).resolve() for name in judged if name}:
+        raise InvalidProblem(f"--receipt: {file} is one of the files that are judged; expected another")
+    return target
 
 
 def _write(file: Path, text: str) -> None:
     file.write_text(text, encoding="utf-8")
 
 
-def _bounds(verdict: Verdict) -> dict[str, float]:
+def _figures(verdict: Verdict) -> dict[str, float | None]:
+    """Return the figures and bounds of a verdict; None where one is not finite."""
     names = ("energy_error", "force_error", "distance")
-    found = {name: getattr(verdict.certificate, name, None) for name in names}
-    return {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
+    bounds = {name: getattr(verdict.certificate, name, None) for name in names}
+    known = {name: finite(value) for name, value in bounds.items() if value is not None}
+    return dict(verdict.data()["certificate"]) | known
 
 
 def _relative(path: str, folder: Path) -> str:
-    return Path(os.path.relpath(Path(path).resolve(), folder)).as_posix()
+    return Path(os.path.relpath(os.path.abspath(path), folder)).as_posix()
+
+
+def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -> dict[str, str]:
+    """Return the SHA-256 of everything that a verdict rests on, by its path beside the receipt.
+
+    Of a folder of matrices, and of a problem.json, those are all files of the folder, but for the receipt itself.
+    """
+    named = [problem, candidate, *_meshes(problem), *(getattr(options, name) for name in FILES)]
+    return {
+        _relative(str(file), receipt.parent): hashlib.sha256(file.read_bytes()).hexdigest()
+        for path in filter(None, named)
+        for file in _files(Path(path))
+        if file.resolve() != receipt
+    }
+
+
+def _files(path: Path) -> Iterable[Path]:
+    folder = path if path.is_dir() else path.parent if path.name == "problem.json" else None
+    return [path] if folder is None else sorted(file for file in folder.rglob("*") if file.is_file())
 
 
 def _meshes(problem: str) -> list[str]:
     """Return the mesh files that a case file names."""
-    if Path(problem).suffix != ".toml":
+    if is_problem_file(problem):
         return []
     scene = load_scene(problem)
     return [str(Path(problem).parent / part.mesh.file) for part in scene.meshed if part.mesh is not None]
-
-
-def _hashes(paths: Iterator[str]) -> Iterator[tuple[str, str]]:
-    """Yield every file, those of folders one by one, with its SHA-256."""
-    for path in paths:
-        files = (
-            sorted(file for file in Path(path).rglob("*") if file.is_file()) if Path(path).is_dir() else [Path(path)]
-        )
-        for file in files:
-            yield str(file), hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -100,6 +135,7 @@ class Verified:
 
     file: str
     right: bool  # what the receipt says of the answer
+    tolerances: tuple[float, float]  # that it was judged with: of violations, and of errors
     written_by: str  # the version
     differences: tuple[str, ...]
 
@@ -110,7 +146,14 @@ class Verified:
 
     def data(self) -> dict[str, Any]:
         """Return the findings as plain data for JSON."""
-        return {"receipt": self.file, "holds": self.holds, "right": self.right, "differences": list(self.differences)}
+        return {
+            "receipt": self.file,
+            "holds": self.holds,
+            "right": self.right,
+            "tolerance": self.tolerances[0],
+            "error_tolerance": self.tolerances[1],
+            "differences": list(self.differences),
+        }
 
 
 def verify(file: str) -> Verified:
@@ -123,54 +166,94 @@ def verify(file: str) -> Verified:
     ContactQPError
         The files cannot be judged any more.
     """
-    data = _read(file)
-    folder = Path(file).resolve().parent
-    differences = [*_changed(data["sha256"], folder, file)]
-    options: dict[str, Any] = {name: None if value is None else str(folder / value) if name in FILES else value
-               for name, value in data["options"].items()}  # fmt: skip
+    data, receipt = _read(file), Path(file).resolve()
+    folder = receipt.parent
+    asked: dict[str, Any] = {
+        name: str(folder / value) if name in FILES and value is not None else value
+        for name, value in data["options"].items()
+    }
+    options = CheckOptions(**asked)
     problem, candidate = (str(folder / data[name]) for name in ("problem", "candidate"))
-    verdict = check_answer(problem, candidate, CheckOptions(**options))
-    differences += _other_verdict(data, verdict)
-    return Verified(file, bool(data["verdict"]["right"]), str(data["contactqp"]), tuple(differences))
+    for name in data["sha256"]:
+        if not (folder / name).is_file():
+            raise wrong(file, "sha256", f"the file {name!r} beside the receipt", "none")
+    differences = [*_changed(data["sha256"], hashes(receipt, problem, candidate, options))]
+    differences += _other_verdict(data, check_answer(problem, candidate, options))
+    tolerances = options.tolerance, options.error_tolerance
+    return Verified(file, bool(data["verdict"]["right"]), tolerances, data["contactqp"], tuple(differences))
 
 
 def _read(file: str) -> Mapping[str, Any]:
-    expected = "a receipt, as `contactqp check PROBLEM CANDIDATE --receipt FILE` writes"
+    text = read_text(file, EXPECTED)
     try:
-        data = json.loads(read_text(file, expected))
-        known = data["schema"] == SCHEMA and data["schema_version"] == SCHEMA_VERSION
-        shapes = [isinstance(data[name], dict) for name in ("sha256", "options", "verdict", "figures")]
-        shapes += [isinstance(data[name], str) for name in ("problem", "candidate", "contactqp")]
-        shapes += [set(data["options"]) == set(asdict(CheckOptions())), {data["problem"], data["candidate"]} != {""}]
-        shapes += [isinstance(value, int | float) for value in data["figures"].values()]
-        known = known and all(shapes) and all(isinstance(data["verdict"][name], bool | None) for name in SAME)
-    except (ValueError, KeyError, TypeError, AttributeError):
+        data = json.loads(text)
+        known = _is_receipt(data)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         known = False
     if not known:
-        raise wrong(file, "content", expected, "something else")
+        raise wrong(file, "content", EXPECTED, "something else")
     return dict(data)
 
 
-def _changed(hashes: Mapping[str, str], folder: Path, receipt: str) -> Iterator[str]:
-    for name, digest in hashes.items():
-        if not (folder / name).is_file():
-            raise wrong(receipt, "sha256", f"the file {name!r} beside the receipt", "none")
-        ((_, found),) = _hashes(iter([str(folder / name)]))
-        if found != digest:
+def _is_receipt(data: Mapping[str, Any]) -> bool:
+    """Return whether data has all that a receipt has, in its types; what is no mapping raises."""
+    options, verdict = data["options"], data["verdict"]
+    texts = [data[name] for name in ("problem", "candidate", "contactqp", "created")]
+    texts += [options["compression"], *data["sha256"], *data["sha256"].values()]
+    maybe = [options[name] for name in FILES]
+    numbers = [options["tolerance"], options["error_tolerance"]]
+    figures = [value for value in data["figures"].values() if value is not None]
+    return (
+        (data["schema"], data["schema_version"]) == (SCHEMA, SCHEMA_VERSION)
+        and set(options) == set(asdict(CheckOptions()))
+        and all(isinstance(text, str) and text for text in (*texts, *(value for value in maybe if value is not None)))
+        and options["compression"] in COMPRESSION
+        and all(type(value) in (int, float) and 0 <= value <= sys.float_info.max for value in (*numbers, *figures))
+        and isinstance(verdict["right"], bool)
+        and isinstance(verdict.get("proven"), bool | None)
+    )
+
+
+def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
+    for name in sorted({*before, *now}):
+        if name not in before:
+            yield f"{name} is judged too, and the receipt has no hash of it"
+        elif name not in now:
+            yield f"{name} is not judged any more"
+        elif before[name] != now[name]:
             yield f"{name} has changed since the receipt was written"
 
 
 def _other_verdict(data: Mapping[str, Any], verdict: Verdict) -> Iterator[str]:
-    """Yield what another verdict, a figure or a bound that has grown say, in words."""
-    found = verdict.data()
-    words = {"right": ("right", "wrong"), "proven": ("proven", "not proven")}
+    """Yield what another verdict, other words, or a figure or a bound that has grown say."""
+    found, before = verdict.data(), data["verdict"]
     for name in SAME:
-        before, now = data["verdict"][name], found.get(name)
-        if before is not None and bool(before) != bool(now):
-            yield f"the answer is {words[name][not now]}, and the receipt says {words[name][not before]}"
-    figures = found["certificate"] | _bounds(verdict)
-    for name, before in data["figures"].items():
-        now = figures.get(name)
-        if now is None or now > GROWTH * max(before, ROUNDING):
-            shown = "not known" if now is None else f"{now:.3g}"
-            yield f"{name.replace('_', ' ')} is {shown}, and the receipt says {before:.3g}"
+        if before.get(name) != found.get(name):
+            now, then = (_in_words(name, values.get(name)) for values in (found, before))
+            yield f"the answer is {now}, and the receipt says {then}"
+    if data["contactqp"] == version("contactqp"):  # another one may use other words
+        for name in ("basis", "diagnosis"):
+            if before.get(name) != found.get(name):
+                yield f"the {name} is {found.get(name)!r:.100}, and the receipt says {before.get(name)!r:.100}"
+    figures = _figures(verdict)
+    for name in sorted({*figures, *data["figures"]}):
+        old, new = (values.get(name, math.nan) for values in (data["figures"], figures))
+        if _grown(old, new):
+            yield f"{name.replace('_', ' ')} is {_figure_text(new)}, and the receipt says {_figure_text(old)}"
+
+
+def _in_words(name: str, value: bool | None) -> str:
+    if value is None:
+        return f"neither {name} nor not"
+    return {"right": ("wrong", "right"), "proven": ("not proven", "proven")}[name][value]
+
+
+def _figure_text(value: float | None) -> str:
+    return "not finite" if value is None else "not known" if math.isnan(value) else f"{value:.3g}"
+
+
+def _grown(old: float | None, new: float | None) -> bool:
+    """Return whether a figure is another one; None is one that is not finite, NaN one that is not there."""
+    if old is None or new is None:
+        return old is not new
+    return not new <= GROWTH * max(old, ROUNDING) or math.isnan(old)
