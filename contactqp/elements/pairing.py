@@ -146,7 +146,8 @@ def pair(
     Warns
     -----
     StartWarning
-        A surface starts inside of the obstacle, deeper than a tenth of the size of its body, or both face the same way.
+        A surface starts inside of the obstacle, deeper than a quarter of the size of its body, or both face the same
+        way.
 
     Examples
     --------
@@ -156,7 +157,7 @@ def pair(
     """
     found = paired(points, obstacle, unknowns, dimension)
     if isinstance(points, Surface):
-        doubt = doubt_of_side(points, found.gap, found.direction, obstacle, "the obstacle")
+        doubt = doubt_of_side(points, found.gap, found.direction, "the obstacle")
         if doubt:
             warnings.warn(f"{points.name}: {doubt}", StartWarning, stacklevel=3)
     return found

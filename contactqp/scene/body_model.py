@@ -435,8 +435,8 @@ def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> Paire
         touched = obstacle(scene, contact.obstacle)
         found = paired(surfaces[0], touched, dimension=whole.size)
         _refuse_overlap(found, surfaces[0], contact.obstacle, overlap)
-        doubt = doubt_of_side(surfaces[0], found.gap, found.direction, touched, repr(contact.obstacle))
-        warn_of_start(scene, contact, doubt)
+        doubt = doubt_of_side(surfaces[0], found.gap, found.direction, repr(contact.obstacle), scene.units.length)
+        warn_of_start(scene, scene.contacts.index(contact), doubt)
     else:
         method = pair_mortar if contact.pairing == "mortar" else pair_node_to_segment
         reach = None if contact.reach is None else number(scene.system, contact.reach)

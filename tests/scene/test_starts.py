@@ -12,11 +12,15 @@ import pytest
 
 import contactqp as cq
 from contactqp.cli import main
-from contactqp.elements.shapes import disc
+from contactqp.elements.shapes import disc, rectangle
 from contactqp.elements.surface import Surface
 from tests.shipped_cases import SCENES
 
-LIES_DEEPER, SAME_WAY, DRAGGED = "the rest of its body lies deeper still", "face the same way", "will be dragged out"
+LIES_DEEPER, SAME_WAY, DRAGGED = (
+    "and all that it is joined to lies deeper still",
+    "face the same way",
+    "will be dragged out",
+)
 
 
 def doubts_of(make: Any) -> list[str]:
@@ -42,7 +46,8 @@ def bar(wall: float, normal: int) -> cq.Scene:
         (2.001, -1, ""),  # a gap
         (2.0, -1, ""),
         (1.999, -1, ""),  # an interference fit
-        (1.7, -1, DRAGGED),
+        (1.7, -1, ""),
+        (1.4, -1, DRAGGED),
         (2.001, 1, LIES_DEEPER),
         (5.0, 1, LIES_DEEPER),
         (-0.1, 1, ""),  # a wall behind the bar, which its tip is far from
@@ -54,11 +59,13 @@ def test_a_node_and_a_wall(wall: float, normal: int, doubt: str) -> None:
     assert all(doubt in text and text.startswith("contacts[0] ('tip'): it starts ") for text in found)
 
 
-@pytest.mark.parametrize(("direction", "doubt"), [((1.0,), ""), ((-1.0,), "dragged back")])
+@pytest.mark.parametrize(
+    ("direction", "doubt"), [((1.0,), ""), ((-1.0,), "inside the other node, 33 % of the size of its body")]
+)
 def test_two_nodes(direction: tuple[float], doubt: str) -> None:
     scene = cq.Scene(
         title="two", axes=["x"],
-        nodes=[{"name": n, "at": [f"{x} m"]} for n, x in (("a", 0), ("b", 1), ("c", 1.5), ("d", 3))],
+        nodes=[{"name": n, "at": [f"{x} m"]} for n, x in (("a", 0), ("b", 1), ("c", 2), ("d", 3))],
         springs=[{"name": "l", "nodes": ["a", "b"], "stiffness": "1 N/m"},
                  {"name": "r", "nodes": ["c", "d"], "stiffness": "1 N/m"}],
         fixed=["a", "d"], contacts=[{"name": "tip", "nodes": ["b", "c"], "direction": list(direction)}],
@@ -86,7 +93,7 @@ def block(height: float, normal: int, side: str = "bottom") -> cq.Scene:
         (0.0, 1, "bottom", ""),
         (-0.01, 1, "bottom", ""),
         (0.01, 1, "bottom", ""),  # pressed in by a hundredth
-        (0.5, 1, "bottom", DRAGGED),
+        (0.6, 1, "bottom", DRAGGED),
         (0.0, -1, "bottom", SAME_WAY),
         (-0.01, -1, "bottom", SAME_WAY),
         (1.0, -1, "top", ""),  # a ceiling
@@ -104,7 +111,7 @@ def test_a_side_and_a_plane(height: float, normal: int, side: str, doubt: str) -
     [
         (cq.Plane(point=[0.0, -1.0], normal=[0.0, 1.0]), ""),
         (cq.Plane(point=[0.0, -1.0], normal=[0.0, -1.0]), DRAGGED),  # all of it is inside, the top most of all
-        (cq.Plane(point=[0.0, -0.6], normal=[0.0, 1.0]), DRAGGED),
+        (cq.Plane(point=[0.0, -0.4], normal=[0.0, 1.0]), DRAGGED),
         (cq.Circle(centre=[0.0, 0.0], radius=1.001, inside=True), ""),
         (cq.Circle(centre=[0.0, -3.0], radius=2.0), ""),
     ],
@@ -117,6 +124,75 @@ def test_the_whole_boundary_of_a_disc_in_python(obstacle: Any, doubt: str) -> No
     found = doubts_of(lambda: cq.pair(surface, obstacle))
     assert len(found) == bool(doubt)
     assert all(text.startswith("disc.arc: ") and doubt in text for text in found)
+
+
+def ring(inner: float, outer: float, parts: int = 48) -> Surface:
+    """The hole of a ring about the origin, whose facets have the ring on their left."""
+    angle = 2 * np.pi * np.arange(parts) / parts
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    points = np.concatenate([inner * circle, outer * circle])
+    facets = np.array([((i + 1) % parts, i) for i in range(parts)])
+    return Surface(points, facets, np.arange(points.size).reshape(-1, 2), name="ring.hole")
+
+
+def bottom_of(width: float, height: float, corner: tuple[float, float], revolved: bool = False) -> Surface:
+    mesh = rectangle(width, height, (4, 40), corner=corner)
+    (side,) = mesh.facets_of(mesh.sides["bottom"])
+    unknowns = np.arange(mesh.points.size).reshape(-1, 2)
+    return Surface(mesh.points, side.nodes, unknowns, name="block.bottom", revolved=revolved)
+
+
+def known_near_its_surface(points: np.ndarray) -> np.ndarray:
+    """A floor whose distance is told up to 0.1 alone."""
+    height = np.asarray(points)[:, 1] + 0.001
+    return np.where(abs(height) < 0.1, height, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("surface", "obstacle"),
+    [
+        (ring(1.0, 1.3), cq.Circle(centre=[0.0, 0.0], radius=1.001)),  # shrunk on a shaft
+        (ring(1.0, 1.01), cq.Circle(centre=[0.0, 0.0], radius=1.0 + 1e-6)),
+        (bottom_of(1.0, 20.0, (-0.5, 0.0)),
+         cq.Paraboloid(apex=[0.0, 0.0], axis=[0.0, 1.0], radius=5.0, inside=True, measure="normal")),
+        (bottom_of(1.0, 10.0, (0.0, -0.001)), cq.SignedDistance(known_near_its_surface, 2)),
+    ],
+)  # fmt: skip
+def test_bodies_around_and_far_beyond_their_obstacle_are_not_doubted(surface: Surface, obstacle: Any) -> None:
+    """What is doubted is told at the contacts: the middle of a ring is inside of its shaft."""
+    assert doubts_of(lambda: cq.pair(surface, obstacle)) == []
+
+
+def joined(nodes: dict[str, float], bars: list[tuple[str, str]], wall: float, normal: int) -> cq.Scene:
+    return cq.Scene(
+        title="bars", axes=["x"], nodes=[{"name": name, "at": [f"{x} m"]} for name, x in nodes.items()],
+        bars=[{"name": f"{a}{b}", "nodes": [a, b], "area": "1 m^2", "modulus": "8 Pa"} for a, b in bars],
+        fixed=["a"], obstacles=[{"name": "wall", "point": [f"{wall} m"], "normal": [normal]}],
+        contacts=[{"name": "stop", "node": "b", "obstacle": "wall"}],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("nodes", "bars", "wall", "normal", "doubt"),
+    [
+        (dict(a=0, b=1, c=10), [("a", "b"), ("b", "c")], 0.999, -1, ""),  # a collar in the middle of a bar
+        (dict(a=0, b=1, c=1.1, d=9), [("a", "b"), ("c", "d")], 0.999, -1, ""),  # another bar behind the wall
+        (dict(a=0, b=1, c=1.1, d=9), [("a", "b"), ("c", "d")], 1.001, 1, LIES_DEEPER),
+    ],
+)
+def test_what_a_node_is_joined_to_decides(
+    nodes: dict[str, float], bars: list[tuple[str, str]], wall: float, normal: int, doubt: str
+) -> None:
+    found = doubts_of(joined(nodes, bars, wall, normal).problem)
+    assert len(found) == bool(doubt)
+    assert all(doubt in text for text in found)
+
+
+@pytest.mark.parametrize("revolved", [True, False])
+def test_the_size_of_a_rim_is_its_diameter(revolved: bool) -> None:
+    """A section of 1 mm at a radius of 100 mm that overlaps by 0.5 mm: half of the section, 0.25 % of the diameter."""
+    surface = bottom_of(1.0, 1.0, (100.0, 0.0), revolved)
+    assert bool(doubts_of(lambda: cq.pair(surface, cq.Plane(point=[0.0, 0.5], normal=[0.0, 1.0])))) is not revolved
 
 
 def test_of_bare_points_nothing_is_known_that_could_be_doubted() -> None:
@@ -155,7 +231,7 @@ def test_the_command_line_warns_once_and_refuses_with_strict(
         main([*command, "--strict", str(reversed_wall)])
     assert end.value.code == 2
     said = capfd.readouterr().err
-    assert said.startswith(f"contactqp: {reversed_wall}: contacts[0] ('tip'): it starts 0.001 inside 'wall'")
+    assert said.startswith(f"contactqp: {reversed_wall}: contacts[0] ('tip'): it starts 0.001 m inside 'wall'")
     assert len(said.splitlines()) == 1
     with pytest.raises(SystemExit) as end:
         main([*command, "--strict", str(REVERSED)])

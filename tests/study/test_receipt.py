@@ -89,7 +89,7 @@ def _flattered(_: Path, data: dict[str, Any]) -> None:
         (_longer, ["wall.toml has changed since the receipt", "the answer is wrong, and the receipt says right"]),
         (_space, ["right.json has changed since the receipt was written"]),
         (_forged, ["the answer is right, and the receipt says wrong"]),
-        (_cleverer, ["cleverness is not known, and the receipt says 0", "balance is 0, and the receipt says not known"]),
+        (_cleverer, ["cleverness is not known, and the receipt says 0", "balance is 0, and the receipt says not"]),
         (_pruned, ["right.json is judged too, and the receipt has no hash of it"]),
         (_another, ["other.json is judged too", "right.json is not judged any more"]),
         (_flattered, ["the receipt says neither proven nor not", "the best answer there ever was"]),
