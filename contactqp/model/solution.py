@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
@@ -140,11 +140,22 @@ class Certificate(ReadOnly):
         verdict = "passed" if self.passed else "REFUSED"
         lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
         if self.basis == STATE and self.distance is not None:
-            lines.append(f"  {self.distance:.3g} away from the answer of its own combination of open, stick and slip")
+            near = "with its contacts open, sticking and slipping as here"
+            lines.append(f"  the equilibrium {near} is {self.distance:.3g} of its size away")
         lines += [f"  {failure}" for failure in self.failures]
-        lines += [f"  no bound: {reason}" for reason in self.reasons]
+        lines += [f"  no bound: {reason}" for reason in _together(self.reasons)]
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
+
+
+def _together(reasons: Iterable[str]) -> Iterator[str]:
+    """Yield each reason once, after all that it is a reason for."""
+    named: dict[str, list[str]] = {}
+    for text in reasons:
+        what, _, reason = text.partition(": ")
+        named.setdefault(reason, []).append(what)
+    for reason, names in named.items():
+        yield f"{', '.join(names)}: {reason}"
 
 
 @dataclass(frozen=True, eq=False)

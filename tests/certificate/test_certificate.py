@@ -444,3 +444,15 @@ def test_friction_where_nothing_touches_and_nothing_moves_is_refused() -> None:
     judged = cq.certify(problem, [0.5], [0.0], [[1e-3]])
     assert not judged.passed
     assert judged.failures == ("cone: contact 0 constrains nothing and has friction",)
+
+
+def test_a_reason_stands_once_for_all_bounds_that_it_is_a_reason_for() -> None:
+    problem = cq.ContactProblem([[1.0]], [5.0], [[1.0]], [0.0], tangent=[[0.0]], friction=[0.3])
+    lines = str(cq.solve(problem).certificate).splitlines()
+    assert lines[0] == "passed, not proven"
+    assert lines[1] == "  the equilibrium with its contacts open, sticking and slipping as here is 0 of its size away"
+    bounds = [line for line in lines if line.startswith("  no bound: ")]
+    assert len(bounds) == 1
+    assert bounds[0].startswith(
+        "  no bound: energy_error, force_error, force_bound: Coulomb friction is no minimisation"
+    )
