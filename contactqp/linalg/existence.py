@@ -485,16 +485,17 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
 
 
 def _moving_together(names: Sequence[str], motion: Vector) -> list[str]:
-    """Translations of whole bodies in words: ``"block along x by +1 (153 nodes)"``; nothing where nodes move apart."""
-    nodes: dict[tuple[str, str, float], int] = {}
+    """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
+    nodes: dict[tuple[str, str, float], list[str]] = {}
     for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
-        found = re.fullmatch(r"(.+) node \d+ (\w+)", name)
+        found = re.fullmatch(r"(.+) node (\d+) (\w+)", name)
         if found is None:
             return []
-        nodes[found[1], found[2], step] = nodes.get((found[1], found[2], step), 0) + 1
+        nodes.setdefault((found[1], found[3], step), []).append(found[2])
     if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
         return []
-    return [f"{body} along {axis} by {step:+.3g} ({count} nodes)" for (body, axis, step), count in nodes.items()]
+    more = {key: f" and {len(moved) - 1} more" if len(moved) > 1 else "" for key, moved in nodes.items()}
+    return [f"{key[0]} along {key[1]} by {key[2]:+.3g} (node {moved[0]}{more[key]})" for key, moved in nodes.items()]
 
 
 def _listed(names: list[str], count: int | None = None) -> str:
