@@ -224,7 +224,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         *table, key = error["loc"]
         return no_such(key, table_keys(model, table), "key")
     if kind == "missing":
-        return "expected, and missing"
+        return f"expected{_example(model, error['loc'])}, and missing"
     if kind == "value_error":
         return str(context["error"])
     if kind == "too_short":
@@ -248,10 +248,23 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
 
 def table_keys(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
     """Return the keys that the table at a location of the scene can have."""
+    return list(_table(model, location).model_fields)
+
+
+def _table(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel]:
     for part in location:
         if isinstance(part, str) and part in model.model_fields:
             model = _inner_model(model.model_fields[part].annotation) or model
-    return list(model.model_fields)
+    return model
+
+
+def _example(model: type[BaseModel], location: Sequence[int | str]) -> str:
+    """Return `` an area such as "15 cm^2"`` for a key that takes a quantity; empty for others."""
+    *table, key = location
+    field = _table(model, table).model_fields.get(str(key))
+    schemas = (extra.json_schema for extra in (field.metadata if field else ()) if isinstance(extra, WithJsonSchema))
+    found = next((schema for schema in schemas if schema and "such as" in schema.get("description", "")), None)
+    return f" {found['description']}" if found else ""
 
 
 def _inner_model(annotation: Any) -> type[BaseModel] | None:

@@ -98,7 +98,11 @@ MUTATIONS = {
     "there is no key": ('area = "15', 'aera = "15', "bars[0].aera ('rod'): there is no key 'aera'; nearest: 'area'"),
     "unknown top key": ("gravity = [", "gravitation = [", "there is no key 'gravitation'; nearest: 'gravity'"),
     "unknown key in units": ('force = "kN"', 'froce = "kN"', "units.froce: there is no key 'froce'; nearest: 'force'"),
-    "missing key": (', modulus = "2.1e8 kN/m^2"', "", "bars[0].modulus ('rod'): expected, and missing"),
+    "missing key": (
+        ', modulus = "2.1e8 kN/m^2"',
+        "",
+        "bars[0].modulus ('rod'): expected a modulus such as \"210 GPa\", and missing",
+    ),
     "no title": ('title = "Everything that a scene can have"', "", "title: expected, and missing"),
     "title is a number": (
         'title = "Everything that a scene can have"',

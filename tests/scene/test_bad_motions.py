@@ -53,7 +53,7 @@ WRONG = {
         '[[study]]\nmethod = "penalty"\npenalty = ["1 N/m"]\n[[expect]]',
         "study: expected none in a motion",
     ),
-    "no duration": ('duration = "20 ms"\n', "", "motion.duration: expected, and missing"),
+    "no duration": ('duration = "20 ms"\n', "", 'motion.duration: expected a time such as "2 ms", and missing'),
     "a duration without a unit": ('"20 ms"', "20", "motion.duration: expected a time such as"),
     "a negative duration": ('"20 ms"', '"-20 ms"', "motion.duration: expected a positive number, got '-20 ms'"),
     "a step of no time": ('time_step = "1 ms"', 'time_step = "0 s"', "motion.time_step: expected a positive number"),
