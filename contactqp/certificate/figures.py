@@ -264,7 +264,10 @@ def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -
 
 
 def _compliances(problem: ContactProblem) -> tuple[Vector, Array]:
-    """Those of the normal rows (m,) and of the tangential ones (m, d-1), infinite where one acts on no stiffness."""
+    """The compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
+
+    They are sum E_ij^2 / K_jj, and infinite where a tangential row acts on an unknown without stiffness.
+    """
     normal = row_sizes(problem, problem.normal).compliance
     if problem.tangent is None or problem.slip_origin is None:
         return normal, np.zeros((problem.contacts, 0))
@@ -273,7 +276,7 @@ def _compliances(problem: ContactProblem) -> tuple[Vector, Array]:
 
 
 def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
-    """The compliances of rows, infinite where they act on an unknown without stiffness."""
+    """The compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
     bare = abs(rows) @ (diagonal == 0).astype(float) > 0
     return np.asarray(np.where(bare, np.inf, compliance))
 

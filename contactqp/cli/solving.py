@@ -167,7 +167,7 @@ class _Told:
     doubts: tuple[str, ...] = ()  # StartWarnings of another process
 
     def print(self) -> _Told:
-        """Print it."""
+        """Print warnings, complaints and text, each to its stream, and return itself."""
         for doubt in self.doubts:
             warnings.warn(doubt, StartWarning, stacklevel=2)
         for message in self.complaints if speakers.speaks else ():

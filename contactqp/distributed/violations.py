@@ -182,7 +182,10 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
 
 
 def _compliances(problem: DistributedProblem) -> tuple[Vector, Array]:
-    """Return what `contactqp.certificate.figures` does of this rank's contacts. Collective."""
+    """Return the compliances of this rank's normal and tangential rows, as `contactqp.certificate.figures` has them.
+
+    Collective.
+    """
     normal = row_sizes(problem, problem.normal).compliance
     if problem.tangent is None or problem.slip_origin is None:
         return normal, np.zeros((problem.contacts, 0))
