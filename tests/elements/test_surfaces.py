@@ -95,7 +95,7 @@ def test_the_areas_of_curved_facets_sum_to_the_arc():
 
 
 def test_a_pressure_is_a_force_over_an_area():
-    side = surface(SQUARE, [[0, 1, 2, 3]])
+    side = surface(SQUARE, [[3, 2, 1, 0]])
     pairing = cq.pair(side, cq.Plane(point=[0.0, 0.0, -1.0], normal=[0.0, 0.0, 1.0]))
     np.testing.assert_allclose(pairing.area, 1.5, rtol=1e-14)
     np.testing.assert_allclose(pairing.pressure([3.0, 3.0, 3.0, 3.0]), 2.0, rtol=1e-14)
