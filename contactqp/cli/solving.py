@@ -187,8 +187,11 @@ def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, 
     from multiprocessing import active_children, get_context
 
     pool = ProcessPoolExecutor(side_by_side, get_context("spawn"), _leave_ctrl_c_to_the_first)
+    solve = partial(_answer_elsewhere, asked=asked, terminal=sys.stdout.isatty())
     try:
-        yield from pool.map(partial(_answer_elsewhere, asked=asked, terminal=sys.stdout.isatty()), scenes)
+        # Not `pool.map`: it cancels what is left, on which the pool's own thread fails when its processes end.
+        for future in [pool.submit(solve, scene) for scene in scenes]:
+            yield future.result()
     except BaseException as error:
         for child in active_children():
             child.terminate()
@@ -197,7 +200,7 @@ def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, 
             raise NotConverged(text) from None
         raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=False)
 
 
 def _leave_ctrl_c_to_the_first() -> None:

@@ -110,8 +110,8 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
         return None
-    resisting = resisting_rows(problem)
-    coordinates = unresisted(drive, _unit(resisting, Z), _unit(problem.tie, Z))
+    resisting, still = resisting_rows(problem), _still(Z, unknown_scale(problem))
+    coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
     motion = Z @ coordinates
@@ -166,7 +166,7 @@ def _proven_drive(
 ) -> DrivenMotion | None:
     """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
     uncertainty, scale = _uncertainty(problem, condensation), unknown_scale(problem)
-    still = scale * float(np.max(abs(z) / scale))  # rounding of z is no more than a part of this
+    still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()
         rounding = max(BALANCED, uncertainty) * (abs(rows) @ abs(z)) + IDLE * (abs(rows) @ still)
@@ -182,13 +182,19 @@ def _proven_drive(
     return DrivenMotion(z, work, rounding) if work > rounding else None
 
 
-def _unit(rows: Any, Z: Array) -> Array:
+def _still(motions: Array, scale: Vector) -> Array:
+    """What the rounding of motions (n,) or (n, r) is a part of at each unknown, though they may not move it."""
+    return np.asarray((scale * np.max(abs(motions.T) / scale, axis=-1, keepdims=True)).T)
+
+
+def _unit(rows: Any, Z: Array, still: Array) -> Array:
     """Rows on rigid motions, of unit size where they are not rounding."""
     values = rows @ Z
     if not len(values):
         return np.zeros((0, Z.shape[1]))
     size = np.max(abs(values), axis=1, keepdims=True)
-    rounding = BALANCED * np.max(abs(rows) @ abs(Z), axis=1, keepdims=True)
+    rounding = BALANCED * (abs(rows) @ abs(Z)) + IDLE * (abs(rows) @ still)
+    rounding = np.max(rounding, axis=1, keepdims=True)
     return np.where(size > rounding, values / np.where(size > 0, size, 1.0), 0.0)
 
 

@@ -209,11 +209,18 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
 
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
-    """The length S |E_i D| of every row that an intrinsic size S (n,) of the unknowns has there."""
+    """The length S |E_i D| of every row that an intrinsic size S (n,) of the unknowns has there.
+
+    Rows that touch nothing stiff move with what other rows join them to (`scale_of_unknowns`).
+    """
     beside = np.zeros(rows.shape[0])
     row, unknown = _first_unknowns(rows)
     beside[row] = size[unknown]
-    return np.asarray(beside * np.sqrt(row_sizes(problem, rows).compliance))
+    of_row = row_sizes(problem, rows)
+    felt = np.sqrt(of_row.compliance)
+    if np.any(felt == 0) and not np.all(problem.diagonal > 0):
+        felt = np.where(felt > 0, felt, np.sqrt(of_row.size.power(2) @ scale_of_unknowns(problem) ** 2))
+    return np.asarray(beside * felt)
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:
@@ -285,14 +292,19 @@ def in_energy(length: Vector, compliance: Vector) -> Vector:
 def scale_of_unknowns(problem: ContactProblem) -> Vector:
     """D (n,): 1/sqrt(K_jj); of an unknown without stiffness what its rows give it, and 0 where none does.
 
-    A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts.
+    A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts, and what
+    has been given is given on.
     """
     if problem._computed.scale_of_unknowns is None:
         K = problem.diagonal
         D = np.divide(1.0, np.sqrt(K), out=np.zeros_like(K), where=K > 0)
-        if not np.all(K > 0):
-            for rows in (problem.normal, problem.tie):
-                D = np.maximum(D, np.where(K > 0, 0.0, _given_by(rows, D)))
+        unknown = K == 0  # yet
+        while np.any(unknown):
+            given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
+            D = np.where(unknown, given, D)
+            if not np.any(D[unknown] > 0):
+                break
+            unknown &= D == 0
         problem._computed.scale_of_unknowns = D
     return problem._computed.scale_of_unknowns
 

@@ -26,7 +26,7 @@ from benchmarks.friction_families import Posed
 # Of a fault, what must be said of it.
 SEEN_AS = {
     "tension": {"forgery", "wrong"},
-    "sign": {"forgery", "wrong"},
+    "sign": {"forgery", "wrong", "bound"},
     "bound": {"bound"},
     "scale": {"wrong", "refused", "bound"},
     "swallowed": {"wrong", "forgery"},

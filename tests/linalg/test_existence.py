@@ -122,6 +122,35 @@ def test_loads_that_balance_to_seven_digits_name_motion_and_imbalance_and_the_wa
     assert cq.solve(problem.replace(load=balanced)).certificate.passed
 
 
+# A frame of four nodes that floats; node 3 is held across by a stiff spring, so that it turns about that node alone.
+FRAME = np.array(
+    [
+        [2, 1, -1, 0, 0, 0, -1, -1],
+        [1, 2, 0, 0, 0, -1, -1, -1],
+        [-1, 0, 2, -1, -1, 1, 0, 0],
+        [0, 0, -1, 3442, 1, -1, 0, -1],
+        [0, 0, -1, 1, 2, -1, -1, 0],
+        [0, -1, 1, -1, -1, 2, 0, 0],
+        [-1, -1, 0, 0, -1, 0, 2, 1],
+        [-1, -1, 0, -1, 0, 0, 1, 2],
+    ],
+    dtype=float,
+)
+PUSHED = np.array([6.25, -5.73, -1.06, 0.4, 4.15, 12.3, -18.7, -10.1])
+
+
+@pytest.mark.parametrize("size", [1.0, 1e8, 2.0**40])
+def test_contacts_where_a_motion_stands_still_do_not_resist_it(size: float) -> None:
+    """The entry of a rigid motion at a node that it does not move is rounding, and a row there feels none of it."""
+    rows = np.eye(8)[[3, 1, 3, 7, 4]]
+    rows[3] = -rows[3]
+    problem = cq.ContactProblem(FRAME, size * PUSHED, rows, np.zeros(5))
+    with pytest.raises(cq.NoEquilibrium, match="drives a rigid motion") as caught:
+        cq.solve(problem)
+    assert np.all(problem.normal @ caught.value.proof.motion <= 1e-15)
+    assert cq.solve(problem.replace(normal=np.vstack([rows, -np.eye(8)[[1, 4]]]), gap=np.zeros(7))).certificate.passed
+
+
 def _pad(pull: float, count: int = 1) -> cq.ContactProblem:
     """Pads of 10 N each, all on springs of their own, all but the first of them at rest."""
     unit = np.eye(2 * count)

@@ -9,7 +9,7 @@ import scipy.sparse.linalg as sla
 
 import contactqp as cq
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.measures import intrinsic_size, nothing, without_rigid_part
+from contactqp.linalg.measures import intrinsic_size, nothing, scale_of_unknowns, without_rigid_part
 from contactqp.model.solution import Answer
 
 FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
@@ -206,6 +206,18 @@ def test_unknowns_without_stiffness_get_their_scale_from_their_rows() -> None:
     least = nothing(problem, answer, answer.displacement, np.full(3, 4.0), 1e-12).force
     assert least[:2] == pytest.approx([8e-12, 16e-12])
     assert least[2] == pytest.approx(64 * np.finfo(float).eps * 8.0)
+
+
+def test_a_contact_without_stiffness_is_measured_by_what_ties_join_it_to() -> None:
+    """A pin joined by two rods to a spring, stopped where it stands: what a code rounds there is nothing."""
+    K, tie = np.diag([4.0, 0.0, 0.0]), [[1.0, -2.0, 0.0], [0.0, 1.0, -1.0]]
+    problem = cq.ContactProblem(K, [8.0, 0.0, 18.0], [[0.0, 0.0, 1.0]], [0.0], tie=tie, tie_value=[2.0, 1.0])
+    assert scale_of_unknowns(problem) == pytest.approx([0.5, 0.25, 0.25])
+    right = cq.solve(problem)
+    assert right.displacement == pytest.approx([4.0, 1.0, 0.0], abs=1e-15)
+    for noise, passes in ((1e-17, True), (1e-6, False)):
+        moved = right.displacement + np.array([2 * noise, noise, noise])
+        assert cq.certify(problem, moved, right.normal_force, tie_force=right.tie_force).passed == passes
 
 
 def test_the_rigid_part_is_taken_out() -> None:

@@ -25,14 +25,14 @@ def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
     """Lemke's complementary pivoting (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
 
     An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0
-    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that the method either solves the
-    problem or ends on a ray, which proves that there is no solution; floating bodies included.
+    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that in exact arithmetic the method
+    either solves the problem or ends on a ray where there is no solution; floating bodies included.
 
     Raises
     ------
     NotConverged
-        The path ends on a ray: no contact forces satisfy the conditions. Or the load drives a rigid motion that no
-        contact and no tie resists, or ties contradict each other.
+        The path ends on a ray: no contact forces satisfy the conditions, or rounding hides those that do. Or the load
+        drives a rigid motion that no contact and no tie resists, or ties contradict each other.
     """
     reduced = compliance("lemke", problem)
     lcp = complementarity_problem(problem, reduced)
@@ -75,7 +75,10 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
         entering = leaving + m if leaving < m else leaving - m
         row = _leaving_row(tableau, basic, entering)
         if row < 0:
-            raise NotConverged(f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions")
+            raise NotConverged(
+                f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions, or rounding hides those "
+                "that do"
+            )
     return _in_z(basic), limit, f"stopped after {limit} pivots"
 
 
