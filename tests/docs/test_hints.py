@@ -1,0 +1,132 @@
+"""What messages, docstrings, README and pages tell people to type can be typed: commands exist, packages install."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from contactqp.cli import command
+from tests.docs.blocks import ROOT, pages
+
+PACKAGE = ROOT / "contactqp"
+HINT = re.compile(r"\bcontactqp ((?:[a-z]+)(?: +[^\s`'\";,)]+)*)")
+INSTALLED = re.compile(r"pip install (?:--upgrade )?([A-Za-z][A-Za-z0-9-]*)")
+# Words that follow the name of the tool in a sentence.
+NO_COMMANDS = {"and", "are", "as", "exact", "have", "import", "is", "on", "problem", "raises"}
+
+
+def told() -> list[tuple[str, str]]:
+    """Where something is told, and the words: string constants of the package, README, pages."""
+    found = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        constants = [n for n in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(n, ast.Constant)]
+        place = file.relative_to(ROOT)
+        found += [(f"{place}:{node.lineno}", node.value) for node in constants if isinstance(node.value, str)]
+    return found + [(page, (ROOT / page).read_text(encoding="utf-8")) for page in pages()]
+
+
+def wrong_hints(places: list[tuple[str, str]]) -> list[str]:
+    """Hints at commands or options that there are not."""
+    wrong = []
+    for place, text in places:
+        for hint in HINT.finditer(text):
+            name, *rest = hint[1].split()
+            known = command.commands.get(name)
+            if known is None:
+                if name not in NO_COMMANDS:
+                    wrong.append(f"{place}: {hint[0]}")
+                continue
+            options = {option for part in known.params for option in part.opts} | {"--help", "-h"}
+            for word in rest:
+                option = word.partition("=")[0].rstrip(".:]")
+                if option.startswith("--") and option not in options:
+                    wrong.append(f"{place}: {hint[0]}")
+    return wrong
+
+
+def test_commands_that_are_hinted_at_exist() -> None:
+    places = told()
+    assert sum(len(HINT.findall(text)) for _, text in places) > 100
+    assert wrong_hints(places) == []
+
+
+@pytest.mark.parametrize("hint", ["`contactqp solve FILE`", "type contactqp run CASE --methods all"])
+def test_a_hint_at_what_is_not_there_is_found(hint: str) -> None:
+    assert wrong_hints([("here", hint)]) == [f"here: {hint.strip('`').removeprefix('type ')}"]
+
+
+def test_every_command_is_a_click_command_with_a_help() -> None:
+    for name, known in command.commands.items():
+        assert isinstance(known, click.Command)
+        assert known.help, name
+
+
+def test_extras_are_told_with_where_they_are() -> None:
+    """The package is in no index: 'pip install contactqp[exact]' finds nothing."""
+    assert [place for place, text in told() if re.search(r"pip install '?contactqp", text)] == []
+
+
+@pytest.mark.slow
+def test_packages_that_are_hinted_at_can_be_installed() -> None:
+    """By pip, without installing them. Those of which there is no wheel for this machine have a source."""
+    names = sorted({name for _, text in told() for name in INSTALLED.findall(text)})
+    assert len(names) > 20
+    missing = []
+    for name in names:
+        command_line = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--no-deps", name]
+        done = subprocess.run(command_line, capture_output=True, text=True)
+        if done.returncode and "No matching distribution" in done.stderr:
+            missing.append(name)
+    assert missing == []
+
+
+@pytest.fixture(scope="module")
+def from_wheel(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A new environment with a built wheel and what tests need, and a folder with everything but the package."""
+    place = tmp_path_factory.mktemp("wheel")
+    _call(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", place / "dist", ROOT)
+    _call(sys.executable, "-m", "venv", place / "new")
+    (wheel,) = (place / "dist").glob("contactqp-*.whl")
+    _call(place / "new" / "bin" / "python", "-m", "pip", "install", "--quiet", f"{wheel}[test]")
+    folder = place / "checkout"
+    folder.mkdir()
+    for name in ("README.md", "pyproject.toml", "CITATION.cff", "CONTRIBUTING.md"):
+        shutil.copy(ROOT / name, folder)
+    for name in ("docs", "tests", "cases", "benchmarks"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return place / "new" / "bin", folder
+
+
+def _call(*command_line: str | Path, folder: Path = ROOT) -> str:
+    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    words = [str(word) for word in command_line]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=folder, env=clean)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_readme_and_pages_run_from_a_built_wheel(from_wheel: tuple[Path, Path]) -> None:
+    """Every block and every command of them, without the package's source beside."""
+    programs, folder = from_wheel
+    where = _call(programs / "python", "-c", "import contactqp; print(contactqp.__file__)", folder=folder)
+    assert str(programs.parent) in where
+    modules = [f"tests/docs/test_{name}.py" for name in ("blocks", "readme", "recipes", "notebook")]
+    printed = _call(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *modules, folder=folder)
+    assert int(re.findall(r"(\d+) passed", printed)[0]) > 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["cases"], ["methods"], ["run", "bar_wall"], ["explain", "bar_wall"], ["schema"]])
+def test_the_console_script_works_in_an_empty_folder(
+    from_wheel: tuple[Path, Path], words: list[str], tmp_path: Path
+) -> None:
+    assert _call(from_wheel[0] / "contactqp", *words, folder=tmp_path)
