@@ -25,8 +25,8 @@ def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
     """Lemke's complementary pivoting (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
 
     An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0
-    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that in exact arithmetic the method
-    either solves the problem or ends on a ray where there is no solution; floating bodies included.
+    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that in exact arithmetic the
+    method either solves the problem or ends on a ray where there is no solution; floating bodies included.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
         row = _leaving_row(tableau, basic, entering)
         if row < 0:
             raise NotConverged(
-                f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions, or rounding hides those "
-                "that do"
+                f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions, or rounding hides "
+                "those that do"
             )
     return _in_z(basic), limit, f"stopped after {limit} pivots"
 
