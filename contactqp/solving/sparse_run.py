@@ -13,20 +13,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from contactqp.certificate.subset_bounds import MANY
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg import pardiso
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
-from contactqp.linalg.iteration import held_by_hierarchy, iteration
+from contactqp.linalg.iteration import held_by_hierarchy, iterated, iteration
+from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import on_one_thread
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import ClosedState, Effort
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
-from contactqp.solving.runs import CONDENSES_ITSELF, Run
+from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
 
 # Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
 # whether it is shown the equilibrated problem. Clarabel scales best what it is given as it is, and its factors of rows
@@ -134,7 +137,16 @@ class SparseRun(Run):
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
         found = self._scaling.unscale(_candidate(self._state))
-        return Final(found.displacement, found.normal_force, found.tie_force, polished=True)
+        return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
+
+    def _at_rest(self, final: Final) -> Final:
+        """The answer with its free motions at rest and listed, where the certificate condenses and so knows them."""
+        problem = self.problem
+        if iterated(problem) or constraints_are_many(problem) or problem.normal.nnz > MANY:
+            return final
+        u, force, tie = final.displacement, final.normal_force, final.tie_force
+        shift, free = shift_to_least_norm(problem, condense(problem), Answer(u, force, None, tie))
+        return replace(final, displacement=u + shift, free_motions=described(problem, free)) if free.shape[1] else final
 
     def work(self, corrections: int) -> Work:
         """What it has cost so far: factorisations of saddle points, those of the backend apart."""

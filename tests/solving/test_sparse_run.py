@@ -380,3 +380,14 @@ def test_units_change_nothing(factor: float) -> None:
     first, second = cq.solve(problem), cq.solve(other)
     assert second.certificate.passed
     assert second.energy == pytest.approx(first.energy * factor**3, rel=1e-12)
+
+
+def test_what_is_free_to_move_is_at_rest_and_listed() -> None:
+    """A bar that nothing holds, pulled at both ends, far from its obstacle: nothing says where it is."""
+    stiffness = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    bar = cq.ContactProblem(stiffness, [300.0, -300.0], [[1.0, 0.0]], [5.0])
+    condensed, sparse = (cq.solve(bar.replace(stiffness=stiffness), condense=way) for way in ("auto", False))
+    assert [str(motion) for motion in sparse.free_motions] == [str(motion) for motion in condensed.free_motions] != []
+    np.testing.assert_allclose(sparse.displacement, [300 / 315000, -300 / 315000], rtol=0, atol=5 * 1e-15)
+    held = bar.replace(normal=[[1.0, 0.0], [-1.0, 0.0]], gap=[1e-4, 0.0])
+    assert cq.solve(held, condense=False).free_motions == ()
