@@ -22,6 +22,27 @@ def test_a_rigid_ball_comes_back_with_its_part_of_the_speed(scheme: str, restitu
     assert history.displacements.max() <= 1.0 + 0.04  # overlap of a step at most
 
 
+@pytest.mark.parametrize("scheme", ["moreau-jean", "paoli-schatzman", "penalty", "newmark", "backward-euler"])
+def test_overlap_that_a_scheme_allows_is_told_and_none_where_it_holds_gaps(scheme: str) -> None:
+    units, name = cq.Units(length="m", force="N"), "ball on floor"
+    ball = cq.ContactProblem([[0.0]], [9.81], [[1.0]], [1.0], units=units, contact_names=[name])
+    knobs = {"penalty": {"penalty": 1e4}, "moreau-jean": {"restitution": 0.5}, "paoli-schatzman": {"restitution": 0.5}}
+    history = cq.impact(ball, [1.0], [0.0], [0.0], 0.8, 0.01, scheme, **knobs.get(scheme, {}))
+    depth = float(max(history.displacements[:, 0]) - 1.0)
+    deepest = int(np.argmax(history.displacements[:, 0]))
+    said = f"penetrates {name} by {depth:.6g} m"
+    if scheme in ("newmark", "backward-euler"):
+        assert depth < 1e-12
+        assert history.notes == ()
+        return
+    assert depth > 1e-3
+    (note,) = history.notes
+    assert said in note
+    assert f"step {deepest}, at {history.times[deepest]:.6g}" in note
+    assert any(said in note for note in history[deepest].certificate.notes)
+    assert history[0].certificate.notes == ()
+
+
 @pytest.mark.parametrize("scheme", ["moreau-jean", "backward-euler", "paoli-schatzman"])
 def test_a_sliding_block_stops_after_v_over_mu_g(scheme: str) -> None:
     block = sliding_block()

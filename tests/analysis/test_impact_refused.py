@@ -124,11 +124,11 @@ def test_a_step_that_is_too_long_for_a_contact_is_named_with_both_times() -> Non
     for scheme in ("moreau-jean", "newmark", "backward-euler", "deuflhard-krause-ertel", "modified-mass"):
         with pytest.warns(cq.TimeStepWarning, match=r"time step 0\.01 is too long .* lasts about 7\.7e-05") as caught:
             history = cq.impact(problem, M, still, velocity, 0.15, 0.01, scheme)
-        assert history.notes == (str(caught[0].message),)
+        assert _of_steps(history) == [str(caught[0].message)]
     # Resolved: no warning, which the test settings would make an error.
     near = problem.replace(gap=[5e-4])
     resolved = cq.impact(near, M, still, velocity, 0.0012, 1e-6)
-    assert resolved.notes == ()
+    assert _of_steps(resolved) == []
     assert [event.kind for event in resolved.events][:1] == ["closed"]
 
 
@@ -214,9 +214,14 @@ def test_a_late_impact_beside_a_body_that_rests_or_swings_is_minded(spring: floa
     arguments: Any = (np.ones(3), np.zeros(3), [0, -1.0, -1.0])
     with pytest.warns(cq.TimeStepWarning, match=r"\(contact 1\): it lasts about 0\.00031"):
         history = cq.impact(problem, *arguments, 0.2, 0.01)
-    assert len(history.notes) == 1
+    assert len(_of_steps(history)) == 1
     first = cq.impact(problem, *arguments, 0.05, 0.01)
     assert first.notes == ()
     with pytest.warns(cq.TimeStepWarning, match=r"closes at time 0\.1"):
-        assert len(first.resume(0.15).notes) == 1
+        assert len(_of_steps(first.resume(0.15))) == 1
     assert first.notes == ()
+
+
+def _of_steps(history: cq.MotionHistory) -> list[str]:
+    """The notes but for that on overlap, which has tests of its own."""
+    return [note for note in history.notes if "penetrates" not in note]

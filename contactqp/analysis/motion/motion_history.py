@@ -24,8 +24,8 @@ from contactqp.model.solution import Solution
 
 # Steps whose energies are found at once.
 BLOCK = 256
-# Slip of this part of what moves is rounding.
-SLIPS = 1e-9
+# Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
+SLIPS = PENETRATES = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,8 @@ class Moving(Solution):
 
     `displacement`, `normal_force`, `gap`, `slip` (since the step before) are those of the bodies; forces are those of
     the step that ended, in Moreau's and Jean's scheme impulses over the time step. `certificate` judges `step_problem`,
-    the contact problem that the scheme posed for the step, in whose unknown the answer was `step_unknown`.
+    the contact problem that the scheme posed for the step, in whose unknown the answer was `step_unknown`: where that
+    is a velocity, or a mean of displacements, `gap` may be negative, and `certificate.notes` says by how much.
     """
 
     velocity: Vector = field(default_factory=lambda: np.zeros(0))  # (n,) [length / time]
@@ -147,6 +148,10 @@ def _solution_at(motion: Motion, k: int) -> Moving:
     friction = None if step.slip_origin is None else _shaped(found.friction, step)
     certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
     status = contact_status(step, certificate)
+    deepest = _deepest(problem, state.displacement[None])
+    if deepest is not None:
+        note = f"judged is the problem that {motion.scheme.name} posed for this step; {_penetrates(motion, deepest)}"
+        certificate = replace(certificate, notes=(*certificate.notes, note))
     force = np.zeros(problem.contacts)
     force[: len(state.normal_force)] = state.normal_force
     return Moving(
@@ -167,6 +172,34 @@ def _solution_at(motion: Motion, k: int) -> Moving:
         step_problem=step,
         step_unknown=found.unknown,
     )
+
+
+def said_of_penetration(motion: Motion) -> Iterator[str]:
+    """Yield what a scheme that does not hold the gaps at every instant leaves of them at the worst one."""
+    problem = motion.scheme.body.problem
+    deepest = _deepest(problem, np.array([state.displacement for state in motion.states]))
+    if deepest is not None:
+        place = f"step {deepest[0]}, at {motion.time(deepest[0]):.6g}"
+        yield f"deepest at {place}: {_penetrates(motion, deepest)}"
+
+
+def _deepest(problem: ContactProblem, displacements: NDArray[np.float64]) -> tuple[int, int, float] | None:
+    """Return the step, the contact and the depth of the deepest penetration of (steps, n); None if there is none."""
+    if not problem.contacts:
+        return None
+    moved, size = displacements @ problem.normal.T, abs(displacements) @ abs(problem.normal).T
+    depth = moved - problem.gap
+    limit = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
+    depth = np.where(depth > PENETRATES * (size + limit), depth, 0.0)
+    step, contact = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    return (int(step), int(contact), float(depth[step, contact])) if depth[step, contact] > 0 else None
+
+
+def _penetrates(motion: Motion, deepest: tuple[int, int, float]) -> str:
+    problem = motion.scheme.body.problem
+    unit = f" {problem.units.length}" if problem.units.length else ""
+    why = "as the scheme allows; shorter steps make it less" if motion.scheme.springs is None else "as its springs do"
+    return f"the displacement penetrates {problem.contact_name(deepest[1])} by {deepest[2]:.6g}{unit}, {why}"
 
 
 def _shaped(friction: Vector, problem: ContactProblem) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.mass_matrix import critical_step, touched
-from contactqp.analysis.motion.motion_history import Motion, MotionHistory
+from contactqp.analysis.motion.motion_history import Motion, MotionHistory, said_of_penetration
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import StepContact, StepProblem, StepResult
@@ -120,7 +120,8 @@ class MotionRun:
 
     @property
     def history(self) -> MotionHistory:
-        return MotionHistory(self._motion, lambda: tuple(self._notes), self._resumed)
+        notes = tuple(self._notes)  # of the steps until now
+        return MotionHistory(self._motion, lambda: (*notes, *said_of_penetration(self._motion)), self._resumed)
 
     def _step(self, state: State, load: Vector, next_load: Vector) -> State:
         answers: tuple[StepResult, ...] = ()
