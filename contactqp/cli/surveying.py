@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contactqp.cli.output import console, print_json
+from contactqp.cli.output import complain, console, print_json
 from contactqp.errors import InvalidProblem
 
 if TYPE_CHECKING:
@@ -56,15 +56,17 @@ def methods_command(as_json: bool) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def cases_command(words: tuple[str, ...], as_json: bool) -> None:
     """List the cases that come with contactqp, or those in which every WORD stands; `contactqp run NAME` runs one."""
-    from contactqp.scene.shipped import shipped_cases
+    from contactqp.scene.shipped import nearest_cases, shipped_cases
 
     found = shipped_cases(words)
+    if not found and words:
+        found, most = nearest_cases(words)
+        if not found:
+            raise InvalidProblem(f"cases: no case has a word of {' '.join(words)}; without words all are listed")
+        complain(f"cases: no case has all of {' '.join(words)}; these have {most} of them")
     if as_json:
         print_json([{"name": case.name, "title": case.title, "file": str(case.file)} for case in found])
         return
-    if not found:
-        alone = ", ".join(f"{word!r} {len(shipped_cases((word,)))}" for word in words)
-        raise InvalidProblem(f"cases: expected words that one case has together; alone stand {alone}")
     table = Table(box=box.SIMPLE, pad_edge=False)
     table.add_column("name", no_wrap=True)
     table.add_column("what it is")

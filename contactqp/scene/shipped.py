@@ -12,11 +12,11 @@ SUFFIX = ".toml"
 
 @dataclass(frozen=True)
 class ShippedCase:
-    """One case: its file, its name on the command line, and what its title and its text say."""
+    """One case: its file, its name on the command line, its title, and all that stands in the file."""
 
     file: Path
     title: str
-    about: str = ""
+    text: str = ""
 
     @property
     def name(self) -> str:
@@ -24,8 +24,9 @@ class ShippedCase:
         return self.file.stem
 
     def has(self, word: str) -> bool:
-        """Say whether a word stands in the name, the title or the text, whatever its case."""
-        return word.casefold() in f"{self.name} {self.title} {self.about}".casefold()
+        """Say whether a word, or that of which it is a plural, stands in the name or the file, whatever its case."""
+        known = f"{self.name} {self.text}".casefold()
+        return word.casefold() in known or word.casefold().removesuffix("s") in known
 
 
 def shipped_folder() -> Path | None:
@@ -43,17 +44,27 @@ def shipped_files() -> list[Path]:
 
 
 def shipped_cases(words: tuple[str, ...] = ()) -> list[ShippedCase]:
-    """Return the cases in whose name, title or text every one of some words stands.
+    """Return the cases in whose name or file every one of some words stands.
 
-    >>> [case.name for case in shipped_cases(("hertz", "sphere"))]
-    ['cattaneo_mindlin_sphere', 'hertz_sphere']
+    >>> [case.name for case in shipped_cases(("hertz", "spheres", "mindlin"))]
+    ['cattaneo_mindlin_sphere']
     """
+    return [case for case in _all_cases() if all(map(case.has, words))]
+
+
+def nearest_cases(words: tuple[str, ...]) -> tuple[list[ShippedCase], int]:
+    """Return the cases with the most of some words, and of how many; none where there is no word of them."""
+    every = _all_cases()
+    counts = [sum(map(case.has, words)) for case in every]
+    most = max(counts, default=0)
+    return [case for case, count in zip(every, counts, strict=True) if count == most > 0], most
+
+
+def _all_cases() -> list[ShippedCase]:
     found = []
     for file in shipped_files():
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
-        case = ShippedCase(file, str(data.get("title", "")), " ".join(str(data.get("about", "")).split()))
-        if all(case.has(word) for word in words):
-            found.append(case)
+        text = file.read_text(encoding="utf-8")
+        found.append(ShippedCase(file, str(tomllib.loads(text).get("title", "")), " ".join(text.split())))
     return found
 
 

@@ -128,7 +128,7 @@ def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     if others:
         parts.append(f"As right where they were tried: {', '.join(others)}.")
     parts += [
-        f"At its best setting {line.method} is {_off(line.force_error)} off{_time(line, 0)}."
+        f"By the best setting tried in each case, {line.method} is at most {_off(line.force_error)} off{_time(line)}."
         for line in lines
         if not line.exact and line.force_error is not None
     ]
@@ -145,10 +145,13 @@ def _within(line: MethodLine) -> str:
     return "" if line.force_error is None else f", its contact forces within {max(line.force_error, ROUNDING):.0e}"
 
 
-def _time(line: MethodLine, smallest: int) -> str:
+def _time(line: MethodLine, smallest: int | None = None) -> str:
     if line.linear_solves is None:
         return ""
-    where = f" on bodies of {smallest} unknowns and more" if smallest >= BODY else ""
+    where = ""
+    if smallest is not None:
+        overhead = "" if smallest >= BODY else ", where nearly all of it is overhead"
+        where = f" on bodies of {smallest} unknowns and more{overhead}"
     return f", at {line.linear_solves:.2g} linear solves{where}"
 
 

@@ -61,7 +61,6 @@ def shown(page: str) -> list[Block]:
 
 @pytest.fixture
 def page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[PageRun]:
-    (tmp_path / "cases").symlink_to(ROOT / "cases")
     monkeypatch.chdir(tmp_path)
     # What a page registers ends with it.
     for module, table in ((methods, "_REGISTRY"), (matrix_files, "READERS"), (answer_files, "READERS")):
