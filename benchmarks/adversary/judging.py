@@ -348,10 +348,17 @@ def _outer(problem: cq.ContactProblem, force: Array, friction: Array) -> Array:
 
 
 def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
-    """(n,) the forces that stand, at each unknown, for the size of problem and answer; beneath them is nothing."""
+    """(n,) the forces that stand, at each unknown, for the size of problem and answer; beneath them is nothing.
+
+    Where nothing acts it is the smallest gap that gives a size.
+    """
     root = np.sqrt(np.where(np.diag(problem.stiffness) > 0, np.diag(problem.stiffness), np.inf))
     outer = abs(problem.load) + abs(problem.normal).T @ abs(force)
     size = max(float(np.max(np.where(np.isfinite(root), root, 0.0) * abs(u))), float(np.max(outer / root)))
+    if not np.any(problem.load) and not np.any(problem.tie_value):
+        felt = np.linalg.norm(problem.normal.toarray() / root, axis=1)
+        gives = (problem.gap > 0) & np.isfinite(problem.gap) & (felt > 0)
+        size = max(size, float(np.min(problem.gap[gives] / felt[gives]))) if np.any(gives) else size
     return size * np.where(np.isfinite(root), root, 0.0)
 
 

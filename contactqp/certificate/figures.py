@@ -52,6 +52,7 @@ from contactqp.linalg.measures import (
     ratio,
     row_sizes,
     slips_that_are_nothing,
+    that_move,
     vector_measure,
     without_rigid_part,
 )
@@ -91,7 +92,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
     stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
     size = outer_forces(problem, answer)
-    body = bodies(problem)
+    body, moved = bodies(problem), that_move(problem, rigid.motions)
     # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
     # there are none.
     hidden = 1.0 if problem.frictional else 0.0
@@ -99,7 +100,9 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
         members = np.flatnonzero(body == b)
         moving = np.any(rigid.motions[members] != 0, axis=0)
-        motions = rigid.motions[np.ix_(members, moving)]
+        motions = moved[np.ix_(members, moving)]
+        if not np.any(motions * size[members, None]):
+            continue  # nothing acts where the body moves
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
         worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))

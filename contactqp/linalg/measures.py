@@ -148,6 +148,22 @@ def rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotion
     return np.asarray(coordinates)
 
 
+# Entries of a motion that are this part of its largest, in the unknowns' units and in the energy, are its rounding.
+STANDS_STILL = 256 * float(np.finfo(float).eps)
+
+
+def that_move(problem: ContactProblem, motions: Array) -> Array:
+    """Rigid motions (n, r), zero at unknowns that no motion of their body moves but for rounding.
+
+    Where forces act on such unknowns alone, their work would be rounding, measured against rounding.
+    """
+    sizes = np.linalg.norm(motions, axis=1)
+    still = np.ones(len(sizes), dtype=bool)
+    for size in (sizes, np.sqrt(problem.diagonal) * sizes):
+        still &= size <= STANDS_STILL * _largest_of_bodies(problem, size)
+    return np.where(still[:, None], 0.0, motions) if np.any(still & (sizes > 0)) else motions
+
+
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:
     """S (n,) of a problem and an answer, that of the part which each unknown belongs to.
 
@@ -389,9 +405,10 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
 
 def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
     """The part by which the outer forces miss balance on the worst rigid motion of a basis, of those along it."""
-    rows, motions = extended_rows(problem), rigid.motions
-    if not motions.shape[1]:
+    rows = extended_rows(problem)
+    if not rigid.count:
         return 0.0
+    motions = that_move(problem, rigid.motions)
     outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
     missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
     return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))

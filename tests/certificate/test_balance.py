@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import contactqp as cq
 from contactqp.certificate.figures import _worst_direction
 
 # Of a lattice in corners that is free to slide: forces along two motions, next to none along the third.
@@ -35,3 +36,35 @@ def test_a_program_that_its_solver_gives_up_is_solved_more_roughly():
     random = np.random.default_rng(0).normal(size=(3, 20000))
     random = random / np.sum(abs(BASIS @ random), axis=0)
     assert np.max(WEIGHT @ random) <= best * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+def test_forces_where_no_motion_moves_do_no_work(turned: float) -> None:
+    """A frame on springs that leave it one motion, which does not move the unknown that is loaded and stopped.
+
+    What it moves there is rounding, and so is all the work of the forces, which was measured against rounding.
+    """
+    frame = np.array(
+        [
+            [147.345703125, 55, -92, 0, 0, 0, -55, -55],
+            [55, 86, 0, 0, 0, -31, -55, -55],
+            [-92, 0, 334, -49, -49, 49, 0, 0],
+            [0, 0, -49, 56.53125, 49, -49, 0, -1.125],
+            [0, 0, -49, 49, 561, -49, -512, 0],
+            [0, -31, 49, -49, -49, 80, 0, 0],
+            [-55, -55, 0, 0, -512, 0, 567, 55],
+            [-55, -55, 0, -1.125, 0, 0, 55, 265.125],
+        ]
+    )
+    row = np.eye(8)[3:4] * turned
+    problem = cq.ContactProblem(frame, [0, 0, 0, 1.490234375 * turned, 0, 0, 0, 0], row, [0.0026512146])
+    right = cq.solve(problem)
+    resisted = np.linalg.lstsq(frame, np.eye(8)[3], rcond=None)[0][3]
+    assert right.normal_force == pytest.approx([1.490234375 - 0.0026512146 / resisted], rel=1e-9)
+    shaken = right.displacement + 1e-17 * np.arange(8)
+    certificate = cq.certify(problem, shaken, right.normal_force)
+    assert certificate.passed
+    assert certificate.balance == 0.0
+    # Where motions do move, forces that do not balance are seen as ever.
+    pushed = problem.replace(load=problem.load + 1e-6 * np.eye(8)[4])
+    assert not cq.certify(pushed, shaken, right.normal_force).passed
