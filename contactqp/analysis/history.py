@@ -145,6 +145,12 @@ class History(ReadOnly, Sequence[Solution]):
     def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
         return self._solutions[index]
 
+    def __getattr__(self, name: str) -> Any:
+        """Say where what solutions have is to be found."""
+        if not name.startswith("_") and (hasattr(Solution, name) or name in Solution.__dataclass_fields__):
+            raise AttributeError(f"a {type(self).__name__} holds solutions; history[-1].{name} is that of the last one")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
     @property
     def displacements(self) -> NDArray[np.float64]:
         """Return the displacements (steps, n) [length]."""

@@ -98,6 +98,7 @@ def schema_command() -> None:
 
     It knows what each key takes, and that a quantity begins with a number; its unit is checked when the case is read.
     With Taplo or the extension Even Better TOML, the first line of a case file names it: `#:schema ./case.schema.json`.
+    In a shell `contactqp explain FILE` checks a case whole, units included.
     """
     from contactqp.scene.schema import case_schema
 

@@ -45,7 +45,10 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if isinstance(data, list):
         if len(data) != 1 or not isinstance(data[0], dict):
             got = "a list of numbers" if not any(isinstance(one, dict) for one in data) else f"{len(data)} in a list"
-            raise wrong(path, "content", 'one answer, such as {"displacement": [...]}', got)
+            expected = (
+                'one answer, such as {"displacement": [...]}, or what `contactqp run CASE --method M --json` prints'
+            )
+            raise wrong(path, "content", expected, got)
         data = data[0]
     if not isinstance(data, dict):
         raise wrong(path, "content", EXPECTED, type(data).__name__)

@@ -263,20 +263,20 @@ class Claim(Block):
     """
 
     quantity: QuantityName
-    at: Name | None = None
-    along: Name | None = None
-    near: fields.Point | None = None
+    at: Name | None = None  # the contact, unknown, bar or body that has it
+    along: Name | None = None  # the unknown or axis in whose direction it is
+    near: fields.Point | None = None  # the point of a body where it is
     component: Literal["xx", "yy", "zz", "xy", "yz", "zx", "von-mises"] | None = None
     unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
-    load_factor: Number = Fraction(1)
+    load_factor: Number = Fraction(1)  # of a load path
     time: Annotated[Fraction | Quantity, PlainValidator(_instant)] | None = None
     reached: fields.Length | None = None
-    event: Literal["closed", "opened", "stick", "slip"] | None = None
+    event: Literal["closed", "opened", "stick", "slip"] | None = None  # of the contact, when it happens
     occurrence: Annotated[int, Field(strict=True), AfterValidator(_not_zero)] = 1
-    method: Name | None = None
-    penalty: KnobStiffness | None = None
-    perturbation: KnobStiffness | None = None
-    update: Literal["simultaneous", "uzawa"] | None = None
+    method: Name | None = None  # the only one that is meant; without it all that promise exact answers
+    penalty: KnobStiffness | None = None  # of that method
+    perturbation: KnobStiffness | None = None  # likewise
+    update: Literal["simultaneous", "uzawa"] | None = None  # likewise
 
     @cached_property
     def measure(self) -> Measure:
@@ -344,12 +344,12 @@ class Claim(Block):
 class Expectation(Claim):
     """The exact value, how close the answer must come, and where the value is from."""
 
-    value: Text | None = None
+    value: Text | None = None  # the exact one, with its unit
     rows: tuple[tuple[Text, ...], ...] | None = None
     unit: Text = ""  # of the numbers in `rows`
     # Relative to |value|, or absolute with a unit. Twelve digits: a few rounding errors of a small system.
     tolerance: Annotated[Quantity, PlainValidator(_tolerance), Field(validate_default=True)] = "1e-12"  # type: ignore[assignment]
-    derivation: Text
+    derivation: Text  # where the value is from
 
     @model_validator(mode="after")
     def _readable(self) -> Self:

@@ -114,6 +114,8 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         pictures = [(3, solution.normal_force), (4, _gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
     print_courses(console, judgement)
+    if verbose:
+        print_instants(console, judgement, most)
     print_events(console, judgement.history, time_label(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
@@ -276,6 +278,20 @@ def _shape(smooth: bool) -> str:
     return "smooth" if smooth else "corner: a contact closes or opens"
 
 
+def print_instants(console: Console, judgement: Judgement, most: int) -> None:
+    """Print the normal force of each contact over a path or a motion, of many instants some."""
+    history, scene = judgement.history, judgement.scene
+    if len(history) < 2:
+        return
+    chosen = np.unique(np.linspace(0, len(history) - 1, min(len(history), most)).round().astype(int))
+    forces = list(_forces(judgement, history))
+    header = [time_label(scene), *(f"{contact} [{scene.units.force}]" for contact, _ in forces)]
+    rows = [[written(history.times[k]), *(written(force[k]) for _, force in forces)] for k in chosen]
+    print_table(console, header, rows, most=most)
+    if len(chosen) < len(history):
+        console.print(f"{len(chosen)} of {len(history)} instants; --json prints all")
+
+
 def print_notes(console: Console, history: History) -> None:
     """Print the notes of a history."""
     for note in history.notes:
@@ -415,6 +431,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         **_friction_data(judgement),
         **_energy_data(judgement),
         **large_data(judgement.history),
+        **_history_data(judgement),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],
@@ -453,6 +470,16 @@ def _energy_data(judgement: Judgement) -> dict[str, Any]:
     if is_moving(solution):
         data |= {"time": solution.time, "velocity": _named(solution.problem.dof_names, solution.velocity)}
     return data
+
+
+def _history_data(judgement: Judgement) -> dict[str, Any]:
+    """Return the normal force of each contact at every instant of a path or a motion; of many nodes their sum."""
+    history = judgement.history
+    if len(history) < 2:
+        return {}
+    forces = {contact: [_finite(float(x)) for x in force] for contact, force in _forces(judgement, history)}
+    times = [float(t) for t in history.times]
+    return {"history": {"over": time_label(judgement.scene), "at": times, "normal_force": forces}}
 
 
 def large_data(history: History) -> dict[str, Any]:

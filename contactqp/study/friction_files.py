@@ -335,11 +335,14 @@ PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
 def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
     """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish.
 
-    Of energies without friction: the energy, and what is proven of it.
+    Of energies without friction: the energy, and what is proven of it. The answer of a single one follows, its largest
+    displacements and forces.
     """
     energies = [outcome for outcome in outcomes if outcome.problem.is_energy]
     if energies:
         _print_energies(console, energies)
+    if len(outcomes) == 1 and isinstance(outcomes[0].solution, Solution):
+        console.print(escape(outcomes[0].solution.summary()))
     outcomes = [outcome for outcome in outcomes if not outcome.problem.is_energy]
     if not outcomes:
         return

@@ -166,3 +166,11 @@ def test_the_benchmark_judges_the_further_step():
     assert found.factorisations == 1
     assert replace(found, first=1.0, step=0.049).met
     assert not replace(found, first=1.0, step=0.051).met
+
+
+def test_a_history_says_where_what_solutions_have_is() -> None:
+    history = cq.follow_path(truss(), loads=[[60.0, -100.0]], steps=2)
+    for name in ("at", "displacement", "certificate"):
+        with pytest.raises(AttributeError, match=rf"history\[-1\]\.{name} is that of the last"):
+            getattr(history, name)
+    assert not hasattr(history, "nonsense")

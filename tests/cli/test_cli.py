@@ -64,6 +64,31 @@ def test_of_one_case_the_answer_stands_on_a_screen_and_all_claims_with_verbose(c
     assert len(whole.splitlines()) > 80
 
 
+def test_a_folder_of_matrices_prints_its_displacements_and_forces(capsys, tmp_path):
+    problem = contactqp.ContactProblem(
+        [[315000.0, -157500.0], [-157500.0, 157500.0]], [0.0, 300.0], [[0.0, 1.0]], [1e-3]
+    )
+    contactqp.write_problem(tmp_path / "mine", problem.replace(contact_names=["wall"]))
+    code, out, _ = run(capsys, "run", tmp_path / "mine")
+    assert code == 0
+    assert re.search(r"wall +closed +221.25 +0\n", out)
+    assert re.search(r"unknown 1 +0.001\n", out)
+
+
+def test_a_load_path_is_printed_instant_by_instant(capsys):
+    _, out, _ = run(capsys, "run", CASES / "bar_wall_path.toml", "--method", "active-set", "--verbose")
+    assert re.search(r"load factor +tip \[kN\]", out)
+    assert re.search(r"0\.666666666667 +42\.5 ", out)
+    assert re.search(r"0\.5 +0 ", out)
+    _, out, _ = run(capsys, "run", CASES / "bar_wall_path.toml", "--method", "active-set", "--json")
+    (data,) = json.loads(out)
+    assert data["history"]["over"] == "load factor"
+    assert data["history"]["at"][-1] == 1.0
+    assert data["history"]["normal_force"]["tip"] == pytest.approx([0, 0, 0, 0, 0, 42.5, 92.5, 142.5])
+    _, out, _ = run(capsys, "run", CASES / "bar_bounces.toml", "--method", "active-set", "--verbose")
+    assert re.search(r"\d+ of 1601 instants; --json prints all", out)
+
+
 def test_a_case_without_an_answer_has_a_line_with_its_name(capsys, tmp_path):
     (tmp_path / "pushed_off.toml").write_text(PUSHED_OFF)
     code, out, err = run(capsys, "run", tmp_path / "pushed_off.toml", WALL)

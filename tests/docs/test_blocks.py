@@ -16,7 +16,7 @@ from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
 from contactqp.solving.friction.algorithms import ALGORITHMS
 from tests.block_registry import registered_blocks
-from tests.docs.blocks import ROOT, Block, blocks, pages
+from tests.docs.blocks import Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
 
 # Pages that another test runs, all blocks of them.
