@@ -45,10 +45,8 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if isinstance(data, list):
         if len(data) != 1 or not isinstance(data[0], dict):
             got = "a list of numbers" if not any(isinstance(one, dict) for one in data) else f"{len(data)} in a list"
-            expected = (
-                'one answer, such as {"displacement": [...]}, or what `contactqp run CASE --method M --json` prints'
-            )
-            raise wrong(path, "content", expected, got)
+            cure = "; one is printed by contactqp run CASE --method M --json" if len(data) > 1 else ""
+            raise wrong(path, "content", 'one answer, such as {"displacement": [...]}', got + cure)
         data = data[0]
     if not isinstance(data, dict):
         raise wrong(path, "content", EXPECTED, type(data).__name__)
