@@ -136,6 +136,13 @@ class Run:
         with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
             return self._accepted(*self._certified(started))
 
+    def seconds_to_answer(self) -> float:
+        """Polish as `finish` does, and return the seconds that this and the method took; nothing is certified."""
+        started = time.perf_counter() - self.seconds
+        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH), self.meter.running():
+            self.final()
+            return time.perf_counter() - started
+
     def _accepted(self, solution: Solution, polished: bool) -> Solution:
         """The solution, unless its method did not converge or the certificate refuses what should be exact."""
         candidate, name = self.candidate, self.name
