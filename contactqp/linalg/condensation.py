@@ -258,8 +258,9 @@ class Condensation:
         """
         motions = self.rigid.motions[self.retained] / self.scale[:, None]
         missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
+        rounding = 4 * np.finfo(float).eps * (abs(self.rigid.motions).T @ abs(load))
         of_body = self.bodies[np.argmax(abs(motions), axis=0)]
-        acting = np.isin(of_body, of_body[missing != 0])
+        acting = np.isin(of_body, of_body[abs(missing) > rounding])
         change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
         loaded = np.isin(self.bodies, of_body[acting])
         return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))

@@ -176,3 +176,66 @@ def test_grazing_of_two_chains_is_decided_beneath_the_rounding_of_doubles(seed: 
     solution, exact = cq.solve(problem), cq.exact(problem)
     assert solution.certificate.passed
     assert solution.normal_force[0] == pytest.approx(float(exact.normal_force[0]), rel=1e-9, abs=0)
+
+
+def _floating_chain(rng: np.random.Generator) -> tuple[cq.ContactProblem, np.ndarray]:
+    """A chain of springs that floats, pins without stiffness joined to it by rods, the last stopped where it stands.
+
+    All numbers are few bits, so that loads and gaps belong to the displacement that comes with it exactly.
+    """
+    n, pins = int(rng.integers(2, 5)), int(rng.integers(1, 4))
+    K = np.zeros((n + pins, n + pins))
+    for i in range(n - 1):
+        K[i : i + 2, i : i + 2] += (
+            float(rng.integers(1, 8)) * 2.0 ** float(rng.integers(-4, 5)) * np.array([[1, -1], [-1, 1]])
+        )
+    u = rng.integers(-8, 9, n + pins) / 8
+    u[-1] = 0.0
+    rods = np.zeros((pins, n + pins))
+    for rod, (one, other) in zip(rods, zip([0, *range(n, n + pins - 1)], range(n, n + pins), strict=True), strict=True):
+        rod[[one, other]] = rng.integers(1, 5) / 2, -rng.integers(1, 5) / 2
+    rows = np.eye(n + pins)[[n + pins - 1, int(rng.integers(0, n + pins))]] * [[1.0], [-1.0]]
+    load = K @ u + rows.T @ (rng.integers(4, 16, 2) / 8) + rods.T @ (rng.integers(-8, 9, pins) / 8)
+    return cq.ContactProblem(K, load, rows, rows @ u, tie=rods, tie_value=rods @ u), u
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke"])
+def test_contacts_on_pins_that_are_tied_to_what_floats(method: str) -> None:
+    rng, solved = np.random.default_rng(26), 0
+    for _ in range(40):
+        problem, u = _floating_chain(rng)
+        found = cq.solve(problem, method)
+        assert found.certificate.passed
+        assert found.work.routes == ()
+        if not found.free_motions:
+            assert found.displacement == pytest.approx(u, abs=1e-12)
+            solved += 1
+    assert solved > 20
+
+
+@pytest.mark.parametrize("unit", [1.0, 4.0**40, 4.0**-150])
+def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None:
+    """Force on the stop and force in the tie are one, and the least is none on the stop, in any unit."""
+    frame = np.array(
+        [
+            [2, 1, -1, 0, 0, 0, -1, -1],
+            [1, 2, 0, 0, 0, -1, -1, -1],
+            [-1, 0, 2, -1, -1, 1, 0, 0],
+            [0, 0, -1, 2, 1, -1, 0, -1],
+            [0, 0, -1, 1, 2, -1, -1, 0],
+            [0, -1, 1, -1, -1, 2, 0, 0],
+            [-1, -1, 0, 0, -1, 0, 2, 1],
+            [-1, -1, 0, -1, 0, 0, 1, 2],
+        ]
+    )
+    K, one = np.zeros((9, 9)), np.eye(9)
+    K[:8, :8] = frame
+    load = unit * np.array([0, -0.21875, -0.25, 0, 0, 0, 0, 0, 0.125])
+    problem = cq.ContactProblem(
+        K, load, [one[2], one[4], -one[1]], np.zeros(3), tie=one[[8, 2]], tie_value=[0.75 * unit, 0]
+    )
+    found = cq.solve(problem)
+    assert found.work.routes == ()
+    assert found.normal_force / unit == pytest.approx([0, 0, 0.21875], abs=1e-15)
+    assert found.tie_force / unit == pytest.approx([0.125, -0.25], abs=1e-15)
+    assert len(found.free_motions) == 1

@@ -19,9 +19,16 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.factorization import null_space
+from contactqp.linalg.measures import own_compliance
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.solving.methods.textbook_algebra import independent_rows, refuse_contradiction, solve_linear, spread
+from contactqp.solving.methods.textbook_algebra import (
+    TEXTBOOK_ROUNDING,
+    independent_rows,
+    refuse_contradiction,
+    solve_linear,
+    spread,
+)
 
 # A unit motion that approaches every contact by less than this is felt by none: an arm shorter than rounding makes.
 RESISTED = 1e-10
@@ -118,29 +125,45 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
     as many contacts B as there are motions, with N_B regular, give l_B and a from these equations.
     """
     E, m = problem.normal, problem.contacts
-    W = E @ reduced.response
-    W = (W + W.T) / 2
-    q = problem.gap - E @ reduced.free
+    own = np.sqrt(own_compliance(problem, E))
+    W, sizes = E @ reduced.response, np.maximum(abs(E) @ abs(reduced.response), np.outer(own, own))
+    W = _without_rounding((W + W.T) / 2, (sizes + sizes.T) / 2)
+    lengths = abs(np.where(np.isfinite(problem.gap), problem.gap, 0.0)) + abs(E) @ abs(reduced.free)
+    lengths = np.maximum(lengths, own * np.max(np.sqrt(problem.diagonal) * abs(reduced.free), initial=0.0))
+    q = _without_rounding(problem.gap - E @ reduced.free, lengths)
     N, balance = E @ reduced.motions, reduced.motions.T @ problem.load
     if N.shape[1] == 0:
         return Complementarity(q, W, np.zeros(0, dtype=np.intp))
     from scipy.linalg import qr
 
+    N = _without_rounding(N, abs(E).sum(axis=1)[:, None] * np.max(abs(reduced.motions), axis=0))
     unit = N / np.sqrt(E.power(2).sum(axis=1))[:, None]
     B = qr(unit.T, mode="r", pivoting=True)[1][: N.shape[1]]
     R = np.setdiff1d(np.arange(m), B)
     # l = T y + l0 with y the forces of R; l_B = N_B'^-1 (Z'f - N_R' y).
+    inverse = np.linalg.inv(N[B].T)
     T = np.zeros((m, R.size))
     T[R, np.arange(R.size)] = 1.0
-    T[B] = -np.linalg.solve(N[B].T, N[R].T)
-    l0 = spread(np.linalg.solve(N[B].T, balance), B, m)
+    T[B] = _without_rounding(-inverse @ N[R].T, abs(inverse) @ abs(N[R].T))
+    l0 = spread(_without_rounding(inverse @ balance, abs(inverse) @ (abs(reduced.motions).T @ problem.load_size)), B, m)
     # w_R - (N_R N_B^-1) w_B = T'(q + W l), for the motions a drop out of T'N = 0.
     offset, matrix = np.zeros(m), np.zeros((m, m))
-    offset[B], offset[R] = l0[B], T.T @ (q + W @ l0)
+    offset[B] = l0[B]
+    offset[R] = _without_rounding(T.T @ (q + W @ l0), abs(T).T @ (lengths + sizes @ abs(l0)))
     matrix[np.ix_(B, R)] = T[B]
     matrix[np.ix_(R, B)] = -T[B].T
-    matrix[np.ix_(R, R)] = T.T @ W @ T
+    matrix[np.ix_(R, R)] = _without_rounding(T.T @ W @ T, abs(T).T @ sizes @ abs(T))
     return Complementarity(offset, matrix, B)
+
+
+def _without_rounding(values: Dense, sizes: Dense) -> Dense:
+    """Values, zero where they are no more than what rounding makes of terms of these sizes.
+
+    Pivots follow signs: a contact on an unknown that a tie holds has neither a gap nor a compliance, and what rounding
+    has made of them would lead nowhere. There nothing meets but rounding, and sizes are those of contacts elsewhere:
+    compliances of the row's own unknowns with all others held, the largest motion.
+    """
+    return np.where(abs(values) > TEXTBOOK_ROUNDING * sizes, values, 0.0)
 
 
 def expand(
