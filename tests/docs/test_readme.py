@@ -42,6 +42,9 @@ def test_the_python_examples_print_what_their_comments_say(capsys: pytest.Captur
     printed = capsys.readouterr().out
     assert "contact 0  closed" in printed
     assert "kN" in printed
+    said = re.findall(r"# prints ([\d.]+)|# closes at ([\d.]+)", "".join(_blocks("python")))
+    assert len(said) == 3
+    assert [text for pair in said for text in pair if text and text not in printed] == []
     soft = scope["soft"]
     assert isinstance(soft, cq.Solution)
     assert soft.certificate.force_error == pytest.approx(0.071, abs=5e-4)
