@@ -34,26 +34,28 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.contact_entries import (
+    ContactEntries,
+    contact_entries,
+    hardly_felt,
+    slips_that_are_nothing,
+    vector_measure,
+)
 from contactqp.linalg.extended import Residuals, extend, extended_rows, images, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
     ROUNDING_OF_LENGTH,
-    ContactEntries,
     beyond,
     bodies,
-    contact_entries,
     force_measure,
     forces_that_count,
-    hardly_felt,
     intrinsic_size,
     nothing,
     outer_forces,
     ratio,
     row_sizes,
-    slips_that_are_nothing,
     that_move,
-    vector_measure,
     without_rigid_part,
 )
 from contactqp.model.arrays import Array, Vector

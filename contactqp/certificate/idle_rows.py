@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium
+from contactqp.linalg.contact_entries import contact_entries, vector_measure
 from contactqp.linalg.existence import Conflict
-from contactqp.linalg.measures import contact_entries, force_measure, forces_that_meet, vector_measure
+from contactqp.linalg.measures import force_measure, forces_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing, Violations

@@ -22,7 +22,8 @@ from contactqp.certificate.bounds import Bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium
 from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
-from contactqp.model.problem import Computed, ContactProblem
+from contactqp.model.computed import Computed
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
 
 # Numbers up to this and down to its inverse need no other units: 1e24 and 1e-24.

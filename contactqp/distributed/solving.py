@@ -26,10 +26,10 @@ from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import NotCertified, NotConverged, Unsupported
-from contactqp.linalg.existence import describe_motion
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Certificate, FreeMotion, Nothing, Solution, Violations, Work
+from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration

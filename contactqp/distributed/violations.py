@@ -24,17 +24,9 @@ from contactqp.certificate.figures import (
 from contactqp.distributed.floating import without_rigid_part
 from contactqp.distributed.problem import Bodies, DistributedProblem
 from contactqp.distributed.rows import Rows
+from contactqp.linalg.contact_entries import entries_of, hardly_felt, slips_that_are_nothing
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.measures import (
-    HELD_BY_DOUBLES,
-    RowSizes,
-    entries_of,
-    force_measure,
-    hardly_felt,
-    imposed,
-    sizes_of,
-    slips_that_are_nothing,
-)
+from contactqp.linalg.measures import HELD_BY_DOUBLES, RowSizes, force_measure, imposed, sizes_of
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations

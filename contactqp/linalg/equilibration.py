@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.problem import Computed, ContactProblem
+from contactqp.model.computed import Computed
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
 
 # Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.

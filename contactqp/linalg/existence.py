@@ -11,8 +11,7 @@ a motion that only the rest of the cone would allow is not claimed.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -28,6 +27,7 @@ from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
+from contactqp.model.unknown_names import describe_motion, listed
 
 LP_TOLERANCE = 1e-10
 # Coordinates and gains of this part of the largest are no artefact of that tolerance.
@@ -49,7 +49,6 @@ ROUNDING = 8 * np.finfo(float).eps
 MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
 # Loads that balance to less than this of their size were meant to balance: the message says how to make them.
 MEANT_TO_BALANCE = 1e-4
-NAMES_IN_A_MESSAGE = 8
 # A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
 RECOGNISED = 1e3
 # Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
@@ -256,7 +255,7 @@ def _refuse(problem: ContactProblem, found: Conflict | None) -> None:
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
     names += [problem.tie_name(int(i)) for i in np.flatnonzero(found.tie)]
     raise NoEquilibrium(
-        f"no displacement satisfies these constraints together: {_listed(names)} (weighted they ask for 0 <= "
+        f"no displacement satisfies these constraints together: {listed(names)} (weighted they ask for 0 <= "
         f"{-found.excess:.3g}, rounding {found.rounding:.1g})",
         found,
     )
@@ -476,36 +475,3 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
         if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):
             return False
     return True
-
-
-def describe_motion(problem: ContactProblem, motion: Vector) -> str:
-    """A motion in words: the unknowns that move, and how far relative to the largest."""
-    moving = np.flatnonzero(abs(motion) > NO_PART * np.max(abs(motion)))
-    together = _moving_together([problem.dof_name(int(j)) for j in moving], motion[moving])
-    if together:
-        return _listed(together)
-    # Rounded, so that unknowns that move alike are named in their own order.
-    order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
-    named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
-    return _listed(named, len(order))
-
-
-def _moving_together(names: Sequence[str], motion: Vector) -> list[str]:
-    """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
-    nodes: dict[tuple[str, str, float], list[str]] = {}
-    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
-        found = re.fullmatch(r"(.+) node (\d+) (\w+)", name)
-        if found is None:
-            return []
-        nodes.setdefault((found[1], found[3], step), []).append(found[2])
-    if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
-        return []
-    more = {key: f" and {len(moved) - 1} more" if len(moved) > 1 else "" for key, moved in nodes.items()}
-    return [f"{key[0]} along {key[1]} by {key[2]:+.3g} (node {moved[0]}{more[key]})" for key, moved in nodes.items()]
-
-
-def _listed(names: list[str], count: int | None = None) -> str:
-    """The first names of a list, and how many more there are of `count`, or of the list."""
-    shown = names[:NAMES_IN_A_MESSAGE]
-    more = (len(names) if count is None else count) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "")

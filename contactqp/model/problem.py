@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import own_floating_point
+from contactqp.model.computed import Computed
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import (
     csr_rows,
@@ -56,59 +57,6 @@ class Units:
 # Names that are units of one and never of the other.
 LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
 FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
-
-
-@dataclass(eq=False)
-class OfStiffness:
-    """What has been computed of a stiffness alone; problems with other contacts and ties share it."""
-
-    diagonal: Vector | None = None
-    rows: Any = None  # K as a CSR matrix
-    sizes: Any = None  # |K|
-    bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
-    extended: Any = None  # K for products in twice double precision
-    convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
-
-
-@dataclass(eq=False)
-class Computed:
-    """What has been computed of a stiffness and a set of rows, for every load, gap and friction that follow.
-
-    `ContactProblem.replace` hands it on as long as stiffness and rows stay. Entries are None until they are asked for;
-    each is made and read by one module, the one named beside it.
-    """
-
-    of_stiffness: OfStiffness = field(default_factory=OfStiffness)
-    locks: dict[int, Any] = field(default_factory=dict)  # by process
-    idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
-    acting: Any = None  # certificate.idle_rows: the problem without them
-    parallel_rows: Any = None  # solving.presolve
-    presolved: Any = None  # solving.presolve: the problem without rows that it can do without
-    near_one: Any = None  # certificate.number_range: whether K and the rows are, and else these in other units
-    unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
-    condensation: Any = None  # linalg.condensation
-    dependent_ties: Any = None  # linalg.saddle
-    constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.sparse_saddle: with friction, without
-    sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
-    sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
-    equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
-    equilibrated_forces: Any = None  # linalg.equilibration: the same with a unit of forces apart from that of lengths
-    contact_compliance: Any = None  # linalg.delassus
-    extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
-    iteration: Any = None  # linalg.iteration
-    supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
-    row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
-    contact_entries: dict[int, Any] = field(default_factory=dict)  # linalg.measures: likewise
-    parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
-    scale_of_unknowns: Vector | None = None  # linalg.measures
-    untouched: NDArray[np.bool_] | None = None  # linalg.measures
-    rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
-    independent_rows: bool | None = None  # certificate.uniqueness
-    critical_friction: Any = None  # certificate.critical_friction
-    all_contacts: bool | None = None  # certificate.subset_bounds: whether all contacts are condensed onto
-    subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
-    judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
-    contact_operator: Any = None  # solving.friction.contact_form
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

@@ -5,8 +5,20 @@ Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Aba
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import re
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from contactqp.model.arrays import Vector
+
+if TYPE_CHECKING:
+    from contactqp.model.problem import ContactProblem
+
+NAMES_IN_A_MESSAGE = 8
+# An unknown that moves by this part of the largest takes part in a motion.
+TAKES_PART = 1e-9
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
     **{axis: axis for axis in AXES},
@@ -50,3 +62,36 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
         if meaning is not None and name not in exact:
             by_meaning.setdefault(meaning, []).append(name)
     return {name: found for name in wanted if (found := by_meaning.get(plain_name(name) or "", []))}
+
+
+def describe_motion(problem: ContactProblem, motion: Vector) -> str:
+    """A motion in words: the unknowns that move, and how far relative to the largest."""
+    moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
+    together = _moving_together([problem.dof_name(int(j)) for j in moving], motion[moving])
+    if together:
+        return listed(together)
+    # Rounded, so that unknowns that move alike are named in their own order.
+    order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
+    named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
+    return listed(named, len(order))
+
+
+def _moving_together(names: Sequence[str], motion: Vector) -> list[str]:
+    """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
+    nodes: dict[tuple[str, str, float], list[str]] = {}
+    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
+        found = re.fullmatch(r"(.+) node (\d+) (\w+)", name)
+        if found is None:
+            return []
+        nodes.setdefault((found[1], found[3], step), []).append(found[2])
+    if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
+        return []
+    more = {key: f" and {len(moved) - 1} more" if len(moved) > 1 else "" for key, moved in nodes.items()}
+    return [f"{key[0]} along {key[1]} by {key[2]:+.3g} (node {moved[0]}{more[key]})" for key, moved in nodes.items()]
+
+
+def listed(names: list[str], count: int | None = None) -> str:
+    """The first names of a list, and how many more there are of `count`, or of the list."""
+    shown = names[:NAMES_IN_A_MESSAGE]
+    more = (len(names) if count is None else count) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")

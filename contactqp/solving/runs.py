@@ -22,7 +22,7 @@ from contactqp.certificate.certificate import compute_certificate, contact_statu
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense, unknown_scale
 from contactqp.linalg.condensation import condense as condensation_of
-from contactqp.linalg.existence import describe_motion, refuse_conflict, refuse_driven_motion
+from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import DENSE_SIZE
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.measures import lay_out, row_sizes
@@ -42,6 +42,7 @@ from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
+from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 

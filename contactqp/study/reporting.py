@@ -41,8 +41,7 @@ from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
 from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
-from contactqp.study.telling_cases import telling_cases
-from contactqp.study.telling_chart import examples_chart, telling_case, telling_chart
+from contactqp.study.telling import examples_chart, telling_case, telling_cases, telling_chart
 
 # Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
 REPEATS, ENOUGH = 3, 0.05

@@ -63,7 +63,7 @@ def test_cases_are_listed_and_found_by_words(capsys) -> None:
 def test_a_package_without_cases_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(shipped, "shipped_files", list)
-    for module in ("reporting", "telling_cases"):
+    for module in ("reporting", "telling"):
         monkeypatch.setattr(f"contactqp.study.{module}.shipped_folder", lambda: None)
     assert run(capsys, "run", "bar_wall")[2].endswith("and there is none of that name\n")
     assert "expected case files, or a folder 'cases' here" in run(capsys, "report", "--full")[2]

@@ -12,18 +12,16 @@ import pytest
 
 from contactqp.errors import SceneError
 from contactqp.scene.scene import load_scene
-from contactqp.study import collecting, report_data
+from contactqp.study import collecting, report_data, telling
 from contactqp.study import reporting as report
-from contactqp.study import telling_cases as telling
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.case_study import load_studies
 from contactqp.study.delivery import busy
 from contactqp.study.footprint import Footprint
-from contactqp.study.left_out import left_out_lines
 from contactqp.study.report_data import Sizes
 from contactqp.study.running.runner import Running, Stopped
 from contactqp.study.settings import DEFAULT_TOLERANCE, brief_settings, chosen_methods
-from contactqp.study.telling_chart import LABELLED, LETTER, examples_chart, telling_chart
+from contactqp.study.telling import LABELLED, LETTER, examples_chart, left_out_lines, telling_chart
 from tests.study.charts_examples import report as charted
 from tests.study.statistics_examples import right, wrong
 

@@ -20,10 +20,10 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
-from contactqp.linalg.existence import describe_motion
 from contactqp.linalg.rational import NoSolution, Undecided, dot, fraction, is_semidefinite, number, zeros
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
+from contactqp.model.unknown_names import describe_motion
 from contactqp.oracle.exact.closed_set import Settled, settle
 from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
 from contactqp.oracle.exact.exact_path import follow

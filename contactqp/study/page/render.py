@@ -17,7 +17,6 @@ from contactqp.scene.schema import PHYSICS
 from contactqp.study.conclusion import conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.delivery import busy
-from contactqp.study.left_out import left_out_lines
 from contactqp.study.page.case_view import (
     FACETS,
     CaseView,
@@ -32,6 +31,7 @@ from contactqp.study.page.case_view import (
 from contactqp.study.page.stability_bars import StabilityBars
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
+from contactqp.study.telling import left_out_lines
 
 
 @lru_cache(maxsize=4096)

@@ -15,7 +15,7 @@ import pytest
 
 from contactqp.study.page import render as pages
 from contactqp.study.page.render import render_study
-from contactqp.study.telling_chart import telling_chart
+from contactqp.study.telling import telling_chart
 from tests.study.charts_examples import report
 from tests.study.page.samples import Part, chart, hostile
 
