@@ -95,8 +95,9 @@ def parent(options: argparse.Namespace) -> Tally:
 
         def read() -> None:
             assert one.stdout is not None
-            for line in one.stdout:
-                lines.put((job, line))
+            with one.stdout:
+                for line in one.stdout:
+                    lines.put((job, line))
             lines.put((job, None))
 
         threading.Thread(target=read, daemon=True).start()
