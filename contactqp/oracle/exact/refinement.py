@@ -322,19 +322,23 @@ def refine(
         first = solve(problem, method, **options)
     walk = _Walk(problem, first, method, options)
     goal = 2.0 ** (-digits * 3.3219)
-    lowest, idle = walk.left, 0
+    lowest, idle, reason = walk.left, 0, ""
     for rounds in range(MOST_ROUNDS + 1):
         if walk.settled and max(walk.left) <= goal:
             return walk.refined(rounds, first)
         if rounds == MOST_ROUNDS or idle == MOST_IDLE_ROUNDS:
             break
-        walk.step()
+        try:
+            walk.step()
+        except NotConverged as error:
+            reason = f" ({error})"
+            break
         if not walk.settled or any(now < before / 2 for now, before in zip(walk.left, lowest, strict=True)):
             lowest, idle = walk.left, 0
         else:
             idle += 1
     raise NotConverged(
-        f"refine: residuals of {max(walk.left):.1e} after {rounds} rounds, {goal:.0e} wanted", solution=first
+        f"refine: residuals of {max(walk.left):.1e} after {rounds} rounds, {goal:.0e} wanted{reason}", solution=first
     )
 
 
