@@ -385,3 +385,60 @@ def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width:
     assert all(box[3] <= width for box in (*found["sentence"], *found["plot"]))
     for i, box in enumerate(found["names"]):
         assert all(_apart(box, other) for other in found["names"][:i]), found["names"]
+
+
+# Every line of text that can be seen, as far as the boxes that it is scrolled in show it; drawings label themselves.
+TEXTS = """
+const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), found = [];
+while (walker.nextNode()) {
+  const node = walker.currentNode, parent = node.parentElement, clips = [];
+  if (!node.textContent.trim() || !parent.checkVisibility() || parent.closest('svg, script, style, math')) continue;
+  for (let e = parent; e !== document.body; e = e.parentElement)
+    if (getComputedStyle(e).overflow !== 'visible') clips.push(e.getBoundingClientRect());
+  const range = document.createRange();
+  range.selectNodeContents(node);
+  for (const line of range.getClientRects()) {
+    let [left, top, right, bottom] = [line.left, line.top, line.right, line.bottom];
+    for (const clip of clips) {
+      left = Math.max(left, clip.left), top = Math.max(top, clip.top);
+      right = Math.min(right, clip.right), bottom = Math.min(bottom, clip.bottom);
+    }
+    if (right - left > 1 && bottom - top > 1)
+      found.push([node.textContent.trim().slice(0, 60), left, top + scrollY, right, bottom + scrollY]);
+  }
+}
+return found;
+"""
+
+
+def _overlapping(texts: list[list[Any]]) -> list[tuple[str, str]]:
+    """Texts that lie over one another by more than the edges of their letters."""
+    ordered, found = sorted(texts, key=lambda text: text[2]), []
+    for i, one in enumerate(ordered):
+        for other in ordered[i + 1 :]:
+            if other[2] >= one[4] - 3:
+                break
+            if min(one[3], other[3]) - max(one[1], other[1]) > 2 and min(one[4], other[4]) - other[2] > 3:
+                found.append((one[0], other[0]))
+    return found
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_no_text_of_the_page_lies_over_another(session: Any, address: str, width: int) -> None:
+    _look(session, width, "light")
+    session.get(address)
+    for opened in (False, True):
+        if opened:
+            session.execute_script("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
+            _wait(session, "[...document.querySelectorAll('details')].every((e) => e.open)")
+        texts = session.execute_script(TEXTS)
+        assert len(texts) > 100
+        assert _overlapping(texts) == []
+        assert max(text[3] for text in texts) <= width
+
+
+def test_text_over_text_is_found(session: Any, address: str) -> None:
+    _look(session, 1280, "light")
+    session.get(address)
+    session.execute_script("document.querySelector('h1').style.marginBottom = '-40px'")
+    assert _overlapping(session.execute_script(TEXTS))
