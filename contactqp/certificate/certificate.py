@@ -286,11 +286,11 @@ def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, to
 def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
 
-    A contact is closed where its force acts and its gap, of either sign and as a part of the lengths that meet there,
-    is no larger than its force as a part of the forces that meet, or than `tolerance`; the sign of the force does not
-    count, which `tension` judges. A closed contact with friction slips where its slip is more than `tolerance` of the
-    lengths that meet. It is grazing where gap and force are both at most `tolerance`, and the force is nothing beside
-    the energy.
+    A contact is closed where its force is not nothing and its gap, relative to the lengths that meet there, is at most
+    its force relative to the forces that meet, or at most `tolerance`. Signs do not count: `tension` judges that of
+    the force, `penetration` that of the gap. A closed contact with friction slips where its slip is more than
+    `tolerance` of the lengths that meet. It is grazing where gap and force are both at most `tolerance`, and the force
+    is nothing beside the energy.
     """
     grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
     return status_words(certificate, problem.friction, grazing)

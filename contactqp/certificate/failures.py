@@ -13,7 +13,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import FIGURES, Answer, Violations
 
-# Grazing contacts that a note names.
+# Grazing contacts, and dependent ties, that a note names.
 MOST_NAMED = 8
 # Changes of the forces that are less than this part of them are as good as none.
 WORTH_SAYING = 1e-9

@@ -200,7 +200,7 @@ def _worst_direction(basis: Array, weight: Vector) -> Vector:
     raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
 
 
-# Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
+# Largest figure at which signs count as satisfied: tighter than the certificate's, as rounding may add to it.
 HOLDS = 1e-10
 
 # The part of the intrinsic size that is nothing, less than the certificate's for the same reason.

@@ -19,7 +19,7 @@ from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

@@ -15,8 +15,8 @@ the few roundings of |K||z| that K, being rounded itself, leaves of a rigid moti
 
 The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
 the forces themselves: those that redundant contacts and ties exert on each other may be of any size and excuse nothing.
-Parts of a problem that no stiffness, contact or tie connects have sizes of their own, of which none is taken to be less
-than a tolerance (1e-9) of the largest: a heavy neighbour hides nothing. A part that nothing moves has the largest.
+Parts of a problem that no stiffness, contact or tie connects have a size each, at least a tolerance (1e-9) of the
+largest: a heavy neighbour hides nothing. A part that nothing moves has the largest.
 What is excused is in the residuals that the bounds are made of, so it hides no error above theirs.
 """
 

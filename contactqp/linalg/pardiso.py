@@ -39,14 +39,19 @@ class NotPositive(Exception):
     """A pivot is zero or negative."""
 
 
+# The variable of the environment that chooses the sparse solver; the fastest by default. With "pyamg" nothing is
+# eliminated (`iteration`), unless a caller asks for it.
+CHOICE = "CONTACTQP_SPARSE_SOLVER"
+
+
 def available() -> bool:
-    """Whether PARDISO can be had; nothing is loaded to find out."""
-    return importlib.util.find_spec("pypardiso") is not None
+    """Whether PARDISO is installed and not switched off by `CHOICE`; nothing is loaded to find out."""
+    return os.environ.get(CHOICE, "") != "superlu" and importlib.util.find_spec("pypardiso") is not None
 
 
 @cache
 def _library() -> Any:
-    if not available():
+    if importlib.util.find_spec("pypardiso") is None:
         raise BackendMissing("pardiso: pypardiso is not installed: pip install pypardiso")
     # Its threads would wait for more work by spinning, which slows down whatever runs between two calls.
     os.environ.setdefault("KMP_BLOCKTIME", "0")

@@ -44,7 +44,7 @@ from contactqp.linalg.factorization import (
     refuse_negative,
     unit_diagonal_scale,
 )
-from contactqp.linalg.pardiso import NotPositive, Pardiso, available
+from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, available
 from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector
 
@@ -164,9 +164,6 @@ BLOCK = 64
 FEW = 4
 # From here on a sparse factorisation with PARDISO pays for loading it.
 LARGE = 2000
-# The variable of the environment that chooses the sparse solver; the fastest by default. With
-# "pyamg" nothing is eliminated (`iteration`), unless a caller asks for it.
-CHOICE = "CONTACTQP_SPARSE_SOLVER"
 SOLVERS = ("superlu", "pardiso")
 CHOICES = (*SOLVERS, "pyamg")
 
@@ -294,8 +291,8 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True)
     Raises
     ------
     NotPositive
-        The interior is singular, as far as PARDISO can tell; only where `singular` is False: SuperLU has its pivots,
-        and takes much longer.
+        The interior is singular, as far as PARDISO can tell. Raised only if `singular` is False; otherwise SuperLU is
+        tried, whose pivots are known, and which takes much longer.
     InvalidProblem
         The environment names a solver that is none.
     Unsupported

@@ -109,7 +109,7 @@ class Run:
 
     @property
     def start(self) -> Candidate:
-        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
+        """The start for another load, in the problem's unknowns; exact only if the method was shown those."""
         return self.candidate
 
     def final(self) -> Final:
@@ -269,7 +269,7 @@ class CondensedRun(Run):
 
     @property
     def start(self) -> Candidate:
-        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
+        """The start for another load, in the problem's unknowns; exact only if the method was shown those."""
         return self.candidate if self._whole else self._condensation.spread_candidate(self.candidate)
 
     def work(self, corrections: int) -> Work:

@@ -192,10 +192,11 @@ def solve(
         `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and Curnier
         1991), "nsgs" (nonsmooth Gauss-Seidel), "ppa" (proximal points), "admm", "enumeration" (in the plane, at most
         eight contacts). All are solved to the last digits on their combination of open, stick and slip, `polish` or
-        not, and `max_iter` counts their steps. None is Newton's method from a `warm_start` and, in the plane, where
-        contacts are many, in sparse systems; else or where it fails the others, one after another. Where there are
-        several equilibria one of them is returned, by enumeration alone none: `certificate.uniqueness` says that there
-        are or may be others, `contactqp.equilibria` lists them, and `contactqp.exact_equilibria` in rational numbers.
+        not, and `max_iter` counts their steps. Without a name Newton's method is tried first where there is a
+        `warm_start` and, in the plane, where contacts are many (in sparse systems); elsewhere, or where it fails, the
+        others are tried one after another. Where there are several equilibria one of them is returned, by enumeration
+        alone none: `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria` lists them,
+        and `contactqp.exact_equilibria` in rational numbers.
         "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`): it
         is approximate by design, and its answer is returned although the certificate refuses it wherever something
         slides.
@@ -213,10 +214,12 @@ def solve(
     NotConverged, BackendFailed
         The method gave up; a last iterate, if any, is in `solution`.
     NotCertified
-        The method promises the exact answer and the certificate refuses what it returned. Where that is the default
-        method, unless `polish`, `max_iter` or `time_limit` speak against it, Lemke's, the Lagrange multipliers' and
-        Clarabel's answers and sparse systems were tried before, with friction other algorithms': the first that is
-        certified is returned, and `work.routes` says so.
+        The method promises the exact answer and the certificate refuses what it returned. Before the default method
+        raises this, or NotConverged without friction, it tries other exact routes: Lemke's method, Lagrange
+        multipliers, Clarabel and sparse systems, with friction other algorithms. The first answer that is certified is
+        returned, and `work.routes` says so. It does not where `polish` is False, `max_iter` or `time_limit` is given,
+        or the bodies are too large to factorise, and without friction not where constraints are so many that sparse
+        systems came first.
     BackendMissing, Unsupported, InvalidProblem
         The method is not installed, cannot do this, or an argument is wrong.
 

@@ -235,8 +235,8 @@ def find_answer(ticket: Ticket, truth: FoundTruth, setting: Setting) -> Row:
 def take_time(ticket: Ticket, setting: Setting, first: float) -> Timing:
     """Return run times of one setting, whose first call took so many seconds.
 
-    The process is warm from the second time on that it times this method on this case; on bodies, whose answers take
-    longer than what a first one loads, from the second body on.
+    The first timing of a method on a case begins with a call that is not timed, which loads what the method needs. On
+    bodies, whose answers take longer than that, only the first body does.
     """
     study = _study(ticket)
     tried = ("" if study.problem.dimension >= BODY else ticket.digest, setting.method.name)

@@ -141,10 +141,6 @@ def _right(line: MethodLine) -> str:
     return f"{line.method}, the default, is right in {'all' if all_of_them else f'{line.right} of {line.cases}'}"
 
 
-def _within(line: MethodLine) -> str:
-    return "" if line.force_error is None else f", its contact forces within {max(line.force_error, ROUNDING):.0e}"
-
-
 def _time(line: MethodLine, smallest: int | None = None) -> str:
     if line.linear_solves is None:
         return ""

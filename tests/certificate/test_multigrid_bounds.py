@@ -11,7 +11,7 @@ from contactqp.certificate.multigrid_bounds import dual_norm, refined_norm
 from contactqp.linalg.iteration import ContactIteration, Iteration, iteration
 from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.multigrid import available
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.solution import FIGURES
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 

@@ -15,7 +15,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg import sparse_saddle
+from contactqp.linalg import pardiso, schur, sparse_saddle
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.solving import sparse_run
 from contactqp.solving.methods import inexact_active_set
@@ -390,3 +390,13 @@ def test_what_is_free_to_move_is_at_rest_and_listed() -> None:
     assert [str(motion) for motion in sparse.free_motions] == [str(motion) for motion in condensed.free_motions] != []
     np.testing.assert_allclose(sparse.displacement, [300 / 315000, -300 / 315000], rtol=0, atol=5 * 1e-15)
     assert cq.solve(bar.replace(load=np.array([400.0, -300.0])), condense=False).free_motions == ()
+
+
+def test_pardiso_is_switched_off_in_sparse_saddle_points_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setattr(pardiso, "Pardiso", lambda *_: pytest.fail("PARDISO was called"))
+    problem = membrane(50, 0.03)
+    assert problem.dimension > schur.LARGE
+    found = cq.solve(problem, condense=False)
+    assert found.certificate.passed
+    assert found.work.solver == "superlu"

@@ -27,7 +27,7 @@ from contactqp.solving.methods.method import Method, Settings
 # More steps than this mean that the sets alternate; the safeguard is cheaper.
 PRIMAL_DUAL_STEPS = 40
 PROXIMAL_STEPS = 60
-# A row of unit length feels nothing of a motion of which it has this part: HiGHS drops such entries, too.
+# Entries of a row of unit length along a motion that are below this are set to zero; HiGHS drops them, too.
 UNFELT = 1e-9
 
 
