@@ -19,7 +19,7 @@ BODY = 500
 SHIFT = 1.0
 # Half the distance from 1 to the next double: smaller errors are none.
 ROUNDING = 1.1e-16
-HEADINGS = ("method", "right", "claimed right, was not", "linear solves", "error of the force")
+HEADINGS = ("method", "right", "raw: claimed, wrong", "time / linear solve", "error of the force")
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class MethodLine:
 
     def cells(self) -> tuple[str, ...]:
         """Return the cells of `HEADINGS`."""
-        flags = f"{_percent(self.wrong, self.claimed)} of {self.claimed}" if self.claimed else "no flag"
+        flags = f"{_percent(self.wrong, self.claimed)} of {self.claimed}" if self.claimed else "claims nothing"
         times = "" if self.linear_solves is None else f"{self.linear_solves:.3g}"
         error = "" if self.force_error is None else f"{max(self.force_error, ROUNDING):.0e}"
         name = self.method if self.exact else f"{self.method}, best setting"
@@ -148,7 +148,7 @@ def _time(line: MethodLine, smallest: int | None = None) -> str:
     if smallest is not None:
         overhead = "" if smallest >= BODY else ", where nearly all of it is overhead"
         where = f" on bodies of {smallest} unknowns and more{overhead}"
-    return f", at {line.linear_solves:.2g} linear solves{where}"
+    return f", in the time of {line.linear_solves:.2g} linear solves{where}"
 
 
 def _flags(lines: Sequence[MethodLine]) -> str:
