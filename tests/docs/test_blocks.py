@@ -92,6 +92,7 @@ def test_the_readme_has_no_block_but_those_that_its_test_takes_one_by_one() -> N
         "pycon",
         "python",
         "python",
+        "python",
         "sh",
         "sh",
         "text",
