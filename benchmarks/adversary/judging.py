@@ -35,6 +35,8 @@ WORST_CONDITION = 1e12
 # An answer that breaks the law by this part of the largest force or length is wrong.
 BREAKS = 1e-9
 SAME = 1e-7
+# Eigenvalues of a stiffness with a diagonal of ones that are rounding: what floats.
+FLOATS = 1e-13
 # Of the largest displacement or force, what rounding in other units may change: a factorisation that pivots otherwise.
 SAME_DIGITS = 1e-13
 # Rational enumeration of more contacts takes seconds.
@@ -422,6 +424,20 @@ def _equilibria(judge: Judge) -> tuple[list[Array] | None, bool]:
     return [project @ one.displacement.astype(float) for one in exact], bool(exact)
 
 
+def _same_answer(problem: cq.ContactProblem, u: Array, other: Array) -> bool:
+    """Whether two displacements are one: in size, or in energy where forces that balance to 1e-9 say no more."""
+    apart = u - other
+    allowed = max(SAME * float(np.max(abs(u), initial=0.0)), 1e-3 * SAME)
+    if float(np.max(abs(apart), initial=0.0)) <= allowed:
+        return True
+    K = np.asarray(problem.stiffness)
+    scale = 1.0 / np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
+    values = np.linalg.eigvalsh(K * np.outer(scale, scale))
+    softest = float(np.min(values[values > FLOATS], initial=np.inf))
+    hidden = BREAKS * float(np.max(values, initial=0.0)) > SAME * softest
+    return hidden and float(apart @ K @ apart) <= SAME**2 * float(other @ K @ other)
+
+
 def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None) -> None:
     if not judge.posed.problem.frictional:
         return
@@ -431,8 +447,7 @@ def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None
     if known is None:
         return
     u = seen(judge.posed.plain) @ plain_answer(judge.posed, solution)[0]
-    allowed = max(SAME * float(np.max(abs(u), initial=0.0)), 1e-3 * SAME)
-    if not any(float(np.max(abs(u - other), initial=0.0)) <= allowed for other in known):
+    if not any(_same_answer(judge.posed.plain, u, other) for other in known):
         judge.found("wrong", f"solve {name}", f"passed, and not among all {len(known)} equilibria")
 
 
