@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -192,7 +193,8 @@ def _stopped(command: Command, lines: int, number: signal.Signals) -> int:
         assert code == -number
     else:
         assert code == 128 + number
-        (line,) = (line for line in err.splitlines() if " about " not in line)
+        progress = re.compile(r"contactqp: (?!interrupted)\w+: \d+ of \d+")
+        (line,) = (line for line in err.splitlines() if not progress.match(line))
         assert line.startswith("contactqp: interrupted: ")
         assert line.endswith("; the same command goes on from there")
     return command.journal.read_bytes().count(b"\n") - 1
