@@ -388,6 +388,7 @@ def seconds_to_answer(problem: ContactProblem, method: str, **arguments: Any) ->
     return begin(problem, registered_name(method), **arguments).seconds_to_answer()
 
 
+@own_floating_point
 def begin(
     problem: ContactProblem,
     method: str = "active-set",

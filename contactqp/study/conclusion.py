@@ -19,7 +19,7 @@ BODY = 500
 SHIFT = 1.0
 # Half the distance from 1 to the next double: smaller errors are none.
 ROUNDING = 1.1e-16
-HEADINGS = ("method", "right", "raw: claimed, wrong", "time / linear solve", "error of the force")
+HEADINGS = ("method", "right", "raw: wrong of claimed", "time / linear solve", "error of the force")
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def _solution_at(motion: Motion, k: int) -> Moving:
     friction = None if step.slip_origin is None else _shaped(found.friction, step)
     certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
     status = contact_status(step, certificate)
-    deepest = _deepest(problem, state.displacement[None])
+    deepest = _deepest(problem, [state.displacement])
     if deepest is not None:
         note = f"judged is the problem that {motion.scheme.name} posed for this step; {_penetrates(motion, deepest)}"
         certificate = replace(certificate, notes=(*certificate.notes, note))
@@ -177,20 +177,22 @@ def _solution_at(motion: Motion, k: int) -> Moving:
 def said_of_penetration(motion: Motion) -> Iterator[str]:
     """Yield what a scheme that does not hold the gaps at every instant leaves of them at the worst one."""
     problem = motion.scheme.body.problem
-    deepest = _deepest(problem, np.array([state.displacement for state in motion.states]))
+    deepest = _deepest(problem, [state.displacement for state in motion.states])
     if deepest is not None:
         place = f"step {deepest[0]}, at {motion.time(deepest[0]):.6g}"
         yield f"deepest at {place}: {_penetrates(motion, deepest)}"
 
 
-def _deepest(problem: ContactProblem, displacements: NDArray[np.float64]) -> tuple[int, int, float] | None:
-    """Return the step, the contact and the depth of the deepest penetration of (steps, n); None if there is none."""
+def _deepest(problem: ContactProblem, displacements: Sequence[Vector]) -> tuple[int, int, float] | None:
+    """Return the step, the contact and the depth of the deepest penetration of (n,) each; None if there is none."""
     if not problem.contacts:
         return None
-    moved, size = displacements @ problem.normal.T, abs(displacements) @ abs(problem.normal).T
-    depth = moved - problem.gap
+    touched = np.unique(problem.normal.indices)  # all others take memory alone
+    u, rows = np.array([one[touched] for one in displacements]), problem.normal[:, touched].T
     limit = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
-    depth = np.where(depth > PENETRATES * (size + limit), depth, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # a motion that blows up
+        depth, size = u @ rows - problem.gap, abs(u) @ abs(rows) + limit
+        depth = np.where(depth > PENETRATES * size, depth, 0.0)
     step, contact = np.unravel_index(int(np.argmax(depth)), depth.shape)
     return (int(step), int(contact), float(depth[step, contact])) if depth[step, contact] > 0 else None
 
