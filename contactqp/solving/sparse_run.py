@@ -24,7 +24,7 @@ from contactqp.linalg.iteration import held_by_hierarchy, iterated, iteration
 from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import on_one_thread
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many, uniqueness
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
@@ -144,6 +144,8 @@ class SparseRun(Run):
         problem = self.problem
         if iterated(problem) or constraints_are_many(problem) or problem.normal.nnz > MANY:
             return final
+        if self._state is None or uniqueness(self._state).displacement:
+            return final  # nothing is free, and the time to the answer has no condensation in it
         u, force, tie = final.displacement, final.normal_force, final.tie_force
         shift, free = shift_to_least_norm(problem, condense(problem), Answer(u, force, None, tie))
         return replace(final, displacement=u + shift, free_motions=described(problem, free)) if free.shape[1] else final
