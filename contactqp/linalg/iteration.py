@@ -78,7 +78,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def dot(self, a: Vector, b: Vector) -> float:
-        """a'b."""
+        """Return a'b."""
 
     @abstractmethod
     def any(self, flags: Flags | bool) -> bool:
@@ -106,11 +106,11 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def product(self, x: Vector) -> Vector:
-        """K x."""
+        """Return K x."""
 
     @abstractmethod
     def product_sizes(self, x: Vector) -> Vector:
-        """|K||x|."""
+        """Return |K||x|."""
 
     @abstractmethod
     def lengths(self, x: Vector) -> Vector:
@@ -122,7 +122,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def forces(self, force: Vector) -> Vector:
-        """(n,) E'l."""
+        """Return E'l (n,)."""
 
     @abstractmethod
     def force_sizes(self, force: Vector) -> Vector:
@@ -181,7 +181,7 @@ class ContactIteration(ABC):
         return force
 
     def norm(self, x: Vector) -> float:
-        """|x|."""
+        """Return |x|."""
         return float(np.sqrt(self.dot(x, x)))
 
 
@@ -272,7 +272,7 @@ class Iteration(ContactIteration):
         self._plain = self._hierarchy.cycle(self._no_rows)
 
     def dot(self, a: Vector, b: Vector) -> float:
-        """a'b."""
+        """Return a'b."""
         return float(a @ b)
 
     def any(self, flags: Flags | bool) -> bool:
@@ -298,11 +298,11 @@ class Iteration(ContactIteration):
         return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
 
     def product(self, x: Vector) -> Vector:
-        """K x."""
+        """Return K x."""
         return np.asarray(self.matrix @ x)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """|K||x|."""
+        """Return |K||x|."""
         return np.asarray(self._sizes @ abs(x))
 
     def lengths(self, x: Vector) -> Vector:
@@ -314,7 +314,7 @@ class Iteration(ContactIteration):
         return np.asarray(self._row_sizes @ abs(x[self.touched]))
 
     def forces(self, force: Vector) -> Vector:
-        """(n,) E'l."""
+        """Return E'l (n,)."""
         return self._spread(self.rows.T @ force)
 
     def force_sizes(self, force: Vector) -> Vector:
