@@ -25,6 +25,7 @@ import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from benchmarks.adversary import judging
 from benchmarks.adversary.faults import FAULTS
@@ -65,85 +66,94 @@ def child(options: argparse.Namespace, first: int) -> None:
         while time.monotonic() < until and (options.trials is None or number < options.trials):
             print(json.dumps({"begun": number}), file=out, flush=True)
             done = trial(options.seed, number, tuple(options.kind or KINDS))
-            print(json.dumps({"number": number} | asdict(done)), file=out, flush=True)
+            largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            print(json.dumps({"number": number, "memory": largest} | asdict(done)), file=out, flush=True)
             number += options.jobs
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    print(json.dumps({"memory": largest}), file=out, flush=True)
 
 
-def parent(options: argparse.Namespace) -> Tally:
-    """The trials of all processes; one that is silent or ends is a finding, and another goes on behind it.
+class Processes:
+    """The trials of all processes; one that is silent or ends is a finding, and another goes on behind it."""
 
-    A fault that is planted need be found once, by what is wrong and not by the clock.
-    """
-    tally = Tally()
-    lines: queue.Queue[tuple[int, str | None]] = queue.Queue()
-    processes: dict[int, subprocess.Popen[str]] = {}
-    begun: dict[int, int] = {}
-    heard: dict[int, float] = {}
-    until = time.monotonic() + 60 * options.minutes
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.tally = Tally()
+        self._options = options
+        self._until = time.monotonic() + 60 * options.minutes
+        self._lines: queue.Queue[tuple[int, str | None]] = queue.Queue()
+        self._processes: dict[int, subprocess.Popen[str]] = {}
+        self._begun: dict[int, int] = {}
+        self._heard: dict[int, float] = {}
+        self._large: set[int] = set()
+        for job in range(options.jobs):
+            self._start(job, job)
+        self._running = set(self._processes)
 
-    def start(job: int, first: int) -> None:
-        left = max(until - time.monotonic(), 0.0) / 60
+    def run(self) -> Tally:
+        """A fault that is planted need be found once, by what is wrong and not by the clock."""
+        while self._running and not self._found_what_is_planted():
+            try:
+                job, line = self._lines.get(timeout=1.0)
+            except queue.Empty:
+                self._end_silent()
+                continue
+            self._heard[job] = time.monotonic()
+            if line is None:
+                self._ended(job, self._processes[job].wait())
+            else:
+                self._said(job, json.loads(line))
+        for one in self._processes.values():
+            one.kill()
+        return self.tally
+
+    def _found_what_is_planted(self) -> bool:
+        return self._options.plant != "none" and any(one[3].kind not in BY_THE_CLOCK for one in self.tally.findings)
+
+    def _start(self, job: int, first: int) -> None:
+        options, left = self._options, max(self._until - time.monotonic(), 0.0) / 60
         command = [sys.executable, "-m", "benchmarks.adversary", "--child", str(first), "--minutes", f"{left:.4f}",
                    "--seed", str(options.seed), "--jobs", str(options.jobs), "--plant", options.plant,
                    "--patience", str(options.patience)]  # fmt: skip
         command += [part for kind in options.kind or () for part in ("--kind", kind)]
         command += [] if options.trials is None else ["--trials", str(options.trials)]
-        one = processes[job] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        begun[job], heard[job] = -1, time.monotonic()
+        one = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self._processes[job], self._begun[job], self._heard[job] = one, -1, time.monotonic()
+        self._large.discard(job)
+        threading.Thread(target=self._read, args=(job, one), daemon=True).start()
 
-        def read() -> None:
-            assert one.stdout is not None
-            with one.stdout:
-                for line in one.stdout:
-                    lines.put((job, line))
-            lines.put((job, None))
+    def _read(self, job: int, one: subprocess.Popen[str]) -> None:
+        assert one.stdout is not None
+        with one.stdout:
+            for line in one.stdout:
+                self._lines.put((job, line))
+        self._lines.put((job, None))
 
-        threading.Thread(target=read, daemon=True).start()
+    def _end_silent(self) -> None:
+        for job in tuple(self._running):
+            if time.monotonic() - self._heard[job] > SILENCE:
+                self._processes[job].kill()
+                self._processes[job].wait()
 
-    def lost(job: int, why: str) -> None:
-        number = begun[job]
-        tally.findings.append((number, "process", (), Finding("hang", f"trial {number}", why)))
-        start(job, number + options.jobs)
-
-    for job in range(options.jobs):
-        start(job, job)
-    running = set(processes)
-    while running and not (options.plant != "none" and any(one[3].kind not in BY_THE_CLOCK for one in tally.findings)):
-        try:
-            job, line = lines.get(timeout=1.0)
-        except queue.Empty:
-            for job in tuple(running):
-                if time.monotonic() - heard[job] > SILENCE:
-                    processes[job].kill()
-                    processes[job].wait()
-            continue
-        heard[job] = time.monotonic()
-        if line is None:
-            code = processes[job].wait()
-            if code == 0 or begun[job] < 0 or time.monotonic() > until:
-                running.discard(job)
-                if code != 0:
-                    tally.findings.append(
-                        (begun[job], "process", (), Finding("hang", f"trial {begun[job]}", f"ended with {code}"))
-                    )
-            else:
-                lost(job, f"the process ended with {code}")
-            continue
-        said = json.loads(line)
-        if "begun" in said:
-            begun[job] = said["begun"]
-        elif "memory" in said:
-            if said["memory"] > LARGEST:
-                tally.findings.append((-1, "process", (), Finding("memory", "process", f"{said['memory']:.3g} bytes")))
+    def _ended(self, job: int, code: int) -> None:
+        number = self._begun[job]
+        if code != 0 and number >= 0:
+            self._find(number, "hang", f"the process ended with {code}")
+        if code == 0 or number < 0 or time.monotonic() > self._until:
+            self._running.discard(job)
         else:
-            number = said.pop("number")
-            findings = tuple(Finding(**one) for one in said.pop("findings"))
-            tally.add(number, Trial(**said | {"findings": findings, "words": tuple(said["words"])}))
-    for one in processes.values():
-        one.kill()
-    return tally
+            self._start(job, number + self._options.jobs)
+
+    def _said(self, job: int, said: dict[str, Any]) -> None:
+        if "begun" in said:
+            self._begun[job] = said["begun"]
+            return
+        number, memory = said.pop("number"), said.pop("memory")
+        if memory > LARGEST and job not in self._large:
+            self._large.add(job)
+            self._find(number, "memory", f"the process holds {memory:.3g} bytes from here on")
+        findings = tuple(Finding(**one) for one in said.pop("findings"))
+        self.tally.add(number, Trial(**said | {"findings": findings, "words": tuple(said["words"])}))
+
+    def _find(self, number: int, kind: str, text: str) -> None:
+        self.tally.findings.append((number, "process", (), Finding(kind, f"trial {number}", text)))
 
 
 def table(tally: Tally, minutes: float) -> list[str]:
@@ -190,17 +200,18 @@ def main(arguments: list[str] | None = None) -> int:
         return show_trial(options)
     print(f"seed {options.seed}, {options.minutes:g} minutes, {options.jobs} processes", flush=True)
     started = time.monotonic()
-    tally = parent(options)
+    tally = Processes(options).run()
     print("\n".join(table(tally, (time.monotonic() - started) / 60)))
     for number, kind, words, finding in tally.findings[:SHOWN]:
         said = " ".join(word for word in words if word)
         print(f"{finding.kind}: trial {number} ({kind} {said}): {finding.what}: {finding.text}")
     if options.plant == "none":
         seen: set[tuple[str, str]] = set()
+        kinds = tuple(options.kind or KINDS)
         for number, _, _, finding in tally.findings:
             if number >= 0 and (finding.kind, finding.what) not in seen and len(seen) < 10:
                 seen.add((finding.kind, finding.what))
-                if (written := write_smallest(options.seed, number, finding, options.output)) is not None:
+                if (written := write_smallest(options.seed, number, kinds, finding, options.output)) is not None:
                     print(f"written: {written}")
     return 1 if tally.findings else 0
 

@@ -85,9 +85,9 @@ def _options(rng: Generator, method: str) -> dict[str, Any]:
     return options
 
 
-def write_smallest(seed: int, number: int, finding: Finding, folder: Path) -> Path | None:
+def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Finding, folder: Path) -> Path | None:
     """Shrink the problem of a trial to the smallest that shows a finding of its kind; write it with its command."""
-    rng, kind = _begin(seed, number, tuple(KINDS))
+    rng, kind = _begin(seed, number, kinds)
     if kind in ("wild", "files"):
         return None
     sentence, ask = _question(rng, kind)
@@ -107,6 +107,7 @@ def write_smallest(seed: int, number: int, finding: Finding, folder: Path) -> Pa
     target = folder / f"{finding.kind}-{seed}-{number}"
     cq.write_problem(target, smallest.problem)
     command = f"python -m benchmarks.adversary --seed {seed} --trial {number}"
+    command += "".join(f" --kind {one}" for one in kinds if kinds != tuple(KINDS))
     words = " ".join(word for word in sentence.words if word)
     (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{words}\n{command}\ncontactqp run {target}\n")
     return target

@@ -85,7 +85,7 @@ def test_a_finding_is_written_with_the_command_that_shows_it(
     with FAULTS["bound"]():
         number = next(n for n in range(20) if trial(0, n, tuple(KINDS)).kind == "frictionless" and trial(0, n).findings)
         finding = trial(0, number).findings[0]
-        folder = write_smallest(0, number, finding, tmp_path)
+        folder = write_smallest(0, number, tuple(KINDS), finding, tmp_path)
     assert folder is not None
     assert finding.kind == "bound"
     text = (folder / "finding.txt").read_text()

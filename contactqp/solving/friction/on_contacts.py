@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +29,9 @@ WORTH_REFINING = 1e-5
 # Forces that balance the load with less than this part of what would deform the bodies by the typical gap are small:
 # the bodies move as if they were rigid.
 SMALL_FORCES = 0.1
-# Of few contacts, combinations near that of the best iterate are tried, at most so many: all 3^5 of five in space.
-MOST_COMBINATIONS = 250
+# Of few contacts, combinations near that of the best iterate are tried for so many seconds, or for the time that the
+# algorithms took where that is longer.
+LEAST_BUDGET = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,18 +105,21 @@ def _on_form(
             found.append(answer)
         return bool(found)
 
-    start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
+    start, began = _start(form, contacts, settings, balanced), time.perf_counter()
     if algorithm is None:
         outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation))
     else:
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
-    iterate, name = outcome.iterate, outcome.name
+    iterate, name, nearby = outcome.iterate, outcome.name, ""
     if not found and algorithm is None and form.m <= MOST_CONTACTS:
-        found, name = _near(problem, contacts, form, iterate, deadline), f"combinations near {name}"
+        took = time.perf_counter() - began
+        allowed = max(LEAST_BUDGET, took) if settings.time_limit is None else settings.time_limit - took
+        found, nearby = _near(problem, contacts, form, iterate, Deadline(allowed))
+        name = f"combinations near {name}"
     if not found:
         raise NotConverged(
             f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
-            f"{iterate.iterations} iterations",
+            f"{iterate.iterations} iterations{nearby}",
             iterate.history,
         )
     return LocalAnswer(found[-1], name, iterate.iterations, iterate.history)
@@ -122,8 +127,9 @@ def _on_form(
 
 def _near(
     problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, deadline: Deadline
-) -> list[Answer]:
-    """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found.
+) -> tuple[list[Answer], str]:
+    """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
+    and how many were tried.
 
     Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
     forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
@@ -131,14 +137,14 @@ def _near(
     plain, status = contacts.plain(form, iterate), contacts.status(form, iterate)
     sliding = (SLIP_ON,) if form.d == 3 else (SLIP_ON, SLIP_BACK)
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
-    nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")[:MOST_COMBINATIONS]
-    for combination in every[nearest]:
+    nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
+    for tried, combination in enumerate(every[nearest]):
         if deadline.passed:
-            break
+            return [], f"; the {tried} nearest of {len(every)} combinations fail as well, and time_limit= tries more"
         answer = contacts.answer_in(combination, plain)
         if holds(problem, answer):
-            return [answer]
-    return []
+            return [answer], ""
+    return [], f"; all {len(every)} combinations, refined from there, fail as well"
 
 
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
