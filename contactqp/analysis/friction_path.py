@@ -23,7 +23,7 @@ from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
 from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
 from contactqp.certificate.figures import holds
-from contactqp.certificate.subset_bounds import first_candidates
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
@@ -215,7 +215,7 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
     refuse_options(problem, chosen, options)
     limited = options.get("max_iter") is not None or options.get("time_limit") is not None
     in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
-    whole = iterated(problem) or first_candidates(problem) is not None
+    whole = iterated(problem) or contacts_are_many(problem)
     own = chosen.solve_friction is not None  # systems of stick and slip
     if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
         return PlaneStepper(problem, method, {**options, "algorithm": None})
@@ -240,7 +240,7 @@ def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequen
 def _not_followed(problem: ContactProblem) -> str:
     if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
         return "two tangential rows a contact"
-    return "too many contacts" if first_candidates(problem) is not None else ""
+    return "too many contacts" if contacts_are_many(problem) else ""
 
 
 def _through(

@@ -20,7 +20,7 @@ import numpy as np
 
 from contactqp.analysis.history import Unfinished
 from contactqp.certificate.figures import balance
-from contactqp.certificate.subset_bounds import first_candidates
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status
@@ -346,7 +346,7 @@ def _between(start: Vector, end: Vector, fraction: float) -> Vector:
 
 def _refuse_driven(problem: ContactProblem) -> None:
     """Raise where the load drives a body that no contact constrains: it would move until a contact closes."""
-    if problem.ties or iterated(problem) or first_candidates(problem) is not None:
+    if problem.ties or iterated(problem) or contacts_are_many(problem):
         return
     nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
     if balance(problem, nothing, condense(problem).rigid) > DRIVEN:

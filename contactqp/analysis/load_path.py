@@ -14,7 +14,7 @@ from contactqp.analysis.history import Event, History, LazySolutions, contact_ch
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.certificate.subset_bounds import first_candidates
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
@@ -156,7 +156,7 @@ class _Steps(LazySolutions):
         self._problem, self._method, self._options = problem, method, options
         self._start: Candidate | None = None
         # Without a condensation of all contacts there is nothing small to step on.
-        self._whole = iterated(problem) or first_candidates(problem) is not None
+        self._whole = iterated(problem) or contacts_are_many(problem)
         self._step(np.zeros(problem.dimension))
 
     def turn(self, start: Vector, end: Vector) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate import subset_bounds
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, bounds, no_bounds
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.failures import (
@@ -27,7 +26,7 @@ from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, vi
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import absurd_parts, near_one
 from contactqp.certificate.state_answer import StateVerdict, state_verdict
-from contactqp.certificate.subset_bounds import believed_candidates, bounds_among
+from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
@@ -161,14 +160,19 @@ def _measured(
     factorization: Condensation | None,
 ) -> _Measured:
     with problem.lock:
-        left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
+        others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
+        candidates = _candidates(problem, answer, factorization)
+        if candidates is not None and problem.frictional:
+            left, known, condensation = residuals(problem, answer), no_bounds(FRICTION_HAS_NONE), None
+            state, rigid = state_among(problem, answer, candidates, allowed)
+        else:
+            left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization, candidates)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        others, state = Uniqueness(), StateVerdict(known.basis)
         if problem.frictional:
             others = uniqueness(problem, answer, found, condensation, tolerance)
-            allowed = error_tolerance, ROUNDING_OF_ANSWERS * tolerance
-            state = state_verdict(problem, answer, found, condensation, allowed)
+            state = state or state_verdict(problem, answer, found, condensation, allowed)
             known = replace(known, energy_scale=state.energy)
+        state = state or StateVerdict(known.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
     dependent: tuple[tuple[int, NDArray[np.intp]], ...] = ()
     if condensation is not None and problem.ties > 1:
@@ -227,8 +231,18 @@ def _worded(
     )
 
 
+def _candidates(problem: ContactProblem, answer: Answer, factorization: Condensation | None) -> NDArray[np.intp] | None:
+    """The contacts that an answer is judged with, the others being open; None where all are few enough."""
+    if factorization is not None or iterated(problem) or constraints_are_many(problem):
+        return None
+    return believed_candidates(problem, answer)
+
+
 def _residuals_and_bounds(
-    problem: ContactProblem, answer: Answer, factorization: Condensation | None
+    problem: ContactProblem,
+    answer: Answer,
+    factorization: Condensation | None,
+    candidates: NDArray[np.intp] | None,
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
     """What an answer leaves, how far from the truth that is, the rigid motions of the bodies, and their condensation.
 
@@ -242,8 +256,7 @@ def _residuals_and_bounds(
     if factorization is None and constraints_are_many(problem):
         known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
-    many = factorization is None and problem.normal.nnz > subset_bounds.MANY
-    if many and (candidates := believed_candidates(problem, answer)) is not None:
+    if candidates is not None:
         return left, *bounds_among(problem, answer, left, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
     known = bounds(problem, answer, left, condensation)

@@ -72,6 +72,7 @@ class StateVerdict:
     energy: float = 0.0  # |u|_K of the answer that it was compared with
     failures: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    displacement: Vector | None = None  # of that answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +115,42 @@ def state_verdict(
     tolerances : two floats
         The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
     """
+    # The answer for candidate contacts is judged when it is found, and again as part of the answer with all contacts.
+    judged = _numbers(problem, answer, tolerances)
+    known: tuple[Array, StateVerdict] | None = problem._computed.judged_state
+    if known is None or not np.array_equal(known[0], judged):
+        known = problem._computed.judged_state = judged, _verdict(problem, answer, found, condensation, tolerances)
+    return known[1]
+
+
+def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> Array:
+    """All numbers that a verdict depends on, beside the stiffness and the rows."""
+    of_problem = (
+        problem.load,
+        problem.load_size,
+        problem.gap,
+        problem.friction,
+        problem.slip_origin,
+        problem.tie_value,
+    )
+    of_answer = (answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force)
+    some = (part.ravel() for part in (*of_problem, *of_answer) if part is not None)
+    return np.concatenate([*some, tolerances])
+
+
+def _verdict(
+    problem: ContactProblem,
+    answer: Answer,
+    found: Violations,
+    condensation: Condensation | None,
+    tolerances: tuple[float, float],
+) -> StateVerdict:
     tolerance, part = tolerances
     nothing = part * found.intrinsic_size
     if condensation is None and not constraints_are_many(problem):
-        return _figures_alone("the bodies are not factorised as a whole")
+        return figures_alone("the bodies are not factorised as a whole")
     if condensation is not None and (reason := _too_large(problem, condensation, answer)) is not None:
-        return _figures_alone(reason)
+        return figures_alone(reason)
     bodies = _SparseBodies(problem) if condensation is None else _CondensedBodies(problem, condensation)
     try:
         compared = _Comparison(problem, answer, found, bodies)
@@ -136,11 +167,12 @@ def state_verdict(
     failures = _failures(problem, distance, relative, tolerance)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
-        return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,))
-    return StateVerdict(STATE, largest, distance.displacement[1], failures)
+        return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
+    return StateVerdict(STATE, largest, distance.displacement[1], failures, displacement=compared.displacement)
 
 
-def _figures_alone(reason: str) -> StateVerdict:
+def figures_alone(reason: str) -> StateVerdict:
+    """The verdict where there is no combination to compare with."""
     return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
 
 
@@ -163,7 +195,7 @@ def _with_friction_held(
 ) -> StateVerdict:
     """The bounds of the minimisation that has the answer's friction as a load."""
     if problem.tangent is None or answer.friction_force is None:
-        return _figures_alone(reason)
+        return figures_alone(reason)
     load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
     minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
     held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
@@ -175,7 +207,7 @@ def _with_friction_held(
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
     said = failed_errors(known, tolerance, nothing) if far else ()
     failures = tuple(f"with friction held, {text}" for text in said)
-    return replace(_figures_alone(reason), energy=known.energy_scale, failures=failures)
+    return replace(figures_alone(reason), energy=known.energy_scale, failures=failures)
 
 
 class _Bodies(Protocol):
@@ -270,6 +302,7 @@ class _Comparison:
         self._own = _own_compliances(problem, self._along, self._across)
         self._rubs = self._rows.slides & (self._rows.coefficient > 0)
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
+        self.displacement: Vector | None = None  # of that combination
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
         """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
@@ -285,7 +318,7 @@ class _Comparison:
             if not self._last_correction(refined) <= max(SETTLED * limit, nothing):
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
-                self.redundant = refined.redundant
+                self.redundant, self.displacement = refined.redundant, refined.displacement.double()
                 return distance, None
             status = signs.changed(status)
             if status.tobytes() in seen:

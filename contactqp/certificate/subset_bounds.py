@@ -2,19 +2,23 @@
 
 If the solution with some of the contacts, E_C u <= g_C, penetrates none of the others, it solves the problem with all
 of them: the others carry no force and every condition holds. If it does, what it penetrates and what lies near joins
-the candidates; these only grow, so it ends.
+the candidates; these only grow, so it ends. With Coulomb friction in space, where each contact retains three rows, the
+candidates are those that close without friction, and what lies near.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
+from contactqp.certificate.figures import violations
+from contactqp.certificate.state_answer import StateVerdict, figures_alone, state_verdict
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.extended import Residuals, extend
+from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.refinement import WITHIN_ROUNDING
@@ -24,10 +28,13 @@ from contactqp.model.solution import Answer
 
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000
+# Contacts with friction in space that are as many cost more than those that close, and what it takes to find them.
+MANY_WITH_FRICTION = 300
 # Contact unknowns to begin with.
 FIRST = 1000
-# Layers of unknowns around a penetrated contact whose contacts become candidates with it.
-LAYERS = 3
+# Layers of unknowns around a penetrated contact whose contacts become candidates with it; around one that closes
+# without friction, which moves the edge of contact a little.
+LAYERS, LAYERS_OF_FRICTION = 3, 1
 # Contacts of a foreign answer with a smaller gap than this, as a part of the lengths that meet, may be closed.
 TOUCHING = 1e-6
 # Candidates of a certificate are widened so often before it says that it has no bound.
@@ -36,7 +43,7 @@ WIDENINGS = 5
 
 def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
     """The contacts nearest to closing, gaps measured in energy, or those of the last load; None: all are few enough."""
-    if not _many(problem):
+    if not contacts_are_many(problem):
         return None
     if problem._computed.subset is not None:
         return np.asarray(problem._computed.subset[0])
@@ -46,9 +53,15 @@ def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
     return np.sort(np.argsort(nearness, kind="stable")[:count])
 
 
+def candidates_around(problem: ContactProblem, closed: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Contacts that are closed, those near them, and what the problem was condensed onto before."""
+    before = closed if problem._computed.subset is None else problem._computed.subset[0]
+    return np.union1d(before, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION))).astype(np.intp)
+
+
 def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp] | None:
     """The contacts that an answer closes, and those that were candidates before; None: all are few enough."""
-    if not _many(problem):
+    if not contacts_are_many(problem):
         return None
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
@@ -64,13 +77,22 @@ def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
 
 def take_all(problem: ContactProblem) -> None:
     """Have every contact of a problem condensed onto, however many there are."""
-    problem._computed.subset, problem._computed.all_contacts = None, True
+    problem._computed.subset, problem._computed.all_contacts[problem.frictional] = None, True
 
 
-def _many(problem: ContactProblem) -> bool:
-    if problem._computed.all_contacts is None:
-        problem._computed.all_contacts = problem.contacts < 2 or len(np.unique(problem.normal.indices)) <= MANY
-    return not problem._computed.all_contacts and not problem.frictional
+def contacts_are_many(problem: ContactProblem) -> bool:
+    """Whether contacts are so many that candidates among them cost less: never with friction in the plane."""
+    known = problem._computed.all_contacts
+    if problem.frictional not in known:
+        known[problem.frictional] = not _are_many(problem)
+    return not known[problem.frictional]
+
+
+def _are_many(problem: ContactProblem) -> bool:
+    if problem.frictional:
+        in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
+        return in_space and problem.contacts > MANY_WITH_FRICTION
+    return problem.normal.nnz > MANY and problem.contacts > 1 and len(np.unique(problem.normal.indices)) > MANY
 
 
 def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
@@ -98,13 +120,19 @@ def _with_contacts(problem: ContactProblem, candidates: NDArray[np.intp], before
         return before
     lay_out(problem)
     subset = problem.with_contacts(candidates)
-    subset._computed.all_contacts = True
+    subset._computed.all_contacts = {True: True, False: True}
+    subset._computed.wider_condensation = problem._computed.condensation
     return candidates, subset
 
 
 def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subset: ContactProblem) -> ContactProblem:
     """Return the subset's problem under the load, gaps and tie values of the whole problem."""
+    friction, origin = problem.friction, problem.slip_origin
+    rubbing: dict[str, Any] = {}
+    if friction is not None and origin is not None:
+        rubbing = {"friction": friction[candidates], "slip_origin": origin[candidates]}
     return subset.replace(
+        **rubbing,
         load=problem.load,
         gap=problem.gap[candidates],
         tie_value=problem.tie_value,
@@ -120,13 +148,17 @@ def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, 
     closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
     if not closed.size:
         return None
+    return np.union1d(candidates, np.union1d(closed, _near(problem, closed))).astype(np.intp)
+
+
+def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int = LAYERS) -> NDArray[np.intp]:
+    """The contacts within so many layers of unknowns around some of them."""
     rows, K = abs(problem.normal), problem.stiffness_rows
     near = np.zeros(problem.dimension, dtype=bool)
-    near[rows[closed].indices] = True
-    for _ in range(LAYERS):
+    near[rows[contacts].indices] = True
+    for _ in range(layers):
         near[K[np.flatnonzero(near)].indices] = True
-    touching = np.flatnonzero(rows @ near.astype(float))
-    return np.union1d(candidates, np.union1d(closed, touching)).astype(np.intp)
+    return np.flatnonzero(rows @ near.astype(float))
 
 
 def bounds_among(
@@ -153,6 +185,30 @@ def bounds_among(
         candidates = wider
     reason = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
     return no_bounds(reason), condensation.rigid
+
+
+def state_among(
+    problem: ContactProblem, answer: Answer, candidates: NDArray[np.intp], tolerances: tuple[float, float]
+) -> tuple[StateVerdict, RigidMotions]:
+    """The verdict of a frictional answer's own combination of states, all but the candidates being open in it.
+
+    `tolerances` are those of `state_verdict`. The combination is one of the whole problem where its displacement
+    penetrates no other contact.
+    """
+    for _ in range(WIDENINGS):
+        few = _judged_among(problem, candidates)
+        condensation = condense(few)
+        friction = None if answer.friction_force is None else answer.friction_force[candidates]
+        of_few = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
+        found = violations(few, of_few, residuals(few, of_few), tolerances[1], condensation.rigid)
+        verdict = state_verdict(few, of_few, found, condensation, tolerances)
+        u = answer.displacement if verdict.displacement is None else verdict.displacement
+        wider = widened(problem, candidates, problem.gap - problem.normal @ u, u)
+        if wider is None:
+            return verdict, condensation.rigid
+        candidates = wider
+    reason = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
+    return figures_alone(reason), condensation.rigid
 
 
 def _of_all(problem: ContactProblem, candidates: NDArray[np.intp], known: Bounds, gap: Vector) -> Bounds:

@@ -37,7 +37,7 @@ from contactqp.linalg.factorization import (
 )
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, stage
-from contactqp.linalg.schur import LARGE, eliminate
+from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -83,6 +83,7 @@ class Condensation:
         touched = _touched_unknowns(problem)
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         self.unknown_scale = unknown_scale(problem)
+        self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
         fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
         if problem.near_null_space is None and problem.dimension >= LARGE:
@@ -125,15 +126,26 @@ class Condensation:
     def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array, singular: bool = True) -> None:
         self._reduced: tuple[Vector, Vector, Vector] | None = None
         self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
-        self._elimination = eliminate(self._sparse, retained, singular)
+        nested = self._nested(retained)
+        self._elimination: Elimination = eliminate(self._sparse, retained, singular) if nested is None else nested
         self.retained = retained
-        if len(retained) < self._sparse.shape[0]:
+        if nested is None and len(retained) < self._sparse.shape[0]:
             self.factorisations += 1
             if (clock := RUNNING.get()) is not None:
                 clock.factorisations += 1
         self.schur = self._elimination.schur
         self.scale = self._scale(of_stiffness)
         self._schur_factor: DenseCholesky | None = None
+
+    def _nested(self, retained: NDArray[np.intp]) -> NestedBlock | None:
+        """The elimination that goes on from a wider condensation, where that retains all of these unknowns."""
+        wider, self._wider = self._wider, None
+        if wider is None or not np.all(np.isin(retained, wider.retained)):
+            return None
+        try:
+            return NestedBlock(wider._elimination, wider.retained, retained)
+        except NotPositive:
+            return None
 
     @property
     def solver(self) -> str:
@@ -341,7 +353,7 @@ class Condensation:
         """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
         made = object.__new__(cls)
         made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
-        made._cleared = None
+        made._cleared, made._wider = None, None
         made.rigid, made.scale, made.unknown_scale, made._schur_factor = rigid, scale, scale, None
         made._retain_all(problem)
         made.schur = made._elimination.schur

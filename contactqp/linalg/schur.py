@@ -4,9 +4,9 @@ With the interior unknowns i and the retained unknowns c,
 
     S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
 
-There are three ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K
+There are four ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K
 with the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and
-solves once for every retained unknown.
+solves once for every retained unknown; `NestedBlock` goes on from any of these to fewer unknowns.
 
 SuperLU is given springs T > 0 on c,
 
@@ -37,6 +37,8 @@ from contactqp.linalg.factorization import (
     DENSE_SIZE,
     DIAGONAL_PIVOTS,
     LIFT,
+    SUSPICIOUS_PIVOT,
+    DenseCholesky,
     Factorization,
     factorise,
     fill_reducing_order,
@@ -174,7 +176,10 @@ class Elimination(Protocol):
     solver: str  # whose factors they are
     schur: Array  # (p, p) S
     smallest_pivot: float  # of K_ii with a diagonal of ones
-    half_substitutions: int  # forward or backward, with one right-hand side
+
+    @property
+    def half_substitutions(self) -> int:
+        """Forward or backward, with one right-hand side."""
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
         """f_S (p,), and what `expand` needs of the load."""
@@ -283,6 +288,54 @@ class LastBlock:
         right = np.zeros((self._factor.size, retained.shape[1]))
         right[self._retained] = retained
         return self._factor.backward(right)
+
+
+class NestedBlock:
+    """Some of the unknowns that another elimination has retained; the others are eliminated from its S, which is dense.
+
+    With r the unknowns that go, S_cc - S_cr S_rr^-1 S_rc is the Schur complement of K onto c, and no sparse
+    factorisation is made anew.
+
+    Raises
+    ------
+    NotPositive
+        S_rr is singular, as far as its pivots tell.
+    """
+
+    def __init__(self, outer: Elimination, outer_retained: NDArray[np.intp], retained: NDArray[np.intp]) -> None:
+        self._outer, self._before, self.solver = outer, outer.half_substitutions, outer.solver
+        kept = np.isin(outer_retained, retained)
+        self._kept, self._gone = np.flatnonzero(kept), np.flatnonzero(~kept)
+        S = outer.schur
+        self._factor = DenseCholesky(S[np.ix_(self._gone, self._gone)])
+        if self._gone.size and self._factor.smallest_pivot < SUSPICIOUS_PIVOT:
+            raise NotPositive
+        self.smallest_pivot = min(outer.smallest_pivot, self._factor.smallest_pivot if self._gone.size else 1.0)
+        self._follow = self._factor.solve(S[np.ix_(self._gone, self._kept)])  # S_rr^-1 S_rc
+        block = S[np.ix_(self._kept, self._kept)] - S[np.ix_(self._kept, self._gone)] @ self._follow
+        self.schur: Array = (block + block.T) / 2
+
+    @property
+    def half_substitutions(self) -> int:
+        """With the sparse factors."""
+        return self._outer.half_substitutions - self._before
+
+    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        reduced, state = self._outer.reduce(load)
+        gone = reduced[self._gone]
+        return reduced[self._kept] - self._follow.T @ gone, np.concatenate([state, self._factor.solve(gone)])
+
+    def expand(self, retained: Vector, state: Vector) -> Vector:
+        outer, gone = np.split(state, [len(state) - len(self._gone)])
+        return self._outer.expand(self._among(retained, gone - self._follow @ retained), outer)
+
+    def expand_motions(self, retained: Array) -> Array:
+        return self._outer.expand_motions(self._among(retained, -self._follow @ retained))
+
+    def _among(self, kept: Array, gone: Array) -> Array:
+        both = np.empty((len(self._kept) + len(self._gone), *kept.shape[1:]))
+        both[self._kept], both[self._gone] = kept, gone
+        return both
 
 
 def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True) -> Elimination:

@@ -40,6 +40,7 @@ class Computed:
     near_one: Any = None  # certificate.number_range: whether K and the rows are, and else these in other units
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
+    wider_condensation: Any = None  # linalg.condensation: that of more contacts, from which to go on
     dependent_ties: Any = None  # linalg.saddle
     constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.sparse_saddle: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
@@ -58,7 +59,8 @@ class Computed:
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
     critical_friction: Any = None  # certificate.critical_friction
-    all_contacts: bool | None = None  # certificate.subset_bounds: whether all contacts are condensed onto
+    all_contacts: dict[bool, bool] = field(default_factory=dict)  # certificate.subset_bounds: with friction, without
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
     judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
+    judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
     contact_operator: Any = None  # solving.friction.contact_form

@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contactqp.certificate import subset_bounds
-from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
-from contactqp.certificate.subset_bounds import among, first_candidates, take_all, widened
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -28,7 +26,6 @@ from contactqp.errors import (
     Unsupported,
     refuse_other,
 )
-from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
@@ -37,6 +34,7 @@ from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
+from contactqp.solving.among_candidates import solve_among
 from contactqp.solving.methods import (
     Method,
     Settings,
@@ -52,79 +50,6 @@ from contactqp.solving.sparse_run import SparseRun
 
 if TYPE_CHECKING:
     from contactqp.model.local_problem import LocalSolution
-
-
-def solve_among(
-    problem: ContactProblem,
-    candidates: NDArray[np.intp],
-    start: Solution | None,
-    solve: Callable[[ContactProblem, Solution | None], Solution],
-) -> Solution:
-    """The solution of the whole problem by `solve(problem of the candidates, where to start)`.
-
-    Where the candidates alone cannot hold the bodies, all contacts are taken at once.
-    """
-    started, spent = time.perf_counter(), Work()
-    while True:
-        few = among(problem, candidates)
-        try:
-            solution = solve(few, _restricted(start, few, candidates))
-        except NoEquilibrium:
-            spent = _spent_on(few).after(spent)
-            take_all(problem)
-            solution = solve(problem, start)
-            return replace(solution, work=solution.work.after(spent), seconds=time.perf_counter() - started)
-        except (NotConverged, NotCertified) as error:
-            if isinstance(error.solution, Solution):
-                error.solution = _of_all(problem, candidates, error.solution, spent, started)
-            raise
-        wider = widened(problem, candidates, _gap(problem, solution.displacement), solution.displacement)
-        if wider is None:
-            return _of_all(problem, candidates, solution, spent, started)
-        spent = solution.work.after(spent)
-        candidates = wider
-
-
-def _spent_on(few: ContactProblem) -> Work:
-    """What a problem that came to no answer has cost."""
-    way = condense(few)
-    return Work(factorisations=way.factorisations, back_substitutions=way.back_substitutions)
-
-
-def _gap(problem: ContactProblem, displacement: Vector) -> Vector:
-    return np.asarray(problem.gap - problem.normal @ displacement)
-
-
-def _restricted(start: Solution | None, few: ContactProblem, candidates: NDArray[np.intp]) -> Solution | None:
-    return None if start is None else replace(start, problem=few, normal_force=start.normal_force[candidates])
-
-
-def _of_all(
-    problem: ContactProblem, candidates: NDArray[np.intp], solution: Solution, spent: Work, started: float
-) -> Solution:
-    """The solution with all contacts, certified with all of them."""
-
-    def spread(force: Vector) -> Vector:
-        everywhere = np.zeros(problem.contacts)
-        everywhere[candidates] = force
-        return everywhere
-
-    answered = time.perf_counter()
-    no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
-
-    force, raw = spread(solution.normal_force), solution.raw
-    changes: dict[str, Any] = dict(problem=problem, friction_force=no_friction)
-    certificate = compute_certificate(problem, solution.displacement, force, no_friction, solution.tie_force)
-    whole = replace(solution, normal_force=force, certificate=certificate, **changes)
-    certified = time.perf_counter()
-    return replace(
-        whole,
-        contact_status=contact_status(problem, whole.certificate),
-        raw=None if raw is None else replace(raw, normal_force=spread(raw.normal_force), **changes),
-        seconds=certified - started,
-        certify_seconds=certified - answered,
-        work=solution.work.after(spent),
-    )
 
 
 DEFAULT_METHOD = "active-set"
@@ -256,12 +181,13 @@ def solve(
         return found
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    many = problem.normal.nnz > subset_bounds.MANY and not iterated(problem) and not constraints_are_many(problem)
-    if many and (candidates := first_candidates(problem)) is not None:
+    if algorithm != "associated" and not iterated(problem) and not constraints_are_many(problem):
         with problem.lock, stage(METHOD):
-            return solve_among(
-                problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
+            among = solve_among(
+                problem, warm_start, lambda few, known: solve(few, method, warm_start=known, **same), _without_friction
             )
+        if among is not None:
+            return among
     try:
         return begin(problem, method, start, **same).finish()
     except (NotCertified, NotConverged) as error:
@@ -276,6 +202,16 @@ def solve(
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
         return _by_another_route(problem, error, same)
+
+
+def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
+    """The normal forces (m,) of a problem as if nothing rubbed, uncertified where that costs less, and their work."""
+    slippery = problem.replace(friction=np.zeros(problem.contacts))
+    if contacts_are_many(slippery):
+        found = solve(slippery)
+        return found.normal_force, found.work
+    run = begin(slippery, DEFAULT_METHOD)
+    return run.expanded.normal_force, run.work(0)
 
 
 def _routes(problem: ContactProblem) -> tuple[str, ...]:
@@ -381,7 +317,7 @@ def seconds_to_answer(problem: ContactProblem, method: str, **arguments: Any) ->
     ContactQPError
         As `solve` before the certificate.
     """
-    if problem.frictional or problem.has_idle_rows or problem.normal.nnz > subset_bounds.MANY:
+    if problem.frictional or problem.has_idle_rows or contacts_are_many(problem):
         return None
     if near_one(problem) is not None or iterated(problem):
         return None

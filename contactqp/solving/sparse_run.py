@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactqp.certificate.subset_bounds import MANY
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
@@ -142,7 +142,7 @@ class SparseRun(Run):
     def _at_rest(self, final: Final) -> Final:
         """The answer with its free motions at rest and listed, where the certificate condenses and so knows them."""
         problem = self.problem
-        if iterated(problem) or constraints_are_many(problem) or problem.normal.nnz > MANY:
+        if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
             return final
         if self._state is None or uniqueness(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it

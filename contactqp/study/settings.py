@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.subset_bounds import first_candidates
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.model.problem import ContactProblem
@@ -222,7 +222,7 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
     bare = not problem.contacts and not problem.ties
     if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
         return False
-    if len(_touched(problem)) < problem.dimension or first_candidates(problem) is not None:
+    if len(_touched(problem)) < problem.dimension or contacts_are_many(problem):
         return True
     return condense(problem).rigid.count > 0
 

@@ -22,9 +22,9 @@ def held_by_friction_alone() -> cq.ContactProblem:
     )
 
 
-def refusal(**options: float) -> str:
+def refusal() -> str:
     with pytest.raises(cq.NotConverged) as refused:
-        cq.solve(held_by_friction_alone(), **options)
+        cq.solve(held_by_friction_alone())
     return str(refused.value)
 
 
