@@ -115,11 +115,16 @@ def state_verdict(
     tolerances : two floats
         The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
     """
-    # The answer for candidate contacts is judged when it is found, and again as part of the answer with all contacts.
-    judged = _numbers(problem, answer, tolerances)
+    verdict = _verdict(problem, answer, found, condensation, tolerances)
+    problem._computed.judged_state = _numbers(problem, answer, tolerances), verdict
+    return verdict
+
+
+def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> StateVerdict | None:
+    """The verdict of `state_verdict` where this very answer was the last that it was asked of."""
     known: tuple[Array, StateVerdict] | None = problem._computed.judged_state
-    if known is None or not np.array_equal(known[0], judged):
-        known = problem._computed.judged_state = judged, _verdict(problem, answer, found, condensation, tolerances)
+    if known is None or not np.array_equal(known[0], _numbers(problem, answer, tolerances)):
+        return None
     return known[1]
 
 
@@ -301,6 +306,9 @@ class _Comparison:
         self._along, self._across = bodies.along, bodies.across
         self._own = _own_compliances(problem, self._along, self._across)
         self._rubs = self._rows.slides & (self._rows.coefficient > 0)
+        # Along a tangent whose unknowns are all supported any friction would do.
+        lengths_of_rows = row_sizes(problem, problem.tangent).size.sum(axis=1)
+        self._felt = np.asarray(lengths_of_rows).reshape(problem.contacts, -1) > 0
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
 
@@ -377,7 +385,7 @@ class _Comparison:
         strain, _ = energy_norm(problem, refined.displacement)
         other = refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
-        rubbed = np.where(self._rubs[:, None], self.friction - other, 0.0)
+        rubbed = np.where(self._rubs[:, None] & self._felt, self.friction - other, 0.0)
         size = self._bodies.response_norm(refined.normal_force.double(), other)
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
 from contactqp.certificate.figures import violations
-from contactqp.certificate.state_answer import StateVerdict, figures_alone, state_verdict
+from contactqp.certificate.state_answer import StateVerdict, figures_alone, last_verdict, state_verdict
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.factorization import RigidMotions
@@ -148,10 +148,10 @@ def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, 
     closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
     if not closed.size:
         return None
-    return np.union1d(candidates, np.union1d(closed, _near(problem, closed))).astype(np.intp)
+    return np.union1d(candidates, np.union1d(closed, _near(problem, closed, LAYERS))).astype(np.intp)
 
 
-def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int = LAYERS) -> NDArray[np.intp]:
+def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int) -> NDArray[np.intp]:
     """The contacts within so many layers of unknowns around some of them."""
     rows, K = abs(problem.normal), problem.stiffness_rows
     near = np.zeros(problem.dimension, dtype=bool)
@@ -200,8 +200,12 @@ def state_among(
         condensation = condense(few)
         friction = None if answer.friction_force is None else answer.friction_force[candidates]
         of_few = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
-        found = violations(few, of_few, residuals(few, of_few), tolerances[1], condensation.rigid)
-        verdict = state_verdict(few, of_few, found, condensation, tolerances)
+        verdict = last_verdict(
+            few, of_few, tolerances
+        )  # that of the answer for the candidates, where it was solved for
+        if verdict is None:
+            found = violations(few, of_few, residuals(few, of_few), tolerances[1], condensation.rigid)
+            verdict = state_verdict(few, of_few, found, condensation, tolerances)
         u = answer.displacement if verdict.displacement is None else verdict.displacement
         wider = widened(problem, candidates, problem.gap - problem.normal @ u, u)
         if wider is None:

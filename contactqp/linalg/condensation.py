@@ -235,8 +235,9 @@ class Condensation:
         if not self.rigid.count or not len(self.schur):
             return
         Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
-        clear = np.eye(len(Q)) - Q @ Q.T
-        cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
+        cleared = self.schur * np.outer(self.scale, self.scale)
+        cleared = cleared - Q @ (Q.T @ cleared)
+        cleared = cleared - (cleared @ Q) @ Q.T
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
         self._schur_factor = None

@@ -23,6 +23,7 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, unknown_scale
 from contactqp.linalg.equilibration import Scaling, equilibrated
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -229,7 +230,7 @@ def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
     """The linear program meets its rows to a tolerance: make those it meets exact, and what it then leaves is real."""
     met = np.vstack([normal[abs(normal @ coordinates) <= DRIVEN], tie])
     if len(met):
-        _, values, rotation = np.linalg.svd(met)
+        values, rotation = right_singular(met)
         free = rotation[int(np.sum(values > DRIVEN)) :]
         coordinates = free.T @ (free @ coordinates)
     return np.where(abs(coordinates) > DRIVEN, coordinates, 0.0)
@@ -463,7 +464,7 @@ def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
 def _nearly_cancelling(rows: Array) -> Vector:
     """The weights of unit length whose sum of rows is least, each row scaled to unit length on the way."""
     length = np.linalg.norm(rows, axis=1)
-    _, _, rotation = np.linalg.svd((rows / length[:, None]).T)
+    _, rotation = right_singular((rows / length[:, None]).T)
     return np.asarray(rotation[-1] / length)
 
 

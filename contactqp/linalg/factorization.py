@@ -62,7 +62,8 @@ class DenseCholesky:
         scaled = matrix * np.outer(self._scale, self._scale)
         try:
             self._factor = cho_factor(scaled, lower=True, check_finite=False)
-            self.smallest_pivot = float(np.min(np.diag(self._factor[0])) ** 2)
+            pivots = np.diag(self._factor[0]) ** 2
+            self.smallest_pivot = float(np.min(pivots)) if len(pivots) else 1.0
         except np.linalg.LinAlgError:
             lowest = float(eigvalsh(scaled)[0])
             self.smallest_pivot = min(lowest, 0.0)

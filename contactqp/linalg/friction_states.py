@@ -36,6 +36,7 @@ from contactqp.linalg.extended import (
     residuals_of,
     two_product,
 )
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Mask, Vector
@@ -203,13 +204,14 @@ class StateSystem:
         pushed = np.vstack([normal + dragged, stuck, rows.tie])
         stiffness = rows.S
         across, compliance = _across(tangent, directions, turning)
-        self._kept, self._count = np.arange(len(held)), len(held)
+        # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
+        felt = np.flatnonzero(np.any(held != 0, axis=1))
+        self._kept, self._count = felt, len(held)
         if independent:
-            self._kept = np.flatnonzero(np.any(held != 0, axis=1))
-            self._kept = self._kept[independent_rows(_of_unit_length(held[self._kept]))]
+            self._kept = felt[independent_rows(_of_unit_length(held[felt]))]
             free = _unresisted(rows.motions, np.vstack([held, across]))
             stiffness = stiffness + free @ free.T
-        self.redundant = len(self._kept) < len(held)
+        self.redundant = len(self._kept) < len(felt)
         held, pushed = held[self._kept], pushed[self._kept]
         held, pushed = np.vstack([held, across]), np.vstack([pushed, across])
         corner = np.diag(np.concatenate([np.zeros(len(self._kept)), -compliance]))
@@ -253,7 +255,7 @@ def _unresisted(motions: Array, held: Array) -> Array:
     """Return combinations of orthonormal motions (p, q) that no row resists."""
     if not motions.shape[1] or not len(held):
         return motions
-    _, values, rotation = np.linalg.svd(_of_unit_length(held) @ motions)
+    values, rotation = right_singular(_of_unit_length(held) @ motions)
     return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 

@@ -308,9 +308,9 @@ class NestedBlock:
         self._kept, self._gone = np.flatnonzero(kept), np.flatnonzero(~kept)
         S = outer.schur
         self._factor = DenseCholesky(S[np.ix_(self._gone, self._gone)])
-        if self._gone.size and self._factor.smallest_pivot < SUSPICIOUS_PIVOT:
+        if self._factor.smallest_pivot < SUSPICIOUS_PIVOT:
             raise NotPositive
-        self.smallest_pivot = min(outer.smallest_pivot, self._factor.smallest_pivot if self._gone.size else 1.0)
+        self.smallest_pivot = min(outer.smallest_pivot, self._factor.smallest_pivot)
         self._follow = self._factor.solve(S[np.ix_(self._gone, self._kept)])  # S_rr^-1 S_rc
         block = S[np.ix_(self._kept, self._kept)] - S[np.ix_(self._kept, self._gone)] @ self._follow
         self.schur: Array = (block + block.T) / 2

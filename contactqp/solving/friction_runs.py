@@ -19,6 +19,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
@@ -92,7 +93,7 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
     if not rows.shape[0]:
         return basis
     size = np.max(abs(rows) @ abs(basis), axis=1, initial=0.0)
-    _, values, rotation = np.linalg.svd((rows @ basis) / np.where(size > 0, size, 1.0)[:, None])
+    values, rotation = right_singular((rows @ basis) / np.where(size > 0, size, 1.0)[:, None])
     return np.asarray(basis @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 

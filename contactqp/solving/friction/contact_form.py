@@ -15,6 +15,7 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.friction_states import (
     OPEN,
     SLIP_BACK,
@@ -127,7 +128,7 @@ def _null_motions(rows: FrictionalRows, basis: Array) -> Array:
     if not motions.shape[1]:
         return np.zeros((basis.shape[1], 0))
     if len(rows.tie):
-        _, size, right = np.linalg.svd(rows.tie @ motions)
+        size, right = right_singular(rows.tie @ motions)
         motions = motions @ right[int(np.sum(size > UNRESISTED)) :].T
     return np.asarray(basis.T @ motions)
 

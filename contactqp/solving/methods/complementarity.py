@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
-from contactqp.linalg.factorization import null_space
+from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
@@ -91,7 +91,7 @@ def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
     if motions.shape[1] == 0 or rows.shape[0] == 0:
         return motions[:, :0], motions
     unit = rows.toarray() / np.sqrt(rows.power(2).sum(axis=1))[:, None]
-    _, felt, directions = np.linalg.svd(unit @ motions)
+    felt, directions = right_singular(unit @ motions)
     count = int(np.count_nonzero(felt > RESISTED))
     return motions @ directions[:count].T, motions @ directions[count:].T
 
