@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, Unsupported
+from contactqp.linalg import pardiso
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
@@ -187,8 +190,8 @@ class ContactIteration(ABC):
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
 LARGE, COUPLED = 200_000, 40
-# A large body that floats is factorised all the same, up to this size: beyond it the factors fill a workstation.
-LARGEST_FACTORISED = 500_000
+# A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
+LARGEST_BY_SUPERLU = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
 # rounding decides: one support among a million unknowns leaves 1e-6.
 FLOATING = 1e-12
@@ -197,8 +200,10 @@ FLOATING = 1e-12
 def iterated(problem: ContactProblem) -> bool:
     """Whether a problem is solved and judged without a factorisation.
 
-    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, unless a body floats that can still
-    be factorised; always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed. What cannot be iterated on, bodies
+    that float, contacts that rub, and methods that work with factors (`factorised`), is left to PARDISO, which refuses
+    what does not fit into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the
+    variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
@@ -206,7 +211,29 @@ def iterated(problem: ContactProblem) -> bool:
     n = problem.dimension
     if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
         return False
-    return n > LARGEST_FACTORISED or held_by_hierarchy(problem)
+    if pardiso.available():
+        return not (problem.frictional or problem._computed.of_stiffness.factorised) and held_by_hierarchy(problem)
+    return problem.frictional or n > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
+
+
+def may_be_factorised() -> bool:
+    """Whether a body of any size may be: by a solver that refuses what does not fit, and unless the user chose."""
+    return pardiso.available() and not os.environ.get(CHOICE, "")
+
+
+@contextmanager
+def factorised(problem: ContactProblem) -> Iterator[None]:
+    """Have a stiffness factorised however large it is, for as long as that goes well: a method works with its factors.
+
+    Afterwards the factors are there, and what is asked of the same stiffness uses them.
+    """
+    of_stiffness = problem._computed.of_stiffness
+    of_stiffness.factorised = True
+    try:
+        yield
+    except Unsupported:
+        of_stiffness.factorised = False
+        raise
 
 
 def held_by_hierarchy(problem: ContactProblem) -> bool:
@@ -363,7 +390,7 @@ class Iteration(ContactIteration):
         return contacts
 
 
-_INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
+_INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
 
 
 def iteration(problem: ContactProblem) -> Iteration:

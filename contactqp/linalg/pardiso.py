@@ -18,15 +18,20 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendFailed, BackendMissing
+from contactqp.errors import BackendFailed, BackendMissing, Unsupported
+from contactqp.linalg.runtime import free_memory
 from contactqp.model.arrays import Array
 
 POSITIVE_DEFINITE, INDEFINITE, UNSYMMETRIC = 2, -2, 11
-ANALYSE_AND_FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 12, 33, 331, 333, -1
+ANALYSE, FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 11, 22, 33, 331, 333, -1
 NOT_POSITIVE = -4
 # Places in iparm, counted from zero.
 DEFAULTS_OVERRIDDEN, ORDERING, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 9, 34, 35, 55
 NESTED_DISSECTION, SCHUR_ONLY = 2, 1
+# What the analysis tells, in kibibytes: its own peak, what of it stays, and what factors and solutions will take.
+PEAK_OF_ANALYSIS, STAYS, OF_FACTORS = 14, 15, 16
+# Factors that are predicted to take more than this part of the memory that is free are not begun.
+MOST_OF_MEMORY = 0.95
 # Of an unsymmetric one: rows and columns are scaled and matched, so that large entries come onto the diagonal.
 SCALING, MATCHING = 10, 12
 # The variable by which people state to pypardiso where the library is.
@@ -84,8 +89,10 @@ class Pardiso:
     ------
     NotPositive
         A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
+    Unsupported
+        The factors are predicted to need more memory than is free.
     BackendMissing, BackendFailed
-        There is no PARDISO, or it gave up (for want of memory, say).
+        There is no PARDISO, or it gave up.
     """
 
     def __init__(self, matrix: Any, retained: NDArray[np.intp], kind: int = POSITIVE_DEFINITE) -> None:
@@ -108,10 +115,27 @@ class Pardiso:
         self._kind = kind
         if len(retained):
             self._settings[SCHUR] = SCHUR_ONLY
-        self.schur = np.zeros((len(retained), len(retained)))
         self._release = weakref.finalize(self, _release, self._handle, self._settings, kind)
-        self._call(ANALYSE_AND_FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
+        self._call(ANALYSE, np.zeros(1), np.zeros(1))
+        self._refuse_too_large(len(retained))
+        self.schur = np.zeros((len(retained), len(retained)))
+        self._call(FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
         self.smallest_pivot = self._smallest_pivot() if kind == POSITIVE_DEFINITE else np.nan
+
+    @property
+    def predicted_memory(self) -> int:
+        """Bytes that analysis, factors and solutions take at their peak, as the analysis tells."""
+        kibibytes = max(self._settings[PEAK_OF_ANALYSIS], int(self._settings[STAYS]) + int(self._settings[OF_FACTORS]))
+        return 1024 * int(kibibytes)
+
+    def _refuse_too_large(self, retained: int) -> None:
+        """Raise Unsupported rather than be ended by the system in the middle of a factorisation."""
+        needed, free = self.predicted_memory + 8 * retained**2, free_memory()
+        if free is not None and needed > MOST_OF_MEMORY * free:
+            raise Unsupported(
+                f"the factors of {self.size} unknowns need about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are "
+                "free: free memory, take a coarser mesh, or solve on several ranks (engine='petsc')"
+            )
 
     def solve_all(self, right: Array) -> Array:
         """K^-1 right, where no unknown is retained."""

@@ -1,4 +1,4 @@
-"""Clocks of an answer's stages with counts of its factorisations, threads of BLAS, and locks that survive a fork.
+"""Clocks of an answer's stages and counts of its factorisations, threads of BLAS, free memory, and locks after a fork.
 
 A clock costs nothing where none runs. OpenBLAS keeps to one thread around the small dense systems of the contacts: two
 threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -185,3 +186,47 @@ def _openblas() -> Any:
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# What a process may take where a control group limits it: versions 2 and 1.
+_GROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+
+
+def free_memory() -> int | None:
+    """Bytes of memory that may still be taken without swapping, the limits of the process and its group included.
+
+    None where the system does not say.
+    """
+    limits = (_available(), *(_left_of(*group) for group in _GROUPS), _left_of_address_space())
+    return min((left for left in limits if left is not None), default=None)
+
+
+def _available() -> int | None:
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), None)
+    except (OSError, ValueError):
+        return None
+
+
+def _left_of(limit: str, used: str) -> int | None:
+    try:
+        most = Path(limit).read_text(encoding="ascii").strip()
+        return None if most == "max" else max(int(most) - int(Path(used).read_text(encoding="ascii")), 1)
+    except (OSError, ValueError):
+        return None
+
+
+def _left_of_address_space() -> int | None:
+    """What `ulimit -v` leaves."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        return None if limit == resource.RLIM_INFINITY else max(limit - pages * resource.getpagesize(), 1)
+    except (ImportError, OSError, ValueError):
+        return None

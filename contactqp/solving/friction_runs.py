@@ -406,4 +406,7 @@ def _in_space(problem: ContactProblem) -> bool:
 
 def _refuse_iterated(problem: ContactProblem) -> None:
     if iterated(problem):
-        raise Unsupported("friction: a body this large is not factorised, and Coulomb friction is not iterated on")
+        raise Unsupported(
+            "friction: a body this large is not factorised, and Coulomb friction is not iterated on in one process; "
+            "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso), or take ranks (engine='petsc')"
+        )

@@ -415,7 +415,7 @@ def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, V
     return u, normal, friction, tie
 
 
-_ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
+_ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
 
 
 class IteratedRun(Run):

@@ -26,7 +26,7 @@ from contactqp.errors import (
     Unsupported,
     refuse_other,
 )
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
@@ -181,6 +181,9 @@ def solve(
         return found
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
+    if _works_with_factors(find(method), condense) and iterated(problem) and may_be_factorised():
+        with factorised(problem):
+            return solve(problem, method, warm_start=warm_start, **same)
     if algorithm != "associated" and not iterated(problem) and not constraints_are_many(problem):
         with problem.lock, stage(METHOD):
             among = solve_among(
@@ -202,6 +205,11 @@ def solve(
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
         return _by_another_route(problem, error, same)
+
+
+def _works_with_factors(method: Method, condense: bool | str) -> bool:
+    """Whether a method is shown the condensed problem however large the bodies are."""
+    return method.kind != CONDENSES_ITSELF or condense is True
 
 
 def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:

@@ -1,0 +1,115 @@
+"""Which way a large body is solved: what is asked for decides, and whether factors fit into memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.linalg import iteration, multigrid, pardiso
+from contactqp.linalg.runtime import free_memory
+from tests.blocks_in_space import fresh, on_paraboloid, on_sphere
+
+needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
+needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
+# Methods that are shown the condensed problem, and what they have to be told.
+ON_FACTORS: dict[str, dict[str, Any]] = {
+    "clarabel": {},
+    "osqp": {},
+    "lagrange-multiplier": {},
+    "penalty": {"penalty": 1e4},
+    "active-set": {"condense": True},
+}
+
+
+@pytest.fixture
+def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies from a hundred unknowns on are iterated on."""
+    monkeypatch.delenv(pardiso.CHOICE, raising=False)
+    monkeypatch.setattr(iteration, "LARGE", 100)
+    monkeypatch.setattr(iteration, "COUPLED", 0)
+
+
+def rubbing() -> cq.ContactProblem:
+    problem = on_paraboloid((6, 6, 4))
+    along = sp.csr_matrix(
+        ([1.0] * 2 * problem.contacts, (np.arange(2 * problem.contacts), _tangents(problem))),
+        shape=(2 * problem.contacts, problem.dimension),
+    )
+    return cq.ContactProblem(problem.stiffness, problem.load, problem.normal, problem.gap, tangent=along, friction=0.3)
+
+
+def _tangents(problem: cq.ContactProblem) -> np.ndarray:
+    """The unknowns along the plane beside the vertical one of every contact."""
+    vertical = problem.normal.indices
+    return np.column_stack([vertical - 2, vertical - 1]).ravel()
+
+
+@needs_pyamg
+@pytest.mark.usefixtures("small_is_large")
+@pytest.mark.parametrize("method", ON_FACTORS)
+def test_a_method_that_needs_factors_has_them_at_any_size(method: str) -> None:
+    problem = fresh(on_sphere())
+    reference = cq.solve(fresh(problem))
+    assert reference.work.solver == "pyamg"
+    solution = cq.solve(problem, method, **ON_FACTORS[method])
+    assert solution.work.solver in ("pardiso", "superlu")
+    exact = method != "penalty"
+    assert solution.certificate.passed == exact
+    off = np.max(abs(solution.normal_force - reference.normal_force)) / np.max(reference.normal_force)
+    assert off < (1e-6 if exact else 0.5)
+    if exact:  # whoever asks next uses the factors
+        assert cq.solve(problem).certificate.proven
+
+
+@needs_pyamg
+@pytest.mark.usefixtures("small_is_large")
+def test_friction_is_factorised_at_any_size() -> None:
+    problem = rubbing()
+    assert iteration.iterated(problem.replace(friction=0.0))
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.certificate.basis == "state"
+    assert "slip" in solution.contact_status or "stick" in solution.contact_status
+
+
+@needs_pardiso
+def test_factors_that_do_not_fit_are_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = fresh(on_paraboloid((14, 14, 8)))
+    assert problem.dimension > 2000
+    monkeypatch.setattr(pardiso, "free_memory", lambda: 2**20)
+    with pytest.raises(
+        cq.Unsupported, match=r"the factors of \d+ unknowns need about .* GiB, 0.0 GiB are free: .*mesh"
+    ):
+        cq.solve(problem)
+    monkeypatch.undo()
+    assert cq.solve(problem).certificate.proven
+
+
+@needs_pyamg
+@needs_pardiso
+@pytest.mark.usefixtures("small_is_large")
+def test_a_body_whose_factors_do_not_fit_is_iterated_on_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = fresh(on_paraboloid((14, 14, 8)))
+    with monkeypatch.context() as patch:
+        patch.setattr(pardiso, "free_memory", lambda: 2**20)
+        with pytest.raises(cq.Unsupported, match="need about"):
+            cq.solve(problem, "clarabel")
+    assert cq.solve(problem).work.solver == "pyamg"
+
+
+@needs_pardiso
+def test_the_prediction_of_memory_grows_with_the_factors() -> None:
+    nothing = np.zeros(0, dtype=np.intp)
+    sizes = [pardiso.Pardiso(fresh(on_paraboloid(cells)).stiffness, nothing) for cells in ((8, 8, 8), (16, 16, 16))]
+    small, large = (one.predicted_memory for one in sizes)
+    assert large > 16 * small / 2  # n^(4/3) is a factor of 16 from 8 to 16 cells along an edge
+    assert large > 12 * sp.csr_matrix(on_paraboloid((16, 16, 16)).stiffness).nnz / 2
+
+
+def test_free_memory_is_that_of_the_machine_or_less() -> None:
+    free = free_memory()
+    assert free is None or 0 < free < 2**50
