@@ -36,7 +36,7 @@ from contactqp.linalg.factorization import (
     stated_motions,
 )
 from contactqp.linalg.pardiso import NotPositive
-from contactqp.linalg.runtime import CONDENSE, RUNNING, stage
+from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -430,6 +430,7 @@ def condense(problem: ContactProblem) -> Condensation:
         )
     if problem._computed.condensation is None:
         with stage(CONDENSE):
+            refuse_late("the stiffness was condensed")
             problem._computed.condensation = Condensation(problem)
     condensation: Condensation = problem._computed.condensation
     return condensation

@@ -38,6 +38,7 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
+from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN as OPEN
@@ -344,6 +345,7 @@ def refined_by(
         directions, turning = _directions(rows, status, slip, force.double())
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
+            refuse_late("the answer was solved for on its combination of open, stick and slip")
             system = make(directions, turning)
             regular = regular and system.regular
         last = size

@@ -21,6 +21,8 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from contactqp.errors import NotConverged
+
 if TYPE_CHECKING:
     from contactqp.model.problem import ContactProblem
 
@@ -94,6 +96,51 @@ def stage(name: str) -> AbstractContextManager[None]:
     """Charge what happens meanwhile to a stage, if a clock runs."""
     clock = RUNNING.get()
     return _UNTIMED if clock is None else clock.within(name)
+
+
+# When the call that runs has to end, if it has to, and the seconds that it was given.
+_END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that runs has to end", default=None)
+
+
+@contextmanager
+def within_time(seconds: float | None) -> Iterator[None]:
+    """Have `refuse_late` raise so many seconds from now; an earlier end that is already set stays."""
+    known = _END.get()
+    end = known if seconds is None else (time.perf_counter() + seconds, seconds)
+    token = _END.set(end if known is None or (end is not None and end[0] < known[0]) else known)
+    try:
+        yield
+    finally:
+        _END.reset(token)
+
+
+@contextmanager
+def in_any_time() -> Iterator[None]:
+    """No end while this lasts: what has been found is certified."""
+    token = _END.set(None)
+    try:
+        yield
+    finally:
+        _END.reset(token)
+
+
+def seconds_left() -> float | None:
+    """Until the call that runs has to end, at least a microsecond; None where it need not."""
+    end = _END.get()
+    return None if end is None else max(end[0] - time.perf_counter(), 1e-6)
+
+
+def stated_limit(seconds: float | None) -> str:
+    """The time that the call was given in words; outside of a call, these seconds that a step of it was given."""
+    end = _END.get()
+    return f"{seconds if end is None else end[1]:g} s"
+
+
+def refuse_late(what: str) -> None:
+    """Raise NotConverged where the call that runs should have ended; `what` was to be done next."""
+    end = _END.get()
+    if end is not None and time.perf_counter() > end[0]:
+        raise NotConverged(f"stopped at the time limit of {stated_limit(None)}, before {what}")
 
 
 def renew_in_child(renew: Callable[[], None]) -> None:

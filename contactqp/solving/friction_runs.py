@@ -302,10 +302,10 @@ def _by(
     with meter.running():
         try:
             if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
-                found: Any = algorithm.on_bodies(problem, condensation, method, settings)
+                found: Any = algorithm.on_bodies(problem, condensation, method, settings.now)
             else:
                 name = None if algorithm is None else algorithm.name
-                found = solve_on_contacts(problem, condensation, method, settings, name)
+                found = solve_on_contacts(problem, condensation, method, settings.now, name)
         except NotConverged:
             refuse_conflict(problem, condensation)
             raise

@@ -35,7 +35,7 @@ from contactqp.linalg.refinement import (
     shift_to_least_norm,
     without_noise,
 )
-from contactqp.linalg.runtime import POLISH, on_one_thread, one_blas_thread, stage
+from contactqp.linalg.runtime import POLISH, in_any_time, on_one_thread, one_blas_thread, refuse_late, stage
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional
 from contactqp.linalg.schur import LARGE
@@ -169,9 +169,10 @@ class Run:
             if friction is None and problem.slip_origin is not None:
                 friction = np.zeros_like(problem.slip_origin)
             answered = time.perf_counter()
-            certificate = compute_certificate(
-                problem, final.displacement, final.normal_force, friction, final.tie_force
-            )
+            with in_any_time():
+                certificate = compute_certificate(
+                    problem, final.displacement, final.normal_force, friction, final.tie_force
+                )
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
             raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
@@ -236,6 +237,7 @@ class CondensedRun(Run):
         super().__init__(problem, method)
         with self.meter.running():
             self._condensation = _condensed(problem)
+            refuse_late(f"{method.name} began")
             if self._condensation.rigid.count:
                 refuse_driven_motion(problem, self._condensation)
             if not method.semidefinite and saddle_point(self._condensation, np.zeros(0, dtype=np.intp)).free.shape[1]:
@@ -243,7 +245,7 @@ class CondensedRun(Run):
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
                 )
             try:
-                shown, self.candidate = self._run(settings, condense)
+                shown, self.candidate = self._run(settings.now, condense)
             except (NotConverged, BackendFailed):
                 self.refuse_conflict()
                 raise
@@ -441,7 +443,7 @@ class IteratedRun(Run):
         self._before = known.krylov_iterations if known else 0
         self._iteration = iteration(problem)
         with on_one_thread():  # nothing dense here is large
-            self.candidate = solve_by_iteration(problem, self._iteration, settings)
+            self.candidate = solve_by_iteration(problem, self._iteration, settings.now)
 
     def final(self) -> Final:
         """The answer that is to be certified: the candidate."""

@@ -27,7 +27,7 @@ from contactqp.errors import (
     refuse_other,
 )
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
-from contactqp.linalg.runtime import METHOD, one_blas_thread, stage
+from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, within_time
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
@@ -105,7 +105,8 @@ def solve(
         Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
         set corrected twice. `solution.raw` is the answer before it.
     time_limit : float, optional
-        Seconds, for methods that can stop.
+        Seconds for the call, for methods that can stop. It is looked at between the steps of the method and between
+        factorisations, none of which is interrupted; the certificate of what was found comes on top.
     max_iter : int, optional
         Iterations of the method.
     warm_start : Solution, optional
@@ -171,7 +172,16 @@ def solve(
         return solve_local(problem, method, warm_start=warm_start, **same)
     if type(problem) is not ContactProblem:
         refuse_other("solve", problem, ContactProblem, LocalProblem)
-    same["condense"] = condense
+    refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
+    with within_time(time_limit):
+        return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
+
+
+def _solve(
+    problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
+) -> Solution:
+    """`solve` by the first of its ways that applies."""
+    condense, algorithm = same["condense"], same["algorithm"]
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = None if warm_start is None else warm_candidate(problem, warm_start)
@@ -194,7 +204,8 @@ def solve(
     try:
         return begin(problem, method, start, **same).finish()
     except (NotCertified, NotConverged) as error:
-        if method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
+        limited = not same["polish"] or same["max_iter"] or same["time_limit"]
+        if method != DEFAULT_METHOD or limited or iterated(problem):
             raise
         if constraints_are_many(problem):
             if not problem.frictional:

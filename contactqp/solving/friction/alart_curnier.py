@@ -26,6 +26,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.solving.friction.iterate import Iterate
@@ -63,6 +64,7 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
 
 def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | None:
     """The best point along Newton's direction that has a smaller residual; None where there is no direction."""
+    refuse_late("the next step of Newton's method")
     direction = _direction(form, here, regularisation)
     if direction is None:
         return None

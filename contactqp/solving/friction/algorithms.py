@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.runtime import stated_limit
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.admm import admm
@@ -245,7 +246,7 @@ def run_any(
         if best is None or found.iterate.error < best.iterate.error:
             best = found
     if best is None and deadline.passed:
-        raise NotConverged(f"friction: stopped at the time limit of {settings.time_limit:g} s")
+        raise NotConverged(f"friction: stopped at the time limit of {stated_limit(settings.time_limit)}")
     if best is None:
         raise NotConverged("friction: no algorithm came to an answer")
     return best

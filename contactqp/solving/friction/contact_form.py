@@ -26,6 +26,7 @@ from contactqp.linalg.friction_states import (
     answer_in,
     compliance_of,
 )
+from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.local_problem import LocalProblem
@@ -101,6 +102,7 @@ class ContactOperator:
 def contact_operator(problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> ContactOperator:
     """Return the contact operator of a problem's stiffness and rows, made once for all loads."""
     if problem._computed.contact_operator is None:
+        refuse_late("the contacts' own stiffness was found")
         problem._computed.contact_operator = ContactOperator(condensation, rows)
     operator: ContactOperator = problem._computed.contact_operator
     return operator

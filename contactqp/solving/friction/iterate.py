@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.errors import NotConverged
+from contactqp.linalg.runtime import stated_limit
 from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.local_form import LocalForm
 
@@ -56,7 +57,7 @@ class Deadline:
 
     def refuse_if_passed(self, who: str) -> None:
         if self.passed:
-            raise NotConverged(f"{who}: stopped at the time limit of {self._limit:g} s")
+            raise NotConverged(f"{who}: stopped at the time limit of {stated_limit(self._limit)}")
 
 
 # What has been tried from an iterate is tried again from one whose error is this part of it.

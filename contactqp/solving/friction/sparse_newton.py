@@ -16,6 +16,7 @@ from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, without_noise
 from contactqp.linalg.iteration import iteration
 from contactqp.linalg.measures import own_compliance
+from contactqp.linalg.runtime import stated_limit
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -81,7 +82,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
                 break
             following = one
         if settings.time_limit is not None and time.perf_counter() > began + settings.time_limit:
-            raise NotConverged(f"newton: stopped at the time limit of {settings.time_limit:g} s")
+            raise NotConverged(f"newton: stopped at the time limit of {stated_limit(settings.time_limit)}")
         status = following
     raise NotConverged(f"newton: no combination of open, stick and slip whose signs hold ({len(seen)} tried)")
 

@@ -24,6 +24,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
+from contactqp.linalg.runtime import stated_limit
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -192,7 +193,7 @@ class _Run:
         if limit is not None:
             left = limit - (time.perf_counter() - self._began)
             if left <= 0:
-                raise NotConverged(f"tresca: stopped at the time limit of {limit:g} s")
+                raise NotConverged(f"tresca: stopped at the time limit of {stated_limit(limit)}")
             settings = replace(settings, time_limit=left)
         rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._way.rigid.softest)
         scale = np.ones(inner.dimension)

@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from contactqp.errors import NotConverged
+from contactqp.linalg.runtime import stated_limit
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -71,7 +72,7 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
         if leaving == 2 * m:
             return _in_z(basic), pivots, ""
         if time_limit is not None and time.perf_counter() - started > time_limit:
-            return _in_z(basic), pivots, f"stopped after {time_limit:g} s"
+            return _in_z(basic), pivots, f"stopped after {stated_limit(time_limit)}"
         entering = leaving + m if leaving < m else leaving - m
         row = _leaving_row(tableau, basic, entering)
         if row < 0:

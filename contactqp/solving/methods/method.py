@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from contactqp.linalg.runtime import seconds_left
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 
@@ -20,6 +21,12 @@ class Settings:
     time_limit: float | None = None  # seconds
     warm_start: Candidate | None = None
     options: Mapping[str, Any] = field(default_factory=dict)  # those that `Method.options` names
+
+    @property
+    def now(self) -> Settings:
+        """The same with what is left of the time of the call."""
+        left = seconds_left()
+        return self if self.time_limit is None or left is None else replace(self, time_limit=min(self.time_limit, left))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.measures import row_sizes
+from contactqp.linalg.runtime import stated_limit
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
@@ -39,7 +40,7 @@ class Budget:
         if iterations >= self._most:
             return f"stopped after {self._most} iterations"
         if self._seconds is not None and time.perf_counter() - self._started > self._seconds:
-            return f"stopped after {self._seconds:g} s"
+            return f"stopped after {stated_limit(self._seconds)}"
         return ""
 
 

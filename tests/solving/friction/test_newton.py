@@ -58,7 +58,7 @@ def test_a_warm_start_is_newtons_and_what_newton_cannot_is_tresca_s() -> None:
 def test_no_equilibrium_is_none_of_its_answers() -> None:
     with pytest.raises(cq.NoEquilibrium, match="friction or tie holds back"):
         cq.solve(pad(3636.0), algorithm="newton")
-    with pytest.raises(cq.NotConverged, match="newton"):
+    with pytest.raises(cq.NotConverged, match="time limit"):
         cq.solve(rough_truss(), algorithm="newton", time_limit=1e-9)
 
 
