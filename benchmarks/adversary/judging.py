@@ -193,13 +193,8 @@ def _in_plain_units(judge: Judge, certificate: Any) -> Any:
 
 
 def _judge_bounds(judge: Judge, truth: Truth, what: str, source: str, certificate: Any, errors: Any) -> None:
-    """No bound is below the error that it bounds.
-
-    Absolute errors have the units of the problem, and so have those of forces that do not balance on bodies that float,
-    whose norm is that of the motions of least norm: they are compared in units alone in which the truth is.
-    """
-    units = judge.posed.units
-    other = not (units.length == units.force == 1.0 and np.all(units.unknown == 1.0) and np.all(units.row == 1.0))
+    """No bound is below the error that it bounds; absolute errors are compared in the units alone of the truth."""
+    other = _in_other_units(judge)
     for one in bounded(source, truth, _in_plain_units(judge, certificate), errors):
         number = {"energy_error": 0, "force_error": 1}.get(one.figure)
         if other and number is not None and (truth.tiny[number] or (number == 1 and truth.nullity > 0)):
@@ -213,6 +208,15 @@ def _judge_bounds(judge: Judge, truth: Truth, what: str, source: str, certificat
             judge.found("bound", what, f"{one.figure} {one.bound:.17g} below the error {one.error:.17g}")
 
 
+def _in_other_units(judge: Judge) -> bool:
+    """Whether the problem is in other units than its truth.
+
+    The norm of forces that do not balance on bodies that float is that of the motions of least norm, and differs then.
+    """
+    units = judge.posed.units
+    return not (units.length == units.force == 1.0 and np.all(units.unknown == 1.0) and np.all(units.row == 1.0))
+
+
 def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
     tie = truth.tie_force
     for name, u, force in spoiled(truth, np.random.default_rng(judge.seed)):
@@ -223,8 +227,9 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
             continue
         errors = truth.errors(u, force)
         _judge_bounds(judge, truth, f"certify {name}", name, certificate, errors)
-        if certificate.passed and errors.worst > threshold and not _strains_nothing(truth, u):
-            judge.found("forgery", f"certify {name}", f"passed, and off by {errors.worst:.2g}")
+        off = errors.energy if truth.nullity > 0 and _in_other_units(judge) else errors.worst
+        if certificate.passed and off > threshold and not _strains_nothing(truth, u):
+            judge.found("forgery", f"certify {name}", f"passed, and off by {off:.2g}")
         if name == "truth" and not certificate.passed and posed:
             judge.found("refused", "certify truth", "; ".join(certificate.failures)[:300])
     u, force = truth.rounded()

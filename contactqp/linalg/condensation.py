@@ -409,9 +409,20 @@ def unknown_scale(problem: ContactProblem) -> Array:
         if not stiff.size and problem.tangent is not None:
             along = _largest_entries(problem.tangent)
             stiff = (along * D)[~bare & (along > 0)]
-        size = np.median(stiff) if stiff.size else 1.0
+        size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
         D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
     return D
+
+
+def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
+    """What the entries of rows on unknowns without stiffness are brought to where no row feels anything stiff.
+
+    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
+    """
+    felt = largest[bare & (largest > 0)]
+    if np.all(bare) or not felt.size:
+        return 1.0
+    return float(np.median(D[~bare]) * np.median(felt))
 
 
 def _largest_entries(rows: Any) -> Array:

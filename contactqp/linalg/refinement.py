@@ -244,7 +244,7 @@ def polish(
         if proposal is None:
             if answer.saddle.free.shape[1]:
                 answer, _ = least_displacement(problem, condensation, answer, caution)
-            tension, penetrated = _wrong(problem, answer, closed)
+            tension, penetrated = _wrong(problem, answer)
             reached, driven = _reached_by_drive(problem, condensation, answer)
             if not (tension.size or penetrated.size or driven):
                 holding = answer, corrections, True
@@ -283,15 +283,16 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
     return closed if leaving is None else np.delete(closed, leaving)
 
 
-def _wrong(
-    problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding."""
+def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding.
+
+    Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
+    """
     gap, push = answer.gap.double(), answer.doubles.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
     penetrated = -gap > rounding
-    penetrated[closed] = False
+    penetrated[answer.saddle.closed] = False
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
     opening = (gap > rounding) & (push > 0)
     if np.any(push < 0):
@@ -430,25 +431,27 @@ def shift_to_least_norm(
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
+    # What a row feels of the motions is judged in the scale of the energy, in which units make no motion a small one.
     scale = condensation.unknown_scale
-    felt = np.sqrt(problem.normal.power(2) @ scale**2) * np.max(abs(free) / scale[:, None])
-    stays = np.linalg.norm(rows, axis=1) > UNRESISTED * felt
+    basis = scale[:, None] * orthonormal(free / scale[:, None])
+    felt = np.sqrt(problem.normal.power(2) @ scale**2)
+    stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
     if not np.any(stays):
         return free @ shift, free
     gap = problem.gap - problem.normal @ answer.displacement
     moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
-    return _out_of_contacts(problem, answer.displacement, moved, free, np.flatnonzero(stays), scale), free
+    return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
 
 
 def _out_of_contacts(
-    problem: ContactProblem, start: Vector, shift: Vector, free: Array, felt: NDArray[np.intp], scale: Vector
+    problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: NDArray[np.intp]
 ) -> Vector:
-    """A shift along free motions (n, q), corrected where its rounding leaves some of the contacts penetrated.
+    """A shift along free motions, corrected where its rounding leaves some of the contacts penetrated.
 
     The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
-    are met to few digits. What is missing is therefore found in the scale (n,) of the energy.
+    are met to few digits. What is missing is therefore found along a basis (n, q), orthonormal in the scale of the
+    energy.
     """
-    basis = scale[:, None] * orthonormal(free / scale[:, None])
     rows = problem.normal[felt] @ basis
     for _ in range(SHIFT_CORRECTIONS):
         room = (problem.gap - problem.normal @ (start + shift))[felt]
