@@ -130,6 +130,12 @@ def seconds_left() -> float | None:
     return None if end is None else max(end[0] - time.perf_counter(), 1e-6)
 
 
+def time_is_up() -> bool:
+    """Whether the call that runs should have ended."""
+    end = _END.get()
+    return end is not None and time.perf_counter() > end[0]
+
+
 def stated_limit(seconds: float | None) -> str:
     """The time that the call was given in words; outside of a call, these seconds that a step of it was given."""
     end = _END.get()

@@ -67,10 +67,17 @@ class JudgedAnswer(Certificate):
     @cached_property
     @own_floating_point
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong, causes first; empty where the answer passed."""
-        if self.passed:
-            return ()
-        return diagnose(self.problem, self.given, self.answer, self, self.right)
+        """What is wrong, causes first; empty where the answer passed.
+
+        Other questions that it may be the right answer to are asked for a second, or for as long as the right answer
+        took; a finding says which there was no time for.
+        """
+        return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right)
+
+    @own_floating_point
+    def findings_within(self, seconds: float) -> tuple[Finding, ...]:
+        """`findings` with so many seconds for other questions."""
+        return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right, seconds)
 
     @property
     def diagnosis(self) -> str:

@@ -22,6 +22,7 @@ from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.runtime import time_is_up, within_time
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
@@ -68,8 +69,10 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
     for question in _questions(evidence):
         if not _asked(problem, question) or unbalanced(evidence, question.problem.load):
             continue
-        answer = _answered(problem, question)
+        answer = None if time_is_up() else _answered(problem, question)
         if answer is None:
+            if time_is_up():
+                evidence.unasked.append(question.kind)
             continue
         left = evidence.apart(evidence.given, answer)
         if left <= LEFT and (evidence.explains(left) or evidence.right is None):
@@ -240,21 +243,36 @@ GROUPS: tuple[tuple[Family, ...], ...] = (
 AS_GOOD, NOTHING_LEFT = 10.0, 1e-6
 
 
+# Seconds that a diagnosis takes of its own, unless the right answer took more.
+BUDGET = 1.0
+
+
 def diagnose(
-    problem: ContactProblem, given: GivenAnswer, answer: Answer, certificate: Certificate, right: Solution | None
+    problem: ContactProblem,
+    given: GivenAnswer,
+    answer: Answer,
+    certificate: Certificate,
+    right: Solution | None,
+    seconds: float | None = None,
 ) -> tuple[Finding, ...]:
-    """Causes that explain the answer, then what it violates."""
+    """Causes that explain the answer, then what it violates, and what there was no time for in so many seconds.
+
+    None are as many as the right answer took, at least `BUDGET`.
+    """
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:
         return violated
     recovered = bool(missing_parts(problem, given))
     evidence = Evidence(problem, given, answer, certificate, right, recovered)
-    found = _explained(evidence)
-    if all(one.finding.kind == "scaled" for one in found):
-        found = two_mistakes(evidence, _explained) or found
+    if seconds is None:
+        seconds = BUDGET if right is None else max(BUDGET, right.seconds)
+    with within_time(seconds):
+        found = _explained(evidence)
+        if all(one.finding.kind == "scaled" for one in found):
+            found = two_mistakes(evidence, _explained) or found
     if found:
         return (*_best(found), *violated, *_others(right))
-    return (*violated, *_not_examined(problem), *_others(right))
+    return (*violated, *_not_examined(problem), *_not_in_time(evidence, seconds), *_others(right))
 
 
 def _explained(evidence: Evidence) -> list[Explanation]:
@@ -291,6 +309,16 @@ def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
         text = (
             f"not examined, the problem being large ({problem.dimension} unknowns, {problem.contacts} contacts): "
             "whether it is the right answer to some other question, such as without ties or with contacts glued"
+        )
+        yield Finding("not-examined", text)
+
+
+def _not_in_time(evidence: Evidence, seconds: float) -> Iterator[Finding]:
+    if evidence.unasked:
+        kinds = ", ".join(dict.fromkeys(evidence.unasked))
+        text = (
+            f"not examined within {seconds:.3g} s: whether it is the right answer to {len(evidence.unasked)} other "
+            f"questions ({kinds}); findings_within(seconds) takes more time"
         )
         yield Finding("not-examined", text)
 

@@ -8,7 +8,7 @@ the forces open, what they do together, E_N'l_N + E_T'l_T + A'nu, is compared in
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -89,7 +89,7 @@ SYMPTOMS = {
     "balance": "the forces on a body do not balance",
     "inaccurate": "a bound on the error is too large",
     "several": "other answers exist, or may",
-    "not-examined": "hypotheses that were left out because the problem is large",
+    "not-examined": "hypotheses that were left out because the problem is large, or for want of time",
 }
 
 
@@ -239,6 +239,7 @@ class Evidence:
     certificate: Certificate
     right: Solution | None
     recovered: bool = False  # whether a part of the answer was made from the others
+    unasked: list[str] = field(default_factory=list)  # kinds of other questions for which there was no time
 
     @cached_property
     def before(self) -> float:

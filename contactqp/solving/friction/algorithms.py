@@ -205,8 +205,8 @@ def _stagnates(errors: list[float], patience: int) -> bool:
 
 # Tried one after another where no algorithm is asked for: name, iterations.
 ATTEMPTS = (("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000), ("aclm", 60), ("ppa", 1000), ("admm", 20000))
-# So many of them end at once.
-SHORT_ATTEMPTS = 2
+# So many of them end at once, and so many are long.
+SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
 # These forget where they start from, or are led astray by it.
 FROM_THE_START = ("nsgs", "admm", "aclm")
 
@@ -217,14 +217,16 @@ def run_any(
     start: Iterate,
     accepted: Accepted,
     refuse_none: Callable[[], None] = lambda: None,
+    attempts: int = len(ATTEMPTS),
 ) -> Outcome:
     """Newton's method from a start; then from what other algorithms make of it, until one is accepted.
 
-    `refuse_none` raises where there is no answer; it is asked before the long attempts.
+    `refuse_none` raises where there is no answer; it is asked behind the short attempts. `attempts` are so many of
+    `ATTEMPTS`.
     """
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None
-    for number, (name, limit) in enumerate(ATTEMPTS):
+    for number, (name, limit) in enumerate(ATTEMPTS[:attempts]):
         if deadline.passed:
             break
         if number == SHORT_ATTEMPTS:

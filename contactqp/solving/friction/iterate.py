@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.linalg.runtime import stated_limit
+from contactqp.linalg.runtime import seconds_left, stated_limit
 from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.local_form import LocalForm
 
@@ -40,9 +40,11 @@ class Iterate:
 
 
 class Deadline:
-    """A limit in seconds, if any, counted from when it is made."""
+    """A limit in seconds, if any, counted from when it is made, and never later than the end of the call."""
 
     def __init__(self, limit: float | None) -> None:
+        left = seconds_left()
+        limit = left if limit is None or (left is not None and left < limit) else limit
         self._end = np.inf if limit is None else time.perf_counter() + limit
         self._limit = limit
 

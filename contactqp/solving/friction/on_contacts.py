@@ -16,7 +16,7 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Fr
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.algorithms import ALGORITHMS, run_algorithm, run_any
+from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
@@ -29,6 +29,8 @@ WORTH_REFINING = 1e-5
 # Forces that balance the load with less than this part of what would deform the bodies by the typical gap are small:
 # the bodies move as if they were rigid.
 SMALL_FORCES = 0.1
+# Contacts of which all combinations of states take less than the long attempts of algorithms: 3^5 in space.
+MOST_TRIED = 5
 # Of few contacts, combinations near that of the best iterate are tried for so many seconds, or for the time that the
 # algorithms took where that is longer.
 LEAST_BUDGET = 1.0
@@ -107,7 +109,8 @@ def _on_form(
 
     start, began = _start(form, contacts, settings, balanced), time.perf_counter()
     if algorithm is None:
-        outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation))
+        attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= MOST_TRIED else 0)
+        outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation), attempts)
     else:
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""
