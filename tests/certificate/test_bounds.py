@@ -266,3 +266,30 @@ def test_a_force_on_a_floating_body_is_judged_beside_the_largest_in_any_units(un
     forged = cq.certify(problem, right.displacement, right.normal_force * (1 + 1.1e-5))
     assert not forged.passed
     assert any("the force of contact 0" in failure and "1.1e-05" in failure for failure in forged.failures)
+
+
+# A lattice of eight unknowns that one spring holds: it turns and slides freely.
+LATTICE = np.array(
+    [
+        [819600, 400, -819200, 0, 0, 0, -400, -400],
+        [400, 6416, 0, 0, 0, -6016, -400, -400],
+        [-819200, 0, 819205.75, -5.75, -5.75, 5.75, 0, 0],
+        [0, 0, -5.75, 92165.75, 5.75, -5.75, 0, -92160],
+        [0, 0, -5.75, 5.75, 7557.9208984375, -5.75, -7552, 0],
+        [0, -6016, 5.75, -5.75, -5.75, 6021.75, 0, 0],
+        [-400, -400, 0, 0, -7552, 0, 7952, 400],
+        [-400, -400, 0, -92160, 0, 0, 400, 92560],
+    ]
+)
+
+
+def test_no_rigid_motion_that_leaves_a_gap_penetrated_bounds_forces_of_the_wrong_sign():
+    """A rigid motion meets either contact alone, and both strain it: what is not met counts, pushing or not."""
+    normal = np.zeros((2, 8))
+    normal[0, [1, 2]], normal[1, [2, 5]] = (-1, 1), (-1, 1)
+    problem = cq.ContactProblem(LATTICE, np.zeros(8), normal, [0.1484375, -0.3896484375])
+    right = cq.solve(problem)
+    assert np.all(right.normal_force > 1000)
+    certificate = cq.certify(problem, right.displacement, -right.normal_force)
+    assert not certificate.passed
+    assert np.all(certificate.force_bound >= 2 * right.normal_force * (1 - 1e-9))

@@ -239,3 +239,34 @@ def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None
     assert found.normal_force / unit == pytest.approx([0, 0, 0.21875], abs=1e-15)
     assert found.tie_force / unit == pytest.approx([0.125, -0.25], abs=1e-15)
     assert len(found.free_motions) == 1
+
+
+@pytest.mark.parametrize("rows", [(1.0, 1.0), (2.0**23, 2.0**-7), (2.0**-30, 2.0**30)])
+@pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
+def test_nothing_but_gaps_moves_what_has_no_stiffness_whatever_the_units_of_rows(
+    rows: tuple[float, float], method: str
+) -> None:
+    scale = np.array([2.0**19, *rows])
+    normal, gap = np.diag([1.0, -1.0, -1.0]) * scale[:, None], np.array([0.0, -0.5, -0.375]) * scale
+    solution = cq.solve(cq.ContactProblem(np.diag([7.75, 0.0, 0.0]), np.zeros(3), normal, gap), method)
+    np.testing.assert_allclose(solution.displacement, [0.0, 0.5, 0.375], rtol=1e-15, atol=1e-16)
+    assert np.max(abs(solution.normal_force)) <= 1e-12
+
+
+@pytest.mark.parametrize("force", [2.0**-80, 2.0**-40, 1.0, 2.0**60])
+@pytest.mark.parametrize("length", [1.0, 2.0**-30])
+def test_loads_on_what_has_no_stiffness_beside_a_body_that_nothing_touches(force: float, length: float) -> None:
+    """What stands on the floor has no stiffness, and what has one touches nothing: no unit makes either a rounding."""
+    problem = cq.ContactProblem(
+        stiffness=np.diag([0.0, 0.0, 304.0]) * force / length,
+        load=np.array([0.0859375, 3.75, -190.0]) * force,
+        normal=[[0.0, 1.0, 0.0]],
+        gap=[-0.875 * length],
+        tangent=[[-1.0, 0.0, 0.0]],
+        friction=0.125,
+        slip_origin=[[0.75 * length]],
+    )
+    solution = cq.solve(problem)
+    np.testing.assert_allclose(solution.displacement / length, [-0.75, -0.875, -0.625], rtol=1e-14)
+    np.testing.assert_allclose(solution.normal_force / force, [3.75], rtol=1e-14)
+    np.testing.assert_allclose(solution.friction_force / force, [[-0.0859375]], rtol=1e-12)
