@@ -59,8 +59,8 @@ UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
     "system of that is singular to working precision"
 )
-# Factorising the system of one combination may take so many operations: a second or two.
-MOST_OPERATIONS = 2e10
+# Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
+MOST_OPERATIONS = 2e11
 
 
 @dataclass(frozen=True, eq=False)

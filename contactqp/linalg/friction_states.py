@@ -129,10 +129,21 @@ class FrictionalRows:
 def compliance_of(S: Array, motions: Array) -> Array:
     """S^+ (p, p) of a stiffness that orthonormal motions (p, q) alone do not feel, to rounding none along them."""
     if not motions.shape[1]:
-        return np.asarray(np.linalg.inv(S))
-    rigid = motions @ motions.T
-    across = np.eye(len(S)) - rigid
-    return np.asarray(across @ np.linalg.inv(S + rigid) @ across)
+        return _inverse(S)
+    inverse = _inverse(S + motions @ motions.T)
+    inverse = inverse - motions @ (motions.T @ inverse)
+    return np.asarray(inverse - (inverse @ motions) @ motions.T)
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse of a symmetric matrix, positive definite unless rounding has it otherwise."""
+    from scipy.linalg.lapack import dpotrf, dpotri
+
+    factor, failed = dpotrf(matrix, lower=1)
+    if failed or not len(matrix):
+        return np.asarray(np.linalg.inv(matrix))
+    lower = np.tril(dpotri(factor, lower=1)[0])
+    return np.asarray(lower + np.tril(lower, -1).T)
 
 
 def _unit(rows: Array) -> tuple[Array, Vector]:

@@ -11,7 +11,10 @@ have no tangential row, and any friction within its bound would do: it comes out
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation
@@ -37,6 +40,8 @@ from contactqp.solving.friction.local_form import LocalForm
 
 # Tie rows of unit length that leave more than this of their values open conflict.
 CONFLICT = 1e-9
+# Rows with fewer entries than this part of all are multiplied as sparse ones.
+FEW_FELT = 0.1
 # A load that does this part of the work that its entries do, added up, drives a rigid motion by rounding only.
 BALANCED = 1e-12
 
@@ -49,7 +54,7 @@ class ContactOperator:
     H : (d m, p) array
         Rows of approach, reversed, and of slip, contact by contact.
     basis, motions : (p, y), (y, z) arrays
-        B and Z, orthonormal.
+        B and Z, orthonormal; B is a sparse identity where nothing is tied.
     compliance : (y, y) array
         C.
     delassus, rigid : (d m, d m), (d m, z) arrays
@@ -61,7 +66,8 @@ class ContactOperator:
         tangent = rows.tangent.reshape(m, rows.width, -1)
         self.H = np.concatenate([-rows.normal[:, None, :], tangent], axis=1).reshape(m * d, -1)
         self._rows, self._tied = rows, np.zeros((0, 0))
-        self.basis, S, HB = np.eye(len(rows.S)), rows.S, self.H
+        self.basis: Any = sp.identity(len(rows.S), format="csr")
+        S, HB = rows.S, self.H
         if len(rows.tie):
             left, size, right = np.linalg.svd(rows.tie)
             rank = int(np.sum(size > UNRESISTED * size[0]))
@@ -70,7 +76,9 @@ class ContactOperator:
         self.motions = _null_motions(rows, self.basis)
         self.compliance = compliance_of(S, self.motions)
         resisted = _resisted(HB, self.motions)
-        W = resisted @ self.compliance @ resisted.T
+        # Where little is tied or moves rigidly a row feels few unknowns.
+        few = sp.csr_matrix(resisted) if np.count_nonzero(resisted) < FEW_FELT * resisted.size else resisted
+        W = np.asarray(few @ (few @ self.compliance).T)
         self.delassus, self.rigid, self._HB = (W + W.T) / 2, HB @ self.motions, HB
         self._whole, self._uncertain = _whole_motions(condensation, rows, self.basis @ self.motions)
 
@@ -83,7 +91,7 @@ class ContactOperator:
             No displacement was found that gives the ties their values: whether they conflict is proven elsewhere.
         """
         if not self._tied.size:
-            return np.zeros(len(self.basis))
+            return np.zeros(self.basis.shape[0])
         start = np.asarray(self._tied @ value)
         if np.max(abs(self._rows.tie @ start - value), initial=0.0) > CONFLICT * np.max(abs(value), initial=0.0):
             raise NotConverged("friction: the ties contradict each other, as far as floats can tell")
@@ -124,7 +132,7 @@ def _whole_motions(condensation: Condensation, rows: FrictionalRows, motions: Ar
     return rigid.motions @ np.linalg.lstsq(retained, motions, rcond=None)[0], rigid.uncertainty
 
 
-def _null_motions(rows: FrictionalRows, basis: Array) -> Array:
+def _null_motions(rows: FrictionalRows, basis: Any) -> Array:
     """An orthonormal basis of the rigid motions that the ties leave, in coordinates of `basis`."""
     motions = rows.motions
     if not motions.shape[1]:
