@@ -15,7 +15,7 @@ import click
 
 from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported
-from contactqp.linalg.runtime import cores
+from contactqp.linalg.runtime import cores, within_time
 from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ MANY = 4
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")
+@click.option("--time-limit", type=float, metavar="SECONDS", help="For each case, all its methods together.")
 @click.option(
     "--engine",
     type=click.Choice(ENGINES),
@@ -57,6 +58,7 @@ def run_command(
     penalty: str | None,
     perturbation: str | None,
     options: tuple[str, ...],
+    time_limit: float | None,
     engine: str,
     checkpoint: str | None,
     plot: str | None,
@@ -92,9 +94,17 @@ def run_command(
             raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
         knobs = read_knobs(penalty, perturbation, options)
         scenes, files = _read(named, plot, vtu, every_method=bool(methods))
+        if knobs and scenes and not methods and engine == SERIAL:
+            raise InvalidProblem(f"run: {', '.join(knobs)} belong to a method; state it by --method")
+        if time_limit is not None and not time_limit > 0:
+            raise InvalidProblem(f"--time-limit: expected a positive number of seconds, got {time_limit:g}")
+        if time_limit is not None and engine != SERIAL:
+            raise Unsupported("--time-limit: in one process alone; on ranks --option time_limit=SECONDS")
         if checkpoint is not None and len(scenes) != 1:
             raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
-    asked = _Asked(methods, knobs, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose)
+    asked = _Asked(
+        methods, knobs, time_limit, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose
+    )
     alone = engine != SERIAL or files is not None
     answered = [told.print() for told in _answers(scenes, files, asked, 1 if alone else jobs)]
     data = [outcome for told in answered for outcome in told.data]
@@ -106,7 +116,8 @@ def run_command(
         from contactqp.study.friction_files import run_files
 
         shows = speakers.speaks and sys.stderr.isatty()
-        solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=shows, engine=engine)
+        with within_time(time_limit):
+            solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=shows, engine=engine)
         speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
@@ -148,6 +159,7 @@ class _Asked:
 
     methods: tuple[str, ...]
     knobs: Mapping[str, Any]
+    time_limit: float | None
     engine: str
     checkpoint: str | None
     as_json: bool
@@ -220,7 +232,8 @@ def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bo
     from contactqp.scene.judging import Failure, judge_all
     from contactqp.scene.printing import judgement_data
 
-    found = judge_all(scene, asked.methods, asked.knobs, asked.engine, asked.checkpoint)
+    with within_time(asked.time_limit):
+        found = judge_all(scene, asked.methods, asked.knobs, asked.engine, asked.checkpoint)
     failures = [outcome for outcome in found if isinstance(outcome, Failure)]
     speakers.meet(_failed((failure.message, failure.code) for failure in failures))
     text = "" if asked.as_json else _text(found, asked, terminal)

@@ -27,7 +27,7 @@ from contactqp.errors import (
     refuse_other,
 )
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
-from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, within_time
+from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, time_is_up, within_time
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
@@ -204,7 +204,7 @@ def _solve(
     try:
         return begin(problem, method, start, **same).finish()
     except (NotCertified, NotConverged) as error:
-        limited = not same["polish"] or same["max_iter"] or same["time_limit"]
+        limited = not same["polish"] or same["max_iter"] or same["time_limit"] or time_is_up()
         if method != DEFAULT_METHOD or limited or iterated(problem):
             raise
         if constraints_are_many(problem):

@@ -22,7 +22,7 @@ from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_dri
 from contactqp.linalg.interior_point import solved_from
 from contactqp.linalg.iteration import held_by_hierarchy, iterated, iteration
 from contactqp.linalg.refinement import shift_to_least_norm
-from contactqp.linalg.runtime import on_one_thread
+from contactqp.linalg.runtime import on_one_thread, refuse_late
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many, uniqueness
 from contactqp.model.problem import ContactProblem
@@ -60,11 +60,12 @@ class SparseRun(Run):
         self._state: ClosedState | None = None
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
+        refuse_late(f"{method.name} began")
         with on_one_thread():  # nothing dense here is large
             if method.kind == CONDENSES_ITSELF:
-                self.candidate = self._identified(settings)
+                self.candidate = self._identified(settings.now)
             else:
-                self.candidate = method.solve(problem, settings)
+                self.candidate = method.solve(problem, settings.now)
 
     def _identified(self, settings: Settings) -> Candidate:
         """The answer of the first backend whose closed contacts lead to a solution in the last digits.

@@ -449,3 +449,21 @@ def test_quiet_prints_what_is_not_met_alone(capsys, tmp_path):
     assert "NOT MET" in out
     assert "bar_wall" not in out
     assert out.splitlines()[-1] == "1 of 2 met"
+
+
+def test_a_time_limit_is_that_of_a_case(capsys):
+    code, _, err = run(capsys, "run", WALL, "--time-limit", "1e-9")
+    assert code == 1
+    assert "active-set: stopped at the time limit of 1e-09 s, before the stiffness was condensed" in err
+    assert run(capsys, "run", WALL, "--time-limit", "600", "--quiet")[0] == 0
+    for wrong in ("0", "-1", "nan"):
+        code, _, err = run(capsys, "run", WALL, "--time-limit", wrong)
+        assert code == 2
+        assert "--time-limit: expected a positive number of seconds" in err
+
+
+def test_options_of_no_method_are_not_dropped(capsys):
+    for option in (("--option", "facets=8"), ("--penalty", "1 kN/m")):
+        code, _, err = run(capsys, "run", WALL, *option)
+        assert code == 2
+        assert "belong to a method; state it by --method" in err
