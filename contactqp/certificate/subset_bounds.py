@@ -54,20 +54,26 @@ def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
 
 
 def candidates_around(problem: ContactProblem, closed: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Contacts that are closed, those near them, and what the problem was condensed onto before."""
+    """Contacts that are closed, or the nearest, those near them, and what the problem was condensed onto before."""
+    closed = closed if closed.size else _nearest(problem)
     before = closed if problem._computed.subset is None else problem._computed.subset[0]
     return np.union1d(before, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION))).astype(np.intp)
 
 
 def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp] | None:
-    """The contacts that an answer closes, and those that were candidates before; None: all are few enough."""
+    """The contacts that an answer closes, or the nearest, and the candidates of before; None: all are few enough."""
     if not contacts_are_many(problem):
         return None
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
+    closed = closed if closed.size else _nearest(problem)
     before = closed if problem._computed.subset is None else problem._computed.subset[0]
     return np.union1d(before, closed).astype(np.intp)
+
+
+def _nearest(problem: ContactProblem) -> NDArray[np.intp]:
+    return np.array([np.argmin(problem.gap)], dtype=np.intp)
 
 
 def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:

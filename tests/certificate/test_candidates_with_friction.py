@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,15 @@ def test_contacts_that_close_beyond_the_candidates_join_them() -> None:
     second = cq.solve(small.replace(load=large.load), warm_start=first)
     assert np.sum(second.normal_force > 0) > 2 * np.sum(first.normal_force > 0)
     same(second, all_at_once(large))
+
+
+def test_what_closes_nothing_and_what_starts_from_there() -> None:
+    problem = pressed("supported")
+    apart = cq.solve(problem.replace(gap=problem.gap + 1.0))
+    assert apart.certificate.passed
+    assert set(apart.contact_status) == {"open"}
+    assert np.all(apart.friction_force == 0)
+    same(cq.solve(problem.afresh(), warm_start=replace(apart, problem=problem)), all_at_once(problem))
 
 
 def test_the_next_load_needs_no_factorisation() -> None:
