@@ -206,10 +206,8 @@ def state_among(
         condensation = condense(few)
         friction = None if answer.friction_force is None else answer.friction_force[candidates]
         of_few = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
-        verdict = last_verdict(
-            few, of_few, tolerances
-        )  # that of the answer for the candidates, where it was solved for
-        if verdict is None:
+        verdict = last_verdict(few, of_few, tolerances)
+        if verdict is None:  # else the answer for the candidates was judged when it was found
             found = violations(few, of_few, residuals(few, of_few), tolerances[1], condensation.rigid)
             verdict = state_verdict(few, of_few, found, condensation, tolerances)
         u = answer.displacement if verdict.displacement is None else verdict.displacement
