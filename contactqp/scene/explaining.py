@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
@@ -379,7 +380,12 @@ def _systems(problem: ContactProblem) -> BuildingBlock:
         return BuildingBlock("condensation", False, "the body is too large to factorise: it is iterated on")
     if constraints_are_many(problem):
         return BuildingBlock("condensation", False, "constraints are many: sparse systems are predicted to cost less")
-    touched = len(np.union1d(problem.normal.indices, problem.tie.indices))
+    rows = [problem.normal, problem.tie] if problem.tangent is None else [problem.normal, problem.tie, problem.tangent]
+    touched = len(np.unique(np.concatenate([some.indices for some in rows])))
+    if contacts_are_many(problem):
+        why = "friction retains three rows of each" if problem.frictional else "dense systems of all cost more"
+        text = f"onto contacts that may close, of {problem.contacts} that touch {touched} unknowns with the ties: {why}"
+        return BuildingBlock("condensation", True, text)
     return BuildingBlock("condensation", True, f"onto {touched} unknowns that contacts and ties touch")
 
 

@@ -15,6 +15,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.schur import NestedBlock, eliminate
+from contactqp.scene import explaining
 
 CELLS, CONTACTS = 8, 81
 HELD = {
@@ -114,6 +115,17 @@ def test_a_body_that_friction_alone_holds_is_condensed_onto_all_contacts() -> No
     solution = cq.solve(problem.replace(load=force.ravel()[assembled.free]))
     assert solution.certificate.passed
     assert solution.normal_force.sum() == pytest.approx(0.01, rel=1e-9)
+
+
+def test_explain_says_what_is_condensed_onto(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = pressed("supported")
+    said = explaining._systems(problem)
+    assert said.reason == (
+        f"onto contacts that may close, of {CONTACTS} that touch {3 * CONTACTS} unknowns with the ties: friction "
+        "retains three rows of each"
+    )
+    monkeypatch.setattr(subset_bounds, "MANY_WITH_FRICTION", 300)
+    assert explaining._systems(problem.afresh()).reason == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
 
 
 @pytest.mark.parametrize("wrong", ["none", "friction", "normal", "missing", "reversed"])
