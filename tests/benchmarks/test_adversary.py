@@ -28,7 +28,7 @@ SEEN_AS = {
     "tension": {"forgery", "wrong"},
     "sign": {"forgery", "wrong", "bound"},
     "bound": {"bound"},
-    "scale": {"wrong", "refused", "bound"},
+    "scale": {"wrong", "refused", "bound", "units"},  # other digits in other units
     "swallowed": {"wrong", "forgery"},
     "floor": {"refused"},
     "size": {"forgery", "wrong"},
