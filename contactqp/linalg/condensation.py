@@ -35,6 +35,7 @@ from contactqp.linalg.factorization import (
     right_singular,
     stated_motions,
 )
+from contactqp.linalg.holding_unknowns import FAR_APART, fixing_unknowns, unknowns_far_apart
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
@@ -52,8 +53,6 @@ CONDENSED_ROUNDING = 1e-6
 UNRESISTED = 1e-9
 # The eigenvectors of a K up to this size cost next to nothing.
 SMALL = 900
-# Nodes of a body that are retained where it may float: three that are no line hold it.
-FAR_APART = 4
 # Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
 # unknowns than this, or than this part of the touched ones: next to nothing beside a second factorisation.
 FEW_MORE, PART_MORE = 48, 0.125
@@ -61,9 +60,6 @@ FEW_MORE, PART_MORE = 48, 0.125
 LOST = 1e-2
 # Entries, zeros included, of rows that are cheaper to write out than to look up.
 WRITTEN_OUT = 2**14
-# Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
-# of one, get an unknown more to hold them.
-HARDLY_HELD = 1e-4
 
 
 class Condensation:
@@ -465,61 +461,3 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
 def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
-
-
-def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
-    """The unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K tells.
-
-    Unknowns that K couples with the same others are those of one node.
-    """
-    graph = sp.csr_matrix(stiffness)
-    _, label = connected_parts(graph)
-    starts = np.unique(label, return_index=True)[1]
-    chosen: list[NDArray[np.intp]] = [starts]
-    for _ in range(FAR_APART - 1):
-        order = np.lexsort((_hops_away(graph, np.concatenate(chosen)), label))
-        chosen.append(order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)])
-    nodes = np.unique(np.concatenate(chosen))
-    return np.unique(np.concatenate([_of_same_node(graph, int(j)) for j in nodes])).astype(np.intp)
-
-
-def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(n,) how many entries lie between each unknown and the nearest of some, at least one of them in every body."""
-    from scipy.sparse.csgraph import breadth_first_order
-
-    size = graph.shape[0]  # and the number of an unknown more, from which the search starts
-    indices = np.concatenate([graph.indices, starts.astype(graph.indices.dtype)])
-    rows = np.append(graph.indptr, len(indices)).astype(graph.indptr.dtype)
-    searched = sp.csr_matrix((np.ones(len(indices)), indices, rows), shape=(size + 1, size + 1))
-    _, before = breadth_first_order(searched, size)
-    ahead = np.where(before < 0, np.arange(size + 1), before)  # who found each: nobody the first, which stays put
-    hops = (before >= 0).astype(np.intp)
-    while np.any(hops[ahead]):
-        hops, ahead = hops + hops[ahead], ahead[ahead]
-    return np.asarray(hops[:size] - 1)
-
-
-def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
-    near = np.sort(graph.indices[graph.indptr[j] : graph.indptr[j + 1]])
-    return np.array(
-        [k for k in near if np.array_equal(np.sort(graph.indices[graph.indptr[k] : graph.indptr[k + 1]]), near)]
-    )
-
-
-def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
-    """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
-    from scipy.linalg import qr
-
-    if not motions.shape[1]:
-        return np.zeros(0, dtype=np.intp)
-    scaled = motions * np.sqrt(np.where(diagonal > 0, diagonal, np.max(diagonal, initial=0.0) or 1.0))[:, None]
-    scaled = scaled / np.max(abs(scaled), axis=0)
-    free = scaled
-    if retained.size:
-        values, rotation = right_singular(scaled[retained])
-        held = values > HARDLY_HELD * max(1.0, np.max(values))  # what holds a motion by rounding holds nothing
-        free = scaled @ rotation[np.count_nonzero(held) :].T
-    if not free.shape[1]:
-        return np.zeros(0, dtype=np.intp)
-    _, _, pivots = qr(free.T, mode="economic", pivoting=True)
-    return np.asarray(pivots[: free.shape[1]], dtype=np.intp)
