@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendMissing, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
 from contactqp.linalg.measures import force_measure
@@ -81,7 +81,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def dot(self, a: Vector, b: Vector) -> float:
-        """Return a'b."""
+        """Return the inner product a'b of two vectors."""
 
     @abstractmethod
     def any(self, flags: Flags | bool) -> bool:
@@ -109,11 +109,11 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def product(self, x: Vector) -> Vector:
-        """Return K x."""
+        """Return the forces K x of a displacement."""
 
     @abstractmethod
     def product_sizes(self, x: Vector) -> Vector:
-        """Return |K||x|."""
+        """Return the sizes |K||x| of what these forces add up."""
 
     @abstractmethod
     def lengths(self, x: Vector) -> Vector:
@@ -125,7 +125,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def forces(self, force: Vector) -> Vector:
-        """Return E'l (n,)."""
+        """Return what forces on the rows do to the unknowns, E'l (n,)."""
 
     @abstractmethod
     def force_sizes(self, force: Vector) -> Vector:
@@ -184,7 +184,7 @@ class ContactIteration(ABC):
         return force
 
     def norm(self, x: Vector) -> float:
-        """Return |x|."""
+        """Return the Euclidean norm |x| of a vector."""
         return float(np.sqrt(self.dot(x, x)))
 
 
@@ -231,7 +231,7 @@ def factorised(problem: ContactProblem) -> Iterator[None]:
     of_stiffness.factorised = True
     try:
         yield
-    except Unsupported:
+    except (Unsupported, BackendFailed):
         of_stiffness.factorised = False
         raise
 
@@ -299,7 +299,7 @@ class Iteration(ContactIteration):
         self._plain = self._hierarchy.cycle(self._no_rows)
 
     def dot(self, a: Vector, b: Vector) -> float:
-        """Return a'b."""
+        """Return the inner product a'b of two vectors."""
         return float(a @ b)
 
     def any(self, flags: Flags | bool) -> bool:
@@ -325,11 +325,11 @@ class Iteration(ContactIteration):
         return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
 
     def product(self, x: Vector) -> Vector:
-        """Return K x."""
+        """Return the forces K x of a displacement."""
         return np.asarray(self.matrix @ x)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """Return |K||x|."""
+        """Return the sizes |K||x| of what these forces add up."""
         return np.asarray(self._sizes @ abs(x))
 
     def lengths(self, x: Vector) -> Vector:
@@ -341,7 +341,7 @@ class Iteration(ContactIteration):
         return np.asarray(self._row_sizes @ abs(x[self.touched]))
 
     def forces(self, force: Vector) -> Vector:
-        """Return E'l (n,)."""
+        """Return what forces on the rows do to the unknowns, E'l (n,)."""
         return self._spread(self.rows.T @ force)
 
     def force_sizes(self, force: Vector) -> Vector:

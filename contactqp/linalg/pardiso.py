@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendFailed, BackendMissing, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.linalg.runtime import free_memory
 from contactqp.model.arrays import Array
 
@@ -42,6 +42,10 @@ LEAST_PIVOT = 13
 
 class NotPositive(Exception):
     """A pivot is zero or negative."""
+
+
+class TooLarge(BackendFailed):
+    """The factors are predicted not to fit into the memory that is free; nothing was begun."""
 
 
 # The variable of the environment that chooses the sparse solver; the fastest by default. With "pyamg" nothing is
@@ -89,7 +93,7 @@ class Pardiso:
     ------
     NotPositive
         A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
-    Unsupported
+    TooLarge
         The factors are predicted to need more memory than is free.
     BackendMissing, BackendFailed
         There is no PARDISO, or it gave up.
@@ -129,10 +133,10 @@ class Pardiso:
         return 1024 * int(kibibytes)
 
     def _refuse_too_large(self, retained: int) -> None:
-        """Raise Unsupported rather than be ended by the system in the middle of a factorisation."""
+        """Raise TooLarge rather than be ended by the system in the middle of a factorisation."""
         needed, free = self.predicted_memory + 8 * retained**2, free_memory()
         if free is not None and needed > MOST_OF_MEMORY * free:
-            raise Unsupported(
+            raise TooLarge(
                 f"the factors of {self.size} unknowns need about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are "
                 "free: free memory, take a coarser mesh, or solve on several ranks (engine='petsc')"
             )

@@ -241,10 +241,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# What a process may take where a control group limits it: versions 2 and 1.
+# Where a control group limits memory: the folder, the limit, what is held, and the name of what of it are cached files,
+# which are given back when asked for; versions 2 and 1.
 _GROUPS = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+    ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    ("/sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
 
 
@@ -265,10 +266,16 @@ def _available() -> int | None:
         return None
 
 
-def _left_of(limit: str, used: str) -> int | None:
+def _left_of(folder: str, limit: str, used: str, cached: str) -> int | None:
+    def read(name: str) -> str:
+        return Path(folder, name).read_text(encoding="ascii").strip()
+
     try:
-        most = Path(limit).read_text(encoding="ascii").strip()
-        return None if most == "max" else max(int(most) - int(Path(used).read_text(encoding="ascii")), 1)
+        most = read(limit)
+        if most == "max":
+            return None
+        parts = dict(line.split() for line in read("memory.stat").splitlines())
+        return max(int(most) - int(read(used)) + int(parts.get(cached, 0)), 1)
     except (OSError, ValueError):
         return None
 

@@ -46,7 +46,7 @@ from contactqp.linalg.factorization import (
     refuse_negative,
     unit_diagonal_scale,
 )
-from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, available
+from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
 from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector
 
@@ -349,10 +349,12 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True)
     InvalidProblem
         The environment names a solver that is none.
     Unsupported
-        S does not fit into memory.
+        S, or the factors of the stiffness, do not fit into memory.
     """
     try:
         return _eliminate(stiffness, retained, singular)
+    except TooLarge as error:
+        raise Unsupported(str(error)) from None
     except MemoryError:
         count = len(retained)
         size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import iteration, multigrid, pardiso
+from contactqp.linalg import iteration, multigrid, pardiso, runtime, sparse_saddle
 from contactqp.linalg.runtime import free_memory
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere
 
@@ -108,6 +109,27 @@ def test_the_prediction_of_memory_grows_with_the_factors() -> None:
     small, large = (one.predicted_memory for one in sizes)
     assert large > 16 * small / 2  # n^(4/3) is a factor of 16 from 8 to 16 cells along an edge
     assert large > 12 * sp.csr_matrix(on_paraboloid((16, 16, 16)).stiffness).nnz / 2
+
+
+@needs_pardiso
+def test_where_factors_are_a_help_alone_none_are_had_for_want_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sparse saddle points catch what a solver has no memory for, and go on without."""
+    monkeypatch.setattr(pardiso, "free_memory", lambda: 2**20)
+    with pytest.raises(cq.BackendFailed, match="need about"):
+        sparse_saddle.factorised(sp.identity(20_000, format="csc"))
+
+
+@pytest.mark.parametrize(("limit", "free"), [("max", None), (str(2**34), 2**34 - 2**33 + 2**32)])
+def test_files_that_a_group_caches_are_free_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, free: int | None
+) -> None:
+    written = {"memory.max": limit, "memory.current": str(2**33), "memory.stat": f"anon 5\ninactive_file {2**32}\n"}
+    for name, text in written.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(runtime, "_GROUPS", ((str(tmp_path), "memory.max", "memory.current", "inactive_file"),))
+    monkeypatch.setattr(runtime, "_available", lambda: None)
+    monkeypatch.setattr(runtime, "_left_of_address_space", lambda: None)
+    assert free_memory() == free
 
 
 def test_free_memory_is_that_of_the_machine_or_less() -> None:
