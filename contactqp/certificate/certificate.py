@@ -25,7 +25,7 @@ from contactqp.certificate.failures import (
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import absurd_parts, near_one
-from contactqp.certificate.state_answer import StateVerdict, state_verdict
+from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
@@ -34,7 +34,7 @@ from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import bodies, own_compliance, ratio
-from contactqp.linalg.runtime import CERTIFY, one_blas_thread, stage
+from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.saddle import dependent_sparse_ties, dependent_ties
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
@@ -106,7 +106,7 @@ def compute_certificate(
     if not answer.finite():
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
-    with one_blas_thread(problem), stage(CERTIFY):
+    with one_blas_thread(problem), stage(CERTIFY), in_any_time():
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
             whole: Certificate = rows.certificate(judged, answer)
@@ -170,7 +170,9 @@ def _measured(
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
         if problem.frictional:
             others = uniqueness(problem, answer, found, condensation, tolerance)
-            state = state or state_verdict(problem, answer, found, condensation, allowed)
+            if state is None:
+                state = state_verdict(problem, answer, found, condensation, allowed)
+                remember_verdict(problem, answer, allowed, state)
             known = replace(known, energy_scale=state.energy)
         state = state or StateVerdict(known.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size

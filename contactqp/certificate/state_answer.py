@@ -115,41 +115,6 @@ def state_verdict(
     tolerances : two floats
         The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
     """
-    verdict = _verdict(problem, answer, found, condensation, tolerances)
-    problem._computed.judged_state = _numbers(problem, answer, tolerances), verdict
-    return verdict
-
-
-def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> StateVerdict | None:
-    """The verdict of `state_verdict` where this very answer was the last that it was asked of."""
-    known: tuple[Array, StateVerdict] | None = problem._computed.judged_state
-    if known is None or not np.array_equal(known[0], _numbers(problem, answer, tolerances)):
-        return None
-    return known[1]
-
-
-def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> Array:
-    """All numbers that a verdict depends on, beside the stiffness and the rows."""
-    of_problem = (
-        problem.load,
-        problem.load_size,
-        problem.gap,
-        problem.friction,
-        problem.slip_origin,
-        problem.tie_value,
-    )
-    of_answer = (answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force)
-    some = (part.ravel() for part in (*of_problem, *of_answer) if part is not None)
-    return np.concatenate([*some, tolerances])
-
-
-def _verdict(
-    problem: ContactProblem,
-    answer: Answer,
-    found: Violations,
-    condensation: Condensation | None,
-    tolerances: tuple[float, float],
-) -> StateVerdict:
     tolerance, part = tolerances
     nothing = part * found.intrinsic_size
     if condensation is None and not constraints_are_many(problem):
@@ -174,6 +139,28 @@ def _verdict(
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
     return StateVerdict(STATE, largest, distance.displacement[1], failures, displacement=compared.displacement)
+
+
+def remember_verdict(
+    problem: ContactProblem, answer: Answer, tolerances: tuple[float, float], verdict: StateVerdict
+) -> None:
+    """Keep the verdict of an answer for candidate contacts, which is judged again as part of that with all contacts."""
+    problem._computed.judged_state = _numbers(problem, answer, tolerances), verdict
+
+
+def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> StateVerdict | None:
+    """Return the verdict that was kept last, if it is that of this very answer."""
+    known: tuple[Array, StateVerdict] | None = problem._computed.judged_state
+    if known is None or not np.array_equal(known[0], _numbers(problem, answer, tolerances)):
+        return None
+    return known[1]
+
+
+def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> Array:
+    """All numbers that a verdict depends on, beside the stiffness and the rows."""
+    parts = [problem.load, problem.load_size, problem.gap, problem.tie_value, problem.friction, problem.slip_origin]
+    parts += [answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force]
+    return np.concatenate([*(part.ravel() for part in parts if part is not None), tolerances])
 
 
 def figures_alone(reason: str) -> StateVerdict:

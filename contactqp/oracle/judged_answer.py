@@ -17,6 +17,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
@@ -76,7 +77,14 @@ class JudgedAnswer(Certificate):
 
     @own_floating_point
     def findings_within(self, seconds: float) -> tuple[Finding, ...]:
-        """`findings` with so many seconds for other questions."""
+        """Return what `findings` are with so many seconds for other questions.
+
+        Raises
+        ------
+        InvalidProblem
+            The seconds are no positive number.
+        """
+        refuse_not_positive("seconds", seconds)
         return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right, seconds)
 
     @property

@@ -39,6 +39,7 @@ from contactqp.errors import (
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.exchange.refusal import naming
+from contactqp.linalg.runtime import within_time
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -190,6 +191,7 @@ def run_files(
     drawn: bool = False,
     progress: bool = False,
     engine: str = SERIAL,
+    time_limit: float | None = None,
 ) -> list[FileOutcome]:
     """Solve every file by every method.
 
@@ -207,6 +209,8 @@ def run_files(
         Show a bar on stderr.
     engine : str
         "serial", or the engine that solves on ranks.
+    time_limit : float, optional
+        Seconds for each file and method.
 
     Raises
     ------
@@ -225,7 +229,11 @@ def run_files(
 
     trials = [(file, method) for file in files for method in methods or (DEFAULT_METHOD,)]
     shown = track(trials, "solving", console=Console(stderr=True), transient=True, disable=not progress)
-    return [run_file(file, method, knobs, engine) for file, method in shown]
+    outcomes = []
+    for file, method in shown:
+        with within_time(time_limit):
+            outcomes.append(run_file(file, method, knobs, engine))
+    return outcomes
 
 
 def run_file(

@@ -144,7 +144,9 @@ def test_what_there_is_no_time_for_is_said_and_had_for_more() -> None:
     hurried = [finding for finding in judged.findings_within(1e-9) if finding.kind == "not-examined"]
     assert len(hurried) == 1
     assert "not examined within 1e-09 s: whether it is the right answer to" in hurried[0].text
-    assert "findings_within(seconds) takes more time" in hurried[0].text
+    assert "findings_within(seconds) of what certify returns takes more time" in hurried[0].text
     at_leisure = judged.findings_within(60.0)
     assert "tie-value-ignored" in {finding.kind for finding in at_leisure}
     assert "not-examined" not in {finding.kind for finding in at_leisure}
+    with pytest.raises(cq.InvalidProblem, match="seconds: expected a positive"):
+        judged.findings_within(-1.0)

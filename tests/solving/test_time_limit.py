@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import contactqp as cq
+from contactqp.certificate import certificate
 from contactqp.linalg import condensation, runtime
-from contactqp.solving import runs
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.solving.friction.problems import rough_truss
 from tests.solving.friction.space import block
@@ -39,17 +39,24 @@ def test_what_comes_before_the_method_counts(name: str, monkeypatch: pytest.Monk
     assert time.perf_counter() - began < 1.5
 
 
-def test_what_was_found_is_certified_however_long_that_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    certify = runs.compute_certificate
-
-    def slowly(*arguments: Any) -> cq.Certificate:
-        time.sleep(0.5)
-        return certify(*arguments)
-
-    monkeypatch.setattr(runs, "compute_certificate", slowly)
-    problem = PROBLEMS["frictionless"]
+@pytest.mark.parametrize("unit", [1.0, 2.0**-100])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_what_was_found_is_certified_however_long_that_takes(
+    name: str, unit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The time is up when certificates begin, those in units near one and in the problem's own alike."""
+    problem = PROBLEMS[name]
+    if unit != 1.0:
+        problem = problem.replace(stiffness=problem.stiffness * unit, load=problem.load * unit)
     cq.solve(problem)
-    assert cq.solve(problem, time_limit=0.4).certificate.proven
+    judged = certificate._judged
+
+    def late(*arguments: Any) -> cq.Certificate:
+        time.sleep(0.6)
+        return judged(*arguments)
+
+    monkeypatch.setattr(certificate, "_judged", late)
+    assert cq.solve(problem, time_limit=0.5).certificate.passed
 
 
 def test_an_earlier_end_stays_within_a_later_one() -> None:

@@ -318,7 +318,7 @@ def _not_in_time(evidence: Evidence, seconds: float) -> Iterator[Finding]:
         kinds = ", ".join(dict.fromkeys(evidence.unasked))
         text = (
             f"not examined within {seconds:.3g} s: whether it is the right answer to {len(evidence.unasked)} other "
-            f"questions ({kinds}); findings_within(seconds) takes more time"
+            f"questions ({kinds}); in Python, findings_within(seconds) of what certify returns takes more time"
         )
         yield Finding("not-examined", text)
 

@@ -143,7 +143,8 @@ def _near(
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
     for tried, combination in enumerate(every[nearest]):
         if deadline.passed:
-            return [], f"; the {tried} nearest of {len(every)} combinations fail as well, and time_limit= tries more"
+            some = f"the {tried} nearest of {len(every)} combinations"
+            return [], f"; {some} fail as well; a longer time_limit tries more"
         answer = contacts.answer_in(combination, plain)
         if holds(problem, answer):
             return [answer], ""

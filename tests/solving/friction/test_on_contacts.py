@@ -45,4 +45,4 @@ class ThreeLooks(Deadline):
 
 def test_a_budget_that_ends_says_how_many_were_tried_and_how_to_have_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_contacts, "Deadline", ThreeLooks)
-    assert "the 3 nearest of 9 combinations fail as well, and time_limit= tries more" in refusal()
+    assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
