@@ -241,6 +241,14 @@ def test_refinement_ends_where_a_correction_has_no_answer() -> None:
         refine(problem, digits=40)
 
 
+def test_what_is_magnified_beyond_doubles_is_no_overflow() -> None:
+    """A far gap beside residuals of next to nothing."""
+    gap = fixed(np.array([2.0**900, 1.0]))
+    np.testing.assert_array_equal(gap.floats_at(100), [2.0**1000, 2.0**100])
+    with pytest.raises(cq.NotConverged, match="leave the range of doubles"):
+        gap.floats_at(200)
+
+
 def test_products_of_integers_are_not_rounded() -> None:
     rng = np.random.default_rng(3)
     matrix = sp.random(30, 20, 0.2, random_state=1, format="csr")

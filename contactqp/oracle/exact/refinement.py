@@ -65,13 +65,22 @@ class Fixed:
         return Fixed(self.integers, self.bits - exponent)
 
     def floats(self) -> NDArray[np.float64]:
-        """The nearest doubles."""
+        """Return the nearest doubles.
+
+        Raises
+        ------
+        NotConverged
+            A number is beyond them: what is refined has left their range.
+        """
         one = 1 << max(self.bits, 0)
         more = 1 << max(-self.bits, 0)
-        return np.array([x * more / one for x in self.integers.tolist()], dtype=float)
+        try:
+            return np.array([x * more / one for x in self.integers.tolist()], dtype=float)
+        except OverflowError:
+            raise NotConverged("refine: the numbers of what is left leave the range of doubles") from None
 
     def floats_at(self, power: int) -> NDArray[np.float64]:
-        """The nearest doubles of 2^power x."""
+        """Return the nearest doubles of 2^power x, as `floats` does."""
         return self.times_power(power).floats()
 
     def fractions(self) -> NDArray[Any]:
