@@ -287,7 +287,7 @@ def _of_penetration(
     Raises
     ------
     Undecided
-        There is neither: contacts that no rounding tells from dependent ones conflict.
+        There is neither, and more than refinement leaves: contacts that no rounding tells from dependent ones conflict.
     """
     closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
     measure = np.where(length > 0, length, 1.0)[closed]
@@ -310,7 +310,9 @@ def _of_penetration(
             return _by_retreat(problem, condensation, on_set, retreat, closed, abs(left) <= MISSED)
     far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
     closing = condensation.expand(condensation.scale * far, unloaded)
-    if np.max(abs(left_by(closing))) <= ROUGHLY:
+    # What refinement may have left of a gap is no conflict either: its last correction is in the radius.
+    refined = bool(np.all(excess <= on_set.nothing[: len(excess)]))
+    if refined or np.max(abs(left_by(closing))) <= ROUGHLY:
         return 2 * sum(energy_norm(problem, extend(closing)))
     raise Undecided(f"closed contacts that depend on each other to rounding conflict by {largest:.1e} of their lengths")
 

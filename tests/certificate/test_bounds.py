@@ -1,13 +1,17 @@
 """Bounds are never below the true error: small problems whose errors are known by hand, in the corners of rounding."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.certificate.admissible_pair import Undecided, _of_penetration
 from contactqp.certificate.energy_norm import force_norm
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
+from contactqp.linalg.refinement import polish
 
 CHAIN = 100.0 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -293,3 +297,19 @@ def test_no_rigid_motion_that_leaves_a_gap_penetrated_bounds_forces_of_the_wrong
     certificate = cq.certify(problem, right.displacement, -right.normal_force)
     assert not certificate.passed
     assert np.all(certificate.force_bound >= 2 * right.normal_force * (1 - 1e-9))
+
+
+def test_what_refinement_leaves_of_opposite_contacts_is_no_conflict_and_more_is():
+    """Node 0 is held between walls that do not move, one of them twice; 2e-26 is left of the gap."""
+    K = np.array([[28.0, 7, 20, 9], [7, 15, 6, 3], [20, 6, 25, 1], [9, 3, 1, 30]])
+    normal = np.array([[-1.0, 0, 0, 0], [1, 0, 0, 0], [-1, 0, 0, 0]])
+    load = [-5.49951171875, -10.25, -7.0625, 20.0]
+    tie = dict(tie=[[-1, 1.5, 1, -1], [0, -1, 0.5, 1]], tie_value=[-0.8125, 1.6875])
+    problem = cq.ContactProblem(K, load, normal, [0.625, -0.625, 0.625], **tie)
+    condensation = condense(problem)
+    on_set, _, _ = polish(problem, condensation, np.array([1]), 3)
+    excess, length = np.array([2e-26, 0.0, 2e-26]), np.full(3, 1.25)
+    settled = replace(on_set, nothing=np.full(5, 1e-22))
+    assert _of_penetration(problem, condensation, settled, excess, length) < 1e-24
+    with pytest.raises(Undecided, match=r"conflict by 1\.6e-26 of their lengths"):
+        _of_penetration(problem, condensation, replace(on_set, nothing=np.full(5, 1e-30)), excess, length)
