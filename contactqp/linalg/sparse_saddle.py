@@ -104,8 +104,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     if dense <= max(SMALLEST, PER_UNKNOWN * size):
         return False
     per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
-    plane, space = 10 * size**1.5 * (per_row / 5) ** 2, IN_SPACE * size**2
-    grid = plane if per_row <= OF_PLANES else max(plane, space)
+    grid = grid_operations(size, per_row)
     by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
 
     def predicted(operations: float) -> tuple[float, float]:
@@ -119,6 +118,12 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     if (dense > with_backends) == (dense > with_hierarchy):
         return bool(dense > with_backends)
     return bool(dense > (with_hierarchy if size > LARGE and held_by_hierarchy(problem) else with_backends))
+
+
+def grid_operations(size: float, per_row: float) -> float:
+    """Return what factorising a grid of so many unknowns takes, with so many entries in a row."""
+    plane, space = float(10 * size**1.5 * (per_row / 5) ** 2), IN_SPACE * size**2
+    return plane if per_row <= OF_PLANES else max(plane, space)
 
 
 def _in_the_plane(problem: ContactProblem) -> bool:

@@ -70,22 +70,24 @@ class JudgedAnswer(Certificate):
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong, causes first; empty where the answer passed.
 
-        Other questions that it may be the right answer to are asked for a second, or for as long as the right answer
-        took; a finding says which there was no time for.
+        Other questions that it may be the right answer to may take 1e9 operations, about a second, or as many as the
+        right answer; a finding says which were left unasked.
         """
         return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right)
 
     @own_floating_point
-    def findings_within(self, seconds: float) -> tuple[Finding, ...]:
-        """Return what `findings` are with so many seconds for other questions.
+    def findings_within(self, operations: float) -> tuple[Finding, ...]:
+        """Return what `findings` are with so many operations for other questions, 1e9 of them about a second.
+
+        Operations are predicted, not timed: the findings do not depend on the machine.
 
         Raises
         ------
         InvalidProblem
-            The seconds are no positive number.
+            The operations are no positive number.
         """
-        refuse_not_positive("seconds", seconds)
-        return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right, seconds)
+        refuse_not_positive("operations", operations)
+        return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right, operations)
 
     @property
     def diagnosis(self) -> str:

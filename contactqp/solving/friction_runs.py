@@ -228,6 +228,8 @@ class SparseFrictionRun(FrictionRun):
 
 # Contacts of which all combinations take less than the long attempts of algorithms that find none.
 FEW_CONTACTS = 3
+# Tresca problems, most take three to eight, before contacts few enough to list their combinations go other ways.
+STEPS_BEFORE_LISTING = 20
 
 
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionRun:
@@ -281,8 +283,11 @@ def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: 
         with suppress(NotConverged):
             return _by(ALGORITHMS["newton"], problem, method, settings, meter)
     few = problem.contacts <= FEW_CONTACTS
+    steps = settings
+    if settings.max_iter is None and problem.contacts <= MOST_CONTACTS:
+        steps = replace(settings, max_iter=STEPS_BEFORE_LISTING)
     try:
-        return _by(ALGORITHMS["tresca"], problem, method, settings, meter)
+        return _by(ALGORITHMS["tresca"], problem, method, steps, meter)
     except NotConverged as error:
         if few:
             with suppress(NotConverged):

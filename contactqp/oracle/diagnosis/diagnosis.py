@@ -22,11 +22,11 @@ from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.runtime import time_is_up, within_time
+from contactqp.linalg.sparse_saddle import grid_operations
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
-from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, symptoms, unit_of
+from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, Explanation, Finding, symptoms, unit_of
 from contactqp.oracle.diagnosis.laws import laws
 from contactqp.oracle.diagnosis.mix_ups import duplicates, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
@@ -56,9 +56,24 @@ def too_large(problem: ContactProblem) -> bool:
     return problem.dimension > LARGEST_OF_OTHER_ROWS or problem.contacts > MOST_CONTACTS
 
 
-def _asked(problem: ContactProblem, question: Question) -> bool:
-    other_rows = question.kept is not None or question.problem.ties != problem.ties
-    return not (other_rows and too_large(problem))
+def other_rows(problem: ContactProblem, question: Question) -> bool:
+    """Whether a question needs a factorisation of its own."""
+    return question.kept is not None or question.problem.ties != problem.ties
+
+
+# Operations that a question takes however small it is, for each entry of the stiffness, for each cube of the condensed
+# rows, and where friction finds no answer: 1e9 take about a second.
+CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 3e8
+
+
+def predicted_operations(problem: ContactProblem, factorised: bool) -> float:
+    """Return what solving a problem is predicted to take, its factorisation included or shared with another's."""
+    rows = problem.contacts + problem.ties
+    if problem.frictional and problem.slip_origin is not None:
+        rows += problem.slip_origin.size
+    condensed = (2 if problem.frictional else 1) * CALL + PER_CUBE * float(rows) ** 3
+    entries, size = float(problem.stiffness_rows.nnz), float(problem.dimension)
+    return condensed + PER_ENTRY * entries + (grid_operations(size, entries / size) if factorised else 0.0)
 
 
 def other_questions(evidence: Evidence) -> Iterator[Explanation]:
@@ -67,12 +82,17 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
     if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
     for question in _questions(evidence):
-        if not _asked(problem, question) or unbalanced(evidence, question.problem.load):
+        if other_rows(problem, question) and too_large(problem):
             continue
-        answer = None if time_is_up() else _answered(problem, question)
+        if unbalanced(evidence, question.problem.load):
+            continue
+        if evidence.effort.exhausted:
+            evidence.effort.unasked.append(question.kind)
+            continue
+        evidence.effort.spent += predicted_operations(question.problem, other_rows(problem, question))
+        answer = _answered(problem, question)
         if answer is None:
-            if time_is_up():
-                evidence.unasked.append(question.kind)
+            evidence.effort.spent += HOPELESS if question.problem.frictional else 0.0
             continue
         left = evidence.apart(evidence.given, answer)
         if left <= LEFT and (evidence.explains(left) or evidence.right is None):
@@ -243,8 +263,8 @@ GROUPS: tuple[tuple[Family, ...], ...] = (
 AS_GOOD, NOTHING_LEFT = 10.0, 1e-6
 
 
-# Seconds that a diagnosis takes of its own, unless the right answer took more.
-BUDGET = 1.0
+# Operations of other questions in a diagnosis, unless the right answer takes more: about a second.
+BUDGET = 1e9
 
 
 def diagnose(
@@ -253,26 +273,26 @@ def diagnose(
     answer: Answer,
     certificate: Certificate,
     right: Solution | None,
-    seconds: float | None = None,
+    operations: float | None = None,
 ) -> tuple[Finding, ...]:
-    """Causes that explain the answer, then what it violates, and what there was no time for in so many seconds.
+    """Causes that explain the answer, then what it violates, and what was left unasked after so many operations.
 
-    None are as many as the right answer took, at least `BUDGET`.
+    None are as many as the right answer takes, at least `BUDGET`. They are predicted, not timed: the findings do not
+    depend on the machine.
     """
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:
         return violated
     recovered = bool(missing_parts(problem, given))
-    evidence = Evidence(problem, given, answer, certificate, right, recovered)
-    if seconds is None:
-        seconds = BUDGET if right is None else max(BUDGET, right.seconds)
-    with within_time(seconds):
-        found = _explained(evidence)
-        if all(one.finding.kind == "scaled" for one in found):
-            found = two_mistakes(evidence, _explained) or found
+    if operations is None:
+        operations = max(BUDGET, predicted_operations(problem, factorised=True))
+    evidence = Evidence(problem, given, answer, certificate, right, recovered, Effort(operations))
+    found = _explained(evidence)
+    if all(one.finding.kind == "scaled" for one in found):
+        found = two_mistakes(evidence, _explained) or found
     if found:
         return (*_best(found), *violated, *_others(right))
-    return (*violated, *_not_examined(problem), *_not_in_time(evidence, seconds), *_others(right))
+    return (*violated, *_not_examined(problem), *_not_asked(evidence.effort), *_others(right))
 
 
 def _explained(evidence: Evidence) -> list[Explanation]:
@@ -313,12 +333,13 @@ def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
         yield Finding("not-examined", text)
 
 
-def _not_in_time(evidence: Evidence, seconds: float) -> Iterator[Finding]:
-    if evidence.unasked:
-        kinds = ", ".join(dict.fromkeys(evidence.unasked))
+def _not_asked(effort: Effort) -> Iterator[Finding]:
+    if effort.unasked:
+        kinds = ", ".join(dict.fromkeys(effort.unasked))
         text = (
-            f"not examined within {seconds:.3g} s: whether it is the right answer to {len(evidence.unasked)} other "
-            f"questions ({kinds}); in Python, findings_within(seconds) of what certify returns takes more time"
+            f"not examined after {effort.allowed:.3g} operations: whether it is the right answer to "
+            f"{len(effort.unasked)} other questions ({kinds}); in Python, findings_within(operations) of what certify "
+            "returns asks more"
         )
         yield Finding("not-examined", text)
 

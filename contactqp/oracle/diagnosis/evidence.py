@@ -89,7 +89,7 @@ SYMPTOMS = {
     "balance": "the forces on a body do not balance",
     "inaccurate": "a bound on the error is too large",
     "several": "other answers exist, or may",
-    "not-examined": "hypotheses that were left out because the problem is large, or for want of time",
+    "not-examined": "hypotheses that were left out because the problem is large, or too many",
 }
 
 
@@ -229,6 +229,19 @@ class Explanation:
     beside: tuple[Finding, ...] = ()  # other causes that are needed too
 
 
+@dataclass(eq=False)
+class Effort:
+    """The operations that other questions may take, those that they took, and the kinds of those left unasked."""
+
+    allowed: float
+    spent: float = 0.0
+    unasked: list[str] = field(default_factory=list)
+
+    @property
+    def exhausted(self) -> bool:
+        return self.spent >= self.allowed
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """One refused answer."""
@@ -239,7 +252,7 @@ class Evidence:
     certificate: Certificate
     right: Solution | None
     recovered: bool = False  # whether a part of the answer was made from the others
-    unasked: list[str] = field(default_factory=list)  # kinds of other questions for which there was no time
+    effort: Effort = field(default_factory=lambda: Effort(np.inf))  # shared by all evidence of one diagnosis
 
     @cached_property
     def before(self) -> float:

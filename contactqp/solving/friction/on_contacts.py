@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,9 +30,8 @@ WORTH_REFINING = 1e-5
 SMALL_FORCES = 0.1
 # Contacts of which all combinations of states take less than the long attempts of algorithms: 3^5 in space.
 MOST_TRIED = 5
-# Of few contacts, combinations near that of the best iterate are tried for so many seconds, or for the time that the
-# algorithms took where that is longer.
-LEAST_BUDGET = 1.0
+# Of few contacts, so many combinations near that of the best iterate are tried: about a second, the same anywhere.
+MOST_NEARBY = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +105,7 @@ def _on_form(
             found.append(answer)
         return bool(found)
 
-    start, began = _start(form, contacts, settings, balanced), time.perf_counter()
+    start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
     if algorithm is None:
         attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= MOST_TRIED else 0)
         outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation), attempts)
@@ -115,9 +113,7 @@ def _on_form(
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""
     if not found and algorithm is None and form.m <= MOST_CONTACTS:
-        took = time.perf_counter() - began
-        allowed = max(LEAST_BUDGET, took) if settings.time_limit is None else settings.time_limit - took
-        found, nearby = _near(problem, contacts, form, iterate, Deadline(allowed))
+        found, nearby = _near(problem, contacts, form, iterate, deadline)
         name = f"combinations near {name}"
     if not found:
         raise NotConverged(
@@ -132,7 +128,7 @@ def _near(
     problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, deadline: Deadline
 ) -> tuple[list[Answer], str]:
     """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
-    and how many were tried.
+    and how many were tried: `MOST_NEARBY`, or as many as a limit of time allows.
 
     Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
     forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
@@ -142,7 +138,7 @@ def _near(
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
     for tried, combination in enumerate(every[nearest]):
-        if deadline.passed:
+        if deadline.passed or (deadline.left is None and tried == MOST_NEARBY):
             some = f"the {tried} nearest of {len(every)} combinations"
             return [], f"; {some} fail as well; a longer time_limit tries more"
         answer = contacts.answer_in(combination, plain)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.solving import friction_runs
 from contactqp.solving.friction import on_contacts
-from contactqp.solving.friction.iterate import Deadline
 
 
 def held_by_friction_alone() -> cq.ContactProblem:
@@ -22,9 +25,9 @@ def held_by_friction_alone() -> cq.ContactProblem:
     )
 
 
-def refusal() -> str:
+def refusal(time_limit: float | None = None) -> str:
     with pytest.raises(cq.NotConverged) as refused:
-        cq.solve(held_by_friction_alone())
+        cq.solve(held_by_friction_alone(), time_limit=time_limit)
     return str(refused.value)
 
 
@@ -32,17 +35,29 @@ def test_every_combination_is_tried_where_there_is_time() -> None:
     assert "all 9 combinations, refined from there, fail as well" in refusal()
 
 
-class ThreeLooks(Deadline):
-    """A budget that is over at the fourth look at it."""
-
-    looks = 0
-
-    @property
-    def passed(self) -> bool:
-        self.looks += 1
-        return self.looks > 3
-
-
-def test_a_budget_that_ends_says_how_many_were_tried_and_how_to_have_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(on_contacts, "Deadline", ThreeLooks)
+def test_combinations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(on_contacts, "MOST_NEARBY", 3)
     assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
+
+
+def test_a_limit_of_time_counts_instead_where_one_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(on_contacts, "MOST_NEARBY", 3)
+    assert "all 9 combinations, refined from there, fail as well" in refusal(time_limit=600.0)
+
+
+def test_few_contacts_in_the_plane_take_few_tresca_problems_before_their_combinations_are_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[int | None] = []
+    original = friction_runs.ALGORITHMS["tresca"]
+
+    def recorded(*given_to: Any) -> Any:
+        given.append(given_to[-1].max_iter)
+        raise cq.NotConverged("of the test")
+
+    monkeypatch.setitem(friction_runs.ALGORITHMS, "tresca", replace(original, on_bodies=recorded))
+    block = cq.ContactProblem(np.eye(2), [0.1, -1.0], [[0.0, -1.0]], [0.0], tangent=[[1.0, 0.0]], friction=0.5)
+    assert cq.solve(block).certificate.passed
+    with pytest.raises(cq.NotConverged, match="of the test"):
+        cq.solve(block, max_iter=70, algorithm="tresca")
+    assert given == [friction_runs.STEPS_BEFORE_LISTING, 70]
