@@ -13,25 +13,29 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 
 
-def on_paraboloid(cells=(10, 10, 7), size=(1.0, 1.0, 0.7), poisson=0.3, kind="hex8", press=0.02, sides=True):
-    """A block whose top is moved down onto a paraboloid; `sides` holds the top sideways too."""
+def on_paraboloid(
+    cells=(10, 10, 7), size=(1.0, 1.0, 0.7), poisson=0.3, kind="hex8", press=0.02, sides=True, friction=None, pushed=0.0
+):
+    """A block whose top is moved down onto a paraboloid; `sides` holds the top sideways too, or pushes it along x."""
     body = Body(box(size, cells, kind), Material(1.0, poisson), "3d", name="block")
     structure = Structure([body])
-    held = [Support("block", "top", axis) for axis in range(2) if sides] + [Support("block", "top", 2, -press)]
+    held = [Support("block", "top", axis, pushed * (axis == 0)) for axis in range(2) if sides]
+    held += [Support("block", "top", 2, -press)]
     obstacle = cq.Paraboloid([size[0] / 2, size[1] / 2, 0.0], [0.0, 0.0, 1.0], 5.0)
-    return structure.assemble(held).problem([cq.pair(structure.surface("block", "bottom"), obstacle)])
+    pair = cq.pair(structure.surface("block", "bottom"), obstacle)
+    return structure.assemble(held).problem([pair], friction=friction)
 
 
-def on_sphere(cells=(9, 9, 6)):
+def on_sphere(cells=(9, 9, 6), friction=None):
     """A block on a sphere: every contact row touches the three unknowns of its node."""
     body = Body(box((1.0, 1.0, 0.7), cells, "hex8"), Material(1.0, 0.3), "3d", name="block")
     structure = Structure([body])
     held = [Support("block", "top", axis, -0.03 * (axis == 2)) for axis in range(3)]
     sphere = cq.Sphere([0.5, 0.5, -1.5], 1.5)
-    return structure.assemble(held).problem([cq.pair(structure.surface("block", "bottom"), sphere)])
+    return structure.assemble(held).problem([cq.pair(structure.surface("block", "bottom"), sphere)], friction=friction)
 
 
-def stacked(upper=(7, 7, 5), lower=(6, 6, 5)):
+def stacked(upper=(7, 7, 5), lower=(6, 6, 5), friction=None):
     """Two held blocks with meshes that do not match, one pressed on the other: mortar rows share many unknowns."""
     one = Body(box((1.0, 1.0, 0.5), lower, "hex8", corner=(0.0, 0.0, -0.5)), Material(1.0, 0.3), "3d", name="lower")
     two = Body(box((1.0, 1.0, 0.5), upper, "hex8"), Material(3.0, 0.2), "3d", name="upper")
@@ -39,7 +43,8 @@ def stacked(upper=(7, 7, 5), lower=(6, 6, 5)):
     held = [Support("lower", "bottom", axis) for axis in range(3)]
     held += [Support("upper", "top", axis, -0.02 * (axis == 2)) for axis in range(3)]
     surfaces = (structure.surface("upper", "bottom"), structure.surface("lower", "top"))
-    return structure.assemble(held).problem([cq.pair_mortar(*surfaces, dimension=structure.size)])
+    pair = cq.pair_mortar(*surfaces, dimension=structure.size)
+    return structure.assemble(held).problem([pair], friction=friction)
 
 
 def layered(contrast, cells=(12, 12, 24)):

@@ -41,7 +41,7 @@ from contactqp.linalg.contact_entries import (
     slips_that_are_nothing,
     vector_measure,
 )
-from contactqp.linalg.extended import Residuals, extend, extended_rows, images, residuals
+from contactqp.linalg.extended import Residuals, extend, extended_rows, images, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
@@ -409,6 +409,13 @@ def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> 
     if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
         return False
     return balance(problem, answer, rigid) <= tolerance
+
+
+def holds_by_products(problem: ContactProblem, answer: Answer, tolerance: float) -> bool:
+    """The same of a body that is not factorised and does not float, by products in double precision."""
+    rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+    found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
+    return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")
 
 
 # The other figures imply this one up to this factor.

@@ -10,27 +10,41 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import iterated_bounds
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
 from contactqp.distributed import bounded
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.environment import collect_garbage
-from contactqp.distributed.friction import solve_friction
-from contactqp.distributed.iteration import DistributedIteration, FrictionRows
+from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
-from contactqp.distributed.problem import DistributedProblem, DistributedSolution
+from contactqp.distributed.problem import Bodies, DistributedProblem, DistributedSolution, largest_over_ranks
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.violations import violations
 from contactqp.errors import NotCertified, NotConverged, Unsupported
+from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Certificate, FreeMotion, Nothing, Solution, Violations, Work
+from contactqp.model.solution import (
+    FIGURES,
+    Answer,
+    Candidate,
+    Certificate,
+    FreeMotion,
+    Nothing,
+    Solution,
+    Violations,
+    Work,
+)
 from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.friction.algorithms import ALGORITHMS
+from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
@@ -99,7 +113,8 @@ def solve_distributed(
             raise Unsupported(f"{method}: a body that only contacts hold has no stiffness that PETSc could factorise")
         candidate = bounded.solve_bounded(problem, method, solver, settings)
     elif problem.frictional:
-        candidate = solve_friction(problem, iteration, settings, warm_start, ENERGY)
+        certifiable = partial(_certifiable, problem, tolerance)
+        candidate = solve_friction_by_iteration(problem, iteration, settings, warm_start, ENERGY, certifiable)
         method = f"tresca with {method}"
     else:
         candidate = solve_by_iteration(problem, iteration, settings, ENERGY)
@@ -119,6 +134,13 @@ def solve_distributed(
         failures = "; ".join(solution.certificate.failures)
         raise NotCertified(f"{method}: the certificate refuses the answer: {failures}", solution)
     return solution
+
+
+def _certifiable(problem: DistributedProblem, tolerance: float, answer: Answer, limit: float) -> bool:
+    """Return whether every figure of the certificate but `balance`, which equilibrium implies, is at most a limit."""
+    found = violations(problem, answer, Bodies(problem.ranks, problem.body), ROUNDING_OF_ANSWERS * tolerance)
+    figures = largest_over_ranks(problem.ranks, *(getattr(found, name) for name in FIGURES if name != "balance"))
+    return all(figure <= limit for figure in figures)
 
 
 def certified_solution(
@@ -172,7 +194,7 @@ def _at_rest(problem: DistributedProblem, iteration: DistributedIteration, answe
         return answer, np.zeros((len(problem.load), 0))
     if answer.friction_force is not None and problem.friction is not None:
         stick = (problem.friction > 0) & (answer.normal_force > 0)
-        floating = FrictionRows(problem, iteration).sticking(stick)[0].floating
+        floating = iteration.of_rows(FrictionRows(problem, iteration).held_with(stick)).floating
     displacement, motions = floating.at_rest(problem, answer.displacement, answer.normal_force)
     return replace(answer, displacement=displacement), motions
 

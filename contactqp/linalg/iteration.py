@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,8 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 
 Flags = NDArray[np.bool_]
+# Vectors that GMRES keeps until it starts anew.
+RESTART = 60
 
 
 class Limits(Protocol):
@@ -95,6 +98,10 @@ class ContactIteration(ABC):
     def mark(self, flags: Flags) -> object:
         """Something to tell this set of flags from others by."""
 
+    @abstractmethod
+    def largest(self, values: Vector) -> Vector:
+        """Return the largest over all processes, entry by entry."""
+
     # Products.
 
     @property
@@ -157,7 +164,54 @@ class ContactIteration(ABC):
     def smooth(self, force: Vector) -> Vector:
         """M r, M for the bodies without rows."""
 
+    # Contacts with friction, whose tangential rows follow contacts and ties, contact by contact.
+
+    @property
+    @abstractmethod
+    def entries(self) -> sp.csr_matrix:
+        """E (m + k + ..., t) over the unknowns that its rows touch."""
+
+    @abstractmethod
+    def of_rows(self, chosen: NDArray[np.intp]) -> ContactIteration:
+        """Return the same stiffness with some of the rows alone, all contacts first."""
+
+    @abstractmethod
+    def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
+        """Return the lengths of other rows (a, t) over the touched unknowns."""
+
+    @abstractmethod
+    def forces_of(self, entries: sp.csr_matrix, force: Vector) -> Vector:
+        """Return what forces (a,) on other rows (a, t) do to the unknowns (n,)."""
+
+    @abstractmethod
+    def constrained(self, entries: sp.csr_matrix, limit: Vector) -> ConstrainedRows:
+        """The projections of other rows (a, t), each a sum of rows of one contact, held at limits (a,)."""
+
+    @abstractmethod
+    def gmres(
+        self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
+    ) -> tuple[Vector, int]:
+        """Solve A x = right, A a function, until |right - A x| <= reduction |right| or for so many steps.
+
+        Returns x and the number of steps.
+        """
+
+    def smoother(self, rows: NDArray[np.intp]) -> Callable[[Vector], Vector]:
+        """M r for bodies that some rows hold; here that for bodies without rows."""
+        del rows
+        return self.smooth
+
     # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
+
+    def supports(self, closed: Flags, load: Vector) -> bool:
+        """Whether closed contacts and all further rows hold every rigid motion that a load drives."""
+        del closed, load
+        return True
+
+    def at_rest(self, held: ConstrainedRows, closed: Flags) -> ConstrainedRows:
+        """The projections of held rows that also take out what neither closed contacts nor further rows hold."""
+        del closed
+        return held
 
     def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
         """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
@@ -201,9 +255,9 @@ def iterated(problem: ContactProblem) -> bool:
     """Whether a problem is solved and judged without a factorisation.
 
     From 200 000 unknowns with more than 40 entries a row where pyamg is installed. What cannot be iterated on, bodies
-    that float, contacts that rub, and methods that work with factors (`factorised`), is left to PARDISO, which refuses
-    what does not fit into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the
-    variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    that float and methods that work with factors (`factorised`), is left to PARDISO, which refuses what does not fit
+    into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the variable
+    CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
@@ -212,8 +266,8 @@ def iterated(problem: ContactProblem) -> bool:
     if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
         return False
     if pardiso.available():
-        return not (problem.frictional or problem._computed.of_stiffness.factorised) and held_by_hierarchy(problem)
-    return problem.frictional or n > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
+        return not problem._computed.of_stiffness.factorised and held_by_hierarchy(problem)
+    return n > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
 
 
 def may_be_factorised() -> bool:
@@ -269,15 +323,15 @@ class Iteration(ContactIteration):
 
     solver = "pyamg"
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem, tangents: bool = False, known: Hierarchy | None = None) -> None:
         super().__init__()
         bare = np.flatnonzero(problem.diagonal == 0)
         if bare.size:
             raise Unsupported(f"pyamg: {problem.dof_name(int(bare[0]))} has no stiffness; {_INSTEAD}")
-        rows = sp.vstack([problem.normal, problem.tie], format="csr")
+        rows = sp.vstack([problem.normal, problem.tie, *([problem.tangent] if tangents else [])], format="csr")
         mostly = 2 * len(np.unique(rows.indices)) > problem.dimension
         coarsest = COARSEST_TOUCHED if mostly else None
-        hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest)
+        hierarchy = known or Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest)
         floating = np.flatnonzero(hierarchy.held <= FLOATING)
         if floating.size:
             member = int(np.flatnonzero(hierarchy.bodies == floating[0])[0])
@@ -290,7 +344,7 @@ class Iteration(ContactIteration):
         self.matrix = hierarchy.levels[0].matrix
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
         self._sizes = problem.stiffness_sizes
-        self._hierarchy = HeldHierarchy(hierarchy, rows)
+        self.hierarchy, self._hierarchy = hierarchy, HeldHierarchy(hierarchy, rows)
         self.rows, self.touched = self._hierarchy.rows[0]
         self._row_sizes = abs(self.rows)
         self._near = problem.stiffness_rows[self.touched]
@@ -314,10 +368,66 @@ class Iteration(ContactIteration):
         """Something to tell this set of flags from others by."""
         return flags.tobytes()
 
+    def largest(self, values: Vector) -> Vector:
+        """Return the largest over all processes, entry by entry."""
+        return values
+
     @property
     def diagonal(self) -> Vector:
         """D = diag K (n,) [force / length]."""
         return self._diagonal
+
+    @property
+    def entries(self) -> sp.csr_matrix:
+        """E (m + k + ..., t) over the unknowns that its rows touch."""
+        return self.rows
+
+    def of_rows(self, chosen: NDArray[np.intp]) -> Iteration:
+        """Return the same stiffness with some of the rows alone, all contacts first."""
+        other = copy(self)
+        other._hierarchy = self._hierarchy.of_rows(chosen)
+        other.rows, other._row_sizes = self.rows[chosen], self._row_sizes[chosen]
+        return other
+
+    def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
+        """Return the lengths of other rows (a, t) over the touched unknowns."""
+        return np.asarray(entries @ x[self.touched])
+
+    def forces_of(self, entries: sp.csr_matrix, force: Vector) -> Vector:
+        """Return what forces (a,) on other rows (a, t) do to the unknowns (n,)."""
+        return self._spread(entries.T @ force)
+
+    def constrained(self, entries: sp.csr_matrix, limit: Vector) -> AssembledRows:
+        """The projections of other rows (a, t), held at limits (a,)."""
+        return AssembledRows(entries, self.touched, limit, self._compliance[self.touched])
+
+    def gmres(
+        self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
+    ) -> tuple[Vector, int]:
+        """Solve A x = right by SciPy's GMRES, until |right - A x| <= reduction |right| or for so many steps."""
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        steps, n = [0], len(right)
+
+        def count(_: float) -> None:
+            steps[0] += 1
+
+        restart = min(RESTART, most)
+        found, _ = gmres(
+            LinearOperator((n, n), matvec=operator, dtype=float),
+            right,
+            rtol=reduction,
+            atol=0.0,
+            restart=restart,
+            maxiter=-(-most // restart),
+            callback=count,
+            callback_type="pr_norm",
+        )
+        return np.asarray(found), steps[0]
+
+    def smoother(self, rows: NDArray[np.intp]) -> Callable[[Vector], Vector]:
+        """M r for bodies that some rows hold."""
+        return self._hierarchy.cycle(rows)
 
     @property
     def own_compliance(self) -> Vector:
@@ -360,7 +470,7 @@ class Iteration(ContactIteration):
 
     def held(self, rows: NDArray[np.intp], limit: Vector) -> AssembledRows:
         """The projections of some rows, held at limits."""
-        return AssembledRows(self.rows[rows], self.touched, limit, self._compliance[self.touched])
+        return self.constrained(self.rows[rows], limit)
 
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
         """Move x onto the limits of held rows, and the residual with it, both in place."""
@@ -398,4 +508,13 @@ def iteration(problem: ContactProblem) -> Iteration:
     if problem._computed.iteration is None:
         problem._computed.iteration = Iteration(problem)
     made: Iteration = problem._computed.iteration
+    return made
+
+
+def frictional_iteration(problem: ContactProblem) -> Iteration:
+    """The same with the tangential rows behind contacts and ties, on the same hierarchy."""
+    if problem._computed.frictional_iteration is None:
+        known = iteration(problem).hierarchy
+        problem._computed.frictional_iteration = Iteration(problem, tangents=True, known=known)
+    made: Iteration = problem._computed.frictional_iteration
     return made

@@ -205,6 +205,7 @@ class AssembledRows:
     def __init__(self, entries: Any, columns: NDArray[np.intp], limit: Vector, compliance: Vector) -> None:
         self._entries, self._columns, self._compliance, self._limit = entries, columns, compliance, limit
         self._gram = IndependentRows(entries, compliance)
+        self.redundant = len(self._gram.kept) < entries.shape[0]
 
     def close(self, x: Vector) -> None:
         """Move x so that E x = g, in place."""

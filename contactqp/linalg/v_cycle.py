@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +112,12 @@ class HeldHierarchy:
             if level.prolong is not None:
                 E = self.rows[-1].entries @ sp.csr_matrix(sp.csr_matrix(level.prolong)[columns])
         self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns)
+
+    def of_rows(self, chosen: NDArray[np.intp]) -> HeldHierarchy:
+        """The same hierarchy with some of the rows alone."""
+        other = copy(self)
+        other.rows = [LevelRows(row.entries[chosen], row.columns) for row in self.rows]
+        return other
 
     def cycle(self, held: NDArray[np.intp]) -> VCycle:
         """M for the stiffness K + E'CE, E the rows `held` (h,)."""

@@ -51,6 +51,7 @@ class Computed:
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration
+    frictional_iteration: Any = None  # linalg.iteration, with the tangential rows
     supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # linalg.measures: likewise

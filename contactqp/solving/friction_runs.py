@@ -8,20 +8,21 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.certificate import compute_certificate
-from contactqp.certificate.figures import holds, rounded_slips
+from contactqp.certificate.figures import holds, holds_by_products, rounded_slips
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.linalg.runtime import on_one_thread
 from contactqp.linalg.sparse_saddle import constraints_are_many
@@ -31,6 +32,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
+from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
@@ -136,6 +138,9 @@ def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
 
 
 DEFAULT_METHOD = "active-set"
+_FACTORISE = "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
+# The error in energy of an iteration, over the energy of the displacement; the certificate asks for the same of its own.
+ENERGY = 1e-10
 
 
 class FrictionRun(Run):
@@ -226,13 +231,65 @@ class SparseFrictionRun(FrictionRun):
         )
 
 
+class IteratedFrictionRun(Run):
+    """Coulomb's answer on a body too large to factorise, by Tresca's fixed point and Newton's method.
+
+    Raises
+    ------
+    NotConverged, NoEquilibrium
+        As `solve_friction_by_iteration`.
+    Unsupported
+        Another method than the active set.
+    """
+
+    def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
+        if method.kind != "active set":
+            raise Unsupported(f"{method.name}: a body this large is only iterated on, by active-set; {_FACTORISE}")
+        super().__init__(problem, method)
+        self.name = f"tresca with {method.name}"
+        self._iteration = frictional_iteration(problem)
+        self._before = self._iteration.krylov_iterations
+        start = _known_answer(problem, settings.warm_start)
+        certifiable = partial(holds_by_products, problem)
+        with on_one_thread():  # nothing dense here is large
+            self.candidate = solve_friction_by_iteration(
+                problem, self._iteration, settings.now, start, ENERGY, certifiable
+            )
+
+    def final(self) -> Final:
+        """The answer that is to be certified: the candidate."""
+        found = self.candidate
+        return Final(found.displacement, found.normal_force, found.tie_force, friction_force=found.friction_force)
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far."""
+        return Work(
+            iterations=self.candidate.iterations,
+            retained=self.problem.dimension,
+            polish_corrections=corrections,
+            solver=self._iteration.solver,
+            krylov_iterations=self._iteration.krylov_iterations - self._before,
+        )
+
+    def refuse_conflict(self) -> None:
+        """Does nothing: constraints that conflict are not told from others without a factorisation."""
+
+
+def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
+    """The answer that a warm start is, if it has friction."""
+    if known is None or known.friction_force is None:
+        return None
+    friction = known.friction_force.reshape(problem.contacts, -1)
+    return Answer(known.displacement, known.normal_force, friction, known.tie_force)
+
+
 # Contacts of which all combinations take less than the long attempts of algorithms that find none.
 FEW_CONTACTS = 3
 # Tresca problems, most take three to eight, before contacts few enough to list their combinations go other ways.
 STEPS_BEFORE_LISTING = 20
 
 
-def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionRun:
+def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
     """An answer by `algorithm`. None is, in the plane, Newton's method in sparse systems where contacts are many, else
     from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
     enumeration where contacts are few; in space the algorithms of the local form, by steps of `method` where that is
@@ -256,7 +313,13 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
     if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
         known = ", ".join((*ALGORITHMS, *TAKEN))
         raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
-    _refuse_iterated(problem)
+    if iterated(problem):
+        if algorithm not in (None, "tresca"):
+            raise Unsupported(
+                f"friction: a body this large is not factorised, and without factors there is 'tresca' alone, got "
+                f"{algorithm!r}; {_FACTORISE}"
+            )
+        return IteratedFrictionRun(problem, method, settings)
     if algorithm in (None, "newton") and method.name == DEFAULT_METHOD and constraints_are_many(problem):
         with suppress(NotConverged):
             return SparseFrictionRun(problem, settings)
@@ -339,7 +402,8 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     Unsupported
         As `run_friction`.
     """
-    _refuse_iterated(problem)
+    if iterated(problem):
+        raise Unsupported(f"enumeration: a body this large is not factorised; {_FACTORISE}")
     if _in_space(problem):
         raise Unsupported("enumeration: two tangential rows a contact; slip directions in space cannot be listed")
     meter = Meter(problem)
@@ -407,11 +471,3 @@ def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter:
 
 def _in_space(problem: ContactProblem) -> bool:
     return problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
-
-
-def _refuse_iterated(problem: ContactProblem) -> None:
-    if iterated(problem):
-        raise Unsupported(
-            "friction: a body this large is not factorised, and Coulomb friction is not iterated on in one process; "
-            "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso), or take ranks (engine='petsc')"
-        )

@@ -191,7 +191,7 @@ def _solve(
         return found
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    if _works_with_factors(find(method), condense) and iterated(problem) and may_be_factorised():
+    if _works_with_factors(find(method), condense, algorithm) and iterated(problem) and may_be_factorised():
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
     if algorithm != "associated" and not iterated(problem) and not constraints_are_many(problem):
@@ -218,9 +218,9 @@ def _solve(
         return _by_another_route(problem, error, same)
 
 
-def _works_with_factors(method: Method, condense: bool | str) -> bool:
-    """Whether a method is shown the condensed problem however large the bodies are."""
-    return method.kind != CONDENSES_ITSELF or condense is True
+def _works_with_factors(method: Method, condense: bool | str, algorithm: str | None) -> bool:
+    """Whether a method, or an algorithm of friction, is shown the condensed problem however large the bodies are."""
+    return method.kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
 
 
 def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:

@@ -14,10 +14,10 @@ from friction_bodies import BODIES
 
 import contactqp as cq
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.friction import FrictionNewton
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
 from contactqp.scene.building import build
+from contactqp.solving.friction.by_iteration import FrictionNewton
 
 CASES = Path(__file__).parents[3] / "cases"
 SAME = 1e-9

@@ -10,9 +10,9 @@ from friction_bodies import pushed_in_plane
 
 import contactqp as cq
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.friction import FrictionNewton
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
+from contactqp.solving.friction.by_iteration import FrictionNewton
 
 ranks = Ranks()
 part = distribute(pushed_in_plane(0.3), ranks)

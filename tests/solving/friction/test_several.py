@@ -104,7 +104,9 @@ def test_a_body_too_large_to_factorise_and_a_limit_of_time(monkeypatch: pytest.M
         cq.solve(rough_truss(), algorithm="tresca", time_limit=1e-9)
     monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", "pyamg")
     with pytest.raises(cq.Unsupported, match="not factorised"):
-        cq.solve(rough_truss())
+        cq.solve(rough_truss(), algorithm="enumeration")
+    with pytest.raises(cq.Unsupported, match="not factorised"):
+        cq.equilibria(rough_truss())
 
 
 def test_units_and_the_scale_of_rows_change_nothing() -> None:

@@ -1,0 +1,234 @@
+"""Coulomb friction on bodies that are iterated on, in one process and over ranks: Tresca's fixed point and Newton.
+
+A step of the fixed point (Laursen 2002, section 5.2) prescribes which contacts stick, and the friction of the others:
+prescribed friction is a load, tangents that stick are ties, and what remains is a contact problem without friction
+(`contactqp.solving.methods.inexact_active_set`). Its forces give the next bounds mu l_N, relaxed by Aitken's factor,
+and the next states. Bounds need not settle to the last digit: before the first step and after each, Newton's method on
+the combination of states (Alart and Curnier 1991), whose systems contain Coulomb's law, tries to end the iteration. Its
+first combinations are solved loosely, the last to the end.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.linalg.iterated_states import (
+    Combination,
+    CombinationSystem,
+    FrictionalAnswer,
+    FrictionalLimits,
+    FrictionRows,
+    combination_of,
+)
+from contactqp.linalg.iteration import ContactIteration
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.solution import Answer, Candidate
+from contactqp.solving.friction.iterate import RELAXATION, aitken
+from contactqp.solving.methods import Settings
+from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+
+# Whether every figure of the certificate is at most this part of the tolerance, as it asks of an answer.
+Certifiable = Callable[[Answer, float], bool]
+# Combinations tried from one start.
+MOST = 25
+# The part to which GMRES reduces what is unbalanced of a combination that may not be the last.
+LOOSE = 1e-3
+# The part of the tolerance that figures of an answer may reach.
+FIGURE = 0.7
+# An error in energy, squared, of so many times what GMRES could not reduce is rounding too.
+STUCK = 4.0
+
+
+class FrictionNewton:
+    """Newton's method on Coulomb's law, from one combination of open, stick and slip to the next.
+
+    Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
+    Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then. Everything is
+    collective over ranks.
+    """
+
+    def __init__(self, rows: FrictionRows, tolerance: float, energy: float, certifiable: Certifiable) -> None:
+        self._rows, self._iteration, self._problem = rows, rows.iteration, rows.problem
+        self._tolerance, self._energy, self._certifiable = tolerance, energy, certifiable
+
+    def run(self, start: FrictionalAnswer) -> FrictionalAnswer | None:
+        """Return the answer from a start, or None where the combinations lead nowhere."""
+        here, before = start, None
+        states: Combination | None = None
+        seen: dict[object, int] = {}
+        for _ in range(MOST):
+            states = self._rows.coulomb(here, states)
+            if not self._rows.sticking(states.stick)[0].supports(states.closed, self._problem.load):
+                return None
+            mark = self._iteration.mark(states.flags)
+            again = mark == before
+            seen[mark] = seen.get(mark, 0) + 1
+            if seen[mark] > 2 and not again:
+                return None  # the combinations form a cycle
+            system = CombinationSystem(self._rows, states)
+            x = system.closed(here.displacement)
+            x = system.solved(x, self._tolerance, self._energy) if again else system.improved(x, LOOSE)
+            if self._iteration.any(~np.isfinite(x)):
+                return None
+            here, before = system.answer(x), mark
+            if again:
+                answer = self._rows.within_law(here, states)
+                floor = STUCK * system.error(system.unbalanced(x))
+                enough = system.enough(x, self._rows.residual(answer), self._tolerance, self._energy, floor)
+                if enough and self.certifiable(answer):
+                    return answer
+        return None
+
+    def certifiable(self, answer: Answer) -> bool:
+        """Return whether every figure of the certificate is small."""
+        return self._certifiable(answer, FIGURE * self._tolerance)
+
+
+# Bounds that change by less than this part of the largest may have come to the answer.
+SETTLED = 5e-10
+# Enough steps for contractions up to 0.9, as in one process; a slower iteration does not converge.
+MAX_STEPS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """A contact problem whose ties are those of the problem and the tangents that stick."""
+
+    load: Vector
+    gap: Vector
+    tie_value: Vector
+
+
+def solve_friction_by_iteration(
+    problem: FrictionalLimits,
+    iteration: ContactIteration,
+    settings: Settings,
+    start: Answer | None,
+    energy: float,
+    certifiable: Certifiable,
+) -> Candidate:
+    """Return the answer of Coulomb's law as far as the steps can tell; the certificate judges it. Collective.
+
+    Parameters
+    ----------
+    problem : FrictionalLimits
+        A problem with friction.
+    iteration : ContactIteration
+        The iteration on its rows, tangents included.
+    settings : Settings
+        `max_iter` counts contact problems without friction, `time_limit` is for all of them.
+    start : Answer, optional
+        The answer of a problem with the same K and rows.
+    energy : float
+        The error in energy, relative to the energy of the displacement.
+    certifiable : function
+        Whether all figures of an answer, but `balance`, which equilibrium implies, are at most a limit.
+
+    Raises
+    ------
+    NotConverged
+        The bounds have not settled, or those of a step do not hold the bodies; the history has their changes.
+    NoEquilibrium
+        The bodies are held neither without friction nor with all contacts stuck.
+    """
+    fixed_point = _FixedPoint(problem, iteration, settings, energy, certifiable)
+    found, steps = fixed_point.run(start)
+    return Candidate(
+        found.displacement,
+        found.normal_force,
+        found.tie_force,
+        iterations=steps,
+        history=tuple(fixed_point.changes),
+        friction_force=found.friction_force,
+    )
+
+
+class _FixedPoint:
+    """Tresca's fixed point; `changes` are those of the bounds in each step, relative."""
+
+    def __init__(
+        self,
+        problem: FrictionalLimits,
+        iteration: ContactIteration,
+        settings: Settings,
+        energy: float,
+        certifiable: Certifiable,
+    ) -> None:
+        self._problem, self._iteration, self._energy = problem, iteration, energy
+        self._rows = FrictionRows(problem, iteration)
+        limit = settings.time_limit
+        self._end = np.inf if limit is None else time.perf_counter() + limit
+        self._settings = replace(settings, warm_start=None, max_iter=None)
+        self._most = settings.max_iter or MAX_STEPS
+        self._newton = FrictionNewton(self._rows, settings.tolerance, energy, certifiable)
+        self.changes: list[float] = []
+
+    def run(self, start: Answer | None) -> tuple[FrictionalAnswer, int]:
+        """Return the answer and the number of contact problems without friction that it took."""
+        rows = self._rows
+        if start is not None and start.friction_force is not None and self._iteration.any(start.normal_force > 0):
+            here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
+            if (found := self._newton.run(here)) is not None:
+                return found, 0
+        here = self._first()
+        bound = rows.bound(here.normal_force)
+        relaxation, before = RELAXATION[1], None
+        states: Combination | None = None
+        for step in range(1, self._most + 1):
+            if (found := self._newton.run(here)) is not None:
+                return found, step
+            if self._iteration.any(time.perf_counter() > self._end):
+                raise self._not_converged("the time limit is reached")
+            states = combination_of(rows.trial(here), bound, rows.stiffness, states)
+            try:
+                here = self._solved(states, bound[:, None] * states.direction)
+            except NoEquilibrium as error:
+                raise self._not_converged(f"the friction bounds of step {step} do not hold the bodies") from error
+            missing = rows.bound(here.normal_force) - bound
+            self.changes.append(self._change(missing, bound))
+            if self.changes[-1] <= SETTLED and self._newton.certifiable(settled := rows.within_law(here, states)):
+                return settled, step
+            relaxation = aitken(relaxation, before, missing, self._iteration.dot)
+            bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
+        raise self._not_converged(f"the friction bounds have not settled in {self._most} steps")
+
+    def _first(self) -> FrictionalAnswer:
+        """Return the answer without friction where that holds the bodies, else the one with all contacts stuck."""
+        m, width = self._rows.m, self._rows.width
+        nothing, everywhere = np.zeros((m, width)), np.ones(m, dtype=bool)
+        try:
+            return self._solved(Combination(~everywhere, ~everywhere, nothing, np.zeros(m)), nothing)
+        except NoEquilibrium:
+            stuck = Combination(everywhere, everywhere & (self._rows.friction > 0), nothing, np.zeros(m))
+            return self._solved(stuck, nothing)
+
+    def _solved(self, states: Combination, prescribed: Array) -> FrictionalAnswer:
+        """Return the answer where some contacts stick and the others have the prescribed friction (m, d-1)."""
+        rows, m = self._rows, self._rows.m
+        k = rows.plain - m
+        iteration, limit = rows.sticking(states.stick)
+        before = iteration.krylov_iterations
+        tangential = np.concatenate([np.zeros(rows.plain), prescribed.ravel()])
+        limits = _Limits(self._problem.load - self._iteration.forces(tangential), limit[:m], limit[m:])
+        seconds = None if np.isinf(self._end) else max(self._end - time.perf_counter(), 0.0)
+        candidate = solve_by_iteration(limits, iteration, replace(self._settings, time_limit=seconds), self._energy)
+        self._iteration.krylov_iterations += iteration.krylov_iterations - before
+        # What the first answers have not settled, later steps do.
+        if self.changes and not candidate.claimed:
+            raise self._not_converged(candidate.status)
+        tangential[rows.tangents(states.stick)] += candidate.tie_force[k:]
+        friction = tangential[rows.plain :].reshape(m, rows.width)
+        return FrictionalAnswer(candidate.displacement, candidate.normal_force, friction, candidate.tie_force[:k])
+
+    def _change(self, missing: Vector, bound: Vector) -> float:
+        size, largest = (float(np.max(abs(part), initial=0.0)) for part in (missing, bound))
+        change, scale = self._iteration.largest(np.array([size, max(size, largest)]))
+        return float(change / scale) if scale > 0 else 0.0
+
+    def _not_converged(self, why: str) -> NotConverged:
+        return NotConverged(f"tresca: {why}", tuple(self.changes))

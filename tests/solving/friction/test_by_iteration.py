@@ -1,0 +1,211 @@
+"""Friction on bodies that are iterated on: the answers of the factorising way, forged ones, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.linalg import multigrid
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.schur import CHOICE
+from contactqp.solving.friction import by_iteration
+from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
+
+needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
+pytestmark = [needs_pyamg, pytest.mark.usefixtures("iterating")]
+
+
+@pytest.fixture
+def iterating(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CHOICE, "pyamg")
+
+
+def factorised(problem: cq.ContactProblem, **options: Any) -> cq.Solution:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CHOICE, "superlu")
+        return cq.solve(fresh(problem), **options)
+
+
+def uneven(problem: cq.ContactProblem) -> cq.ContactProblem:
+    """Coefficients from none to two, contact by contact."""
+    return problem.replace(friction=np.random.default_rng(1).choice([0.0, 0.05, 0.3, 2.0], problem.contacts))
+
+
+def from_elsewhere(problem: cq.ContactProblem) -> cq.ContactProblem:
+    """Slip counted from where nothing has been."""
+    origin = np.random.default_rng(2).normal(size=problem.slip_origin.shape) * 1e-3
+    return problem.replace(slip_origin=origin)
+
+
+def in_units(problem: cq.ContactProblem, length: float, force: float, row: float) -> cq.ContactProblem:
+    """The same with other units and longer rows."""
+    return cq.ContactProblem(
+        stiffness=problem.stiffness * (force / length),
+        load=problem.load * force,
+        normal=problem.normal * row,
+        gap=problem.gap * row * length,
+        tangent=problem.tangent * row,
+        friction=problem.friction,
+        slip_origin=problem.slip_origin * row * length,
+        tie=problem.tie,
+        tie_value=problem.tie_value * length,
+        near_null_space=problem.near_null_space,
+    )
+
+
+BLOCK = on_paraboloid(friction=0.3)
+CASES = {
+    "a row an unknown": BLOCK,
+    "hardly any friction": BLOCK.replace(friction=1e-6),
+    "all stick": BLOCK.replace(friction=5.0),
+    "coefficients of all sizes": uneven(BLOCK),
+    "pushed along, every contact turns its slip": on_paraboloid(friction=0.2, pushed=0.004),
+    "three unknowns a row": on_sphere(friction=0.3),
+    "mortar": stacked(friction=0.3),
+    "ties": with_ties(BLOCK),
+    "slip from elsewhere": from_elsewhere(BLOCK),
+    "nothing touches": BLOCK.replace(gap=BLOCK.gap + 1.0),
+    "small lengths, large forces, long rows": in_units(BLOCK, 1e-6, 1e9, 1e3),
+    "large lengths, small forces, short rows": in_units(BLOCK, 1e6, 1e-9, 1e-3),
+}
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("name", CASES)
+def test_the_answer_is_that_of_the_factorising_way(name: str) -> None:
+    problem = fresh(CASES[name])
+    solution, reference = cq.solve(problem), factorised(problem)
+    certificate = solution.certificate
+    assert certificate.passed
+    assert certificate.basis == "state"
+    push = np.max(reference.normal_force, initial=0.0)
+    assert np.max(abs(solution.normal_force - reference.normal_force)) <= 1e-8 * push
+    assert np.max(abs(solution.friction_force - reference.friction_force)) <= 1e-8 * push
+    assert np.max(abs(solution.displacement - reference.displacement)) <= 1e-7 * np.max(abs(reference.displacement))
+    assert solution.tie_force == pytest.approx(reference.tie_force, rel=1e-6, abs=1e-7 * push)
+    assert solution.contact_status.tolist() == reference.contact_status.tolist()
+    assert solution.work.solver == "pyamg"
+    assert solution.work.factorisations == solution.work.back_substitutions == 0
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("name", ["a row an unknown", "three unknowns a row"])
+def test_the_fixed_point_comes_to_the_same_without_newton(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = fresh(CASES[name])
+    monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
+    solution, reference = cq.solve(problem), factorised(problem)
+    push = np.max(reference.normal_force)
+    assert solution.work.iterations is not None
+    assert solution.work.iterations > 2
+    assert np.max(abs(solution.normal_force - reference.normal_force)) <= 1e-7 * push
+    assert np.max(abs(solution.friction_force - reference.friction_force)) <= 1e-7 * push
+
+
+def test_a_next_step_starts_from_the_one_before() -> None:
+    problem = fresh(BLOCK)
+    first = cq.solve(problem)
+    further = problem.replace(load=1.02 * problem.load, slip_origin=first.slip + problem.slip_origin)
+    cold, warm = cq.solve(further), cq.solve(further, warm_start=first)
+    assert warm.work.krylov_iterations < cold.work.krylov_iterations
+    assert np.max(abs(warm.normal_force - factorised(further).normal_force)) <= 1e-8 * np.max(cold.normal_force)
+
+
+def forged(problem: cq.ContactProblem, way: str) -> tuple[Any, ...]:
+    """The right answer to a question nearby, or forces that are one part in a hundred off."""
+    if way == "friction":
+        right = cq.solve(problem.replace(friction=1.01 * problem.friction))
+        return right.displacement, right.normal_force, right.friction_force, right.tie_force
+    right = cq.solve(problem)
+    u, normal, friction = right.displacement.copy(), right.normal_force.copy(), right.friction_force.copy()
+    if way == "one force":
+        normal[int(np.argmax(normal))] *= 1.01
+    elif way == "all forces":
+        normal, friction = 1.01 * normal, 1.01 * friction
+    elif way == "direction":
+        friction = friction @ np.array([[np.cos(0.01), np.sin(0.01)], [-np.sin(0.01), np.cos(0.01)]])
+    return u, normal, friction, right.tie_force
+
+
+@pytest.mark.parametrize("way", ["friction", "one force", "all forces", "direction"])
+@pytest.mark.parametrize("name", ["a row an unknown", "mortar"])
+def test_forces_that_are_one_part_in_a_hundred_off_are_refused(name: str, way: str) -> None:
+    problem = fresh(CASES[name])
+    judged = cq.certify(problem, *forged(problem, way))
+    assert not judged.passed
+    assert judged.failures
+
+
+def beam(springs: int, friction: float) -> cq.ContactProblem:
+    """A stiff chain in space, hung from one soft spring a direction, that stands on its last node: next to all of its
+    residual may be hidden in the chain."""
+    n = 3 * springs
+    chain = sp.diags([np.full(n, 2.0), np.full(n - 3, -1.0), np.full(n - 3, -1.0)], [0, 3, -3]).tolil()
+    for axis in range(3):
+        chain[n - 3 + axis, n - 3 + axis] = 1.0
+        chain[axis, axis] = 1.0 + 1e-4
+    normal, tangent = np.zeros((1, n)), np.zeros((2, n))
+    normal[0, n - 1], tangent[0, n - 3], tangent[1, n - 2] = -1.0, 1.0, 1.0
+    load = np.zeros(n)
+    load[-3:] = 0.2, 0.1, -1.0
+    return cq.ContactProblem(sp.csc_matrix(chain), load, normal, [0.0], tangent=tangent, friction=friction)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-5, 0.1])
+def test_a_force_that_a_small_residual_hides_is_compared_with_the_state(off: float) -> None:
+    problem = beam(60, 0.3)
+    right = factorised(problem)
+    rubbing = right.friction_force * (1 + off)
+    normal = right.normal_force * (1 + off)
+    load = problem.load - problem.normal.T @ normal - problem.tangent.T @ rubbing.ravel()
+    u = np.linalg.solve(problem.stiffness.toarray(), load)  # in balance with what was forged
+    judged = cq.certify(problem, u, normal, rubbing)
+    assert judged.equilibrium <= 1e-9
+    assert judged.passed == (off == 0.0)
+
+
+def test_contacts_that_come_twice_share_their_forces_in_some_way() -> None:
+    twice = fresh(BLOCK).replace(
+        normal=sp.vstack([BLOCK.normal, BLOCK.normal]),
+        gap=np.tile(BLOCK.gap, 2),
+        tangent=sp.vstack([BLOCK.tangent, BLOCK.tangent]),
+        slip_origin=np.zeros((2 * BLOCK.contacts, 2)),
+        friction=np.full(2 * BLOCK.contacts, 0.3),
+        contact_names=None,
+    )
+    solution, reference = cq.solve(twice), factorised(BLOCK)
+    assert solution.certificate.passed
+    push = np.max(reference.normal_force)
+    together = solution.normal_force.reshape(2, -1).sum(axis=0)
+    assert np.max(abs(together - reference.normal_force)) <= 1e-7 * push
+    rubbing = solution.friction_force.reshape(2, -1, 2).sum(axis=0)
+    assert np.max(abs(rubbing - reference.friction_force)) <= 1e-7 * push
+
+
+def test_what_is_not_iterated_on_is_said_with_the_cure() -> None:
+    for algorithm in ("newton", "nsgs", "enumeration"):
+        with pytest.raises(cq.Unsupported, match=r"'tresca' alone, got .*CONTACTQP_SPARSE_SOLVER=pardiso"):
+            cq.solve(BLOCK, algorithm=algorithm)
+    with pytest.raises(cq.Unsupported, match=r"clarabel: .*only iterated on"):
+        cq.solve(BLOCK, "clarabel")
+    with pytest.raises(cq.Unsupported, match="floats"):
+        cq.solve(on_paraboloid((6, 6, 4), sides=False, friction=0.3))
+
+
+def test_a_limit_of_time_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
+    with pytest.raises(cq.NotConverged, match="time limit"):
+        cq.solve(fresh(BLOCK), time_limit=1e-6)
+
+
+def test_an_algorithm_that_needs_factors_has_a_large_body_factorised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(CHOICE)
+    monkeypatch.setattr("contactqp.linalg.iteration.LARGE", 1)
+    monkeypatch.setattr("contactqp.solving.solve.may_be_factorised", lambda: True)
+    monkeypatch.setattr("contactqp.linalg.pardiso.available", lambda: True)
+    problem = fresh(BLOCK)
+    assert iterated(problem)
+    assert cq.solve(problem).work.solver == "pyamg"
