@@ -139,7 +139,7 @@ def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
 
 DEFAULT_METHOD = "active-set"
 _FACTORISE = "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
-# The error in energy of an iteration, over the energy of the displacement; the certificate asks for the same of its own.
+# The error in energy of an iteration, over that of the displacement; the certificate asks for the same of its own.
 ENERGY = 1e-10
 
 
