@@ -206,7 +206,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
     if computed.near_one is None:
         computed.near_one = (_matrices_are_near_one(problem), None)
     near, twin = computed.near_one
-    if twin == BROUGHT or (near and _vectors_are_near_one(problem) and _force_is_near_length(problem)):
+    if twin == BROUGHT or (near and _vectors_are_near_one(problem) and _units_are_own(problem)):
         return None
     if twin is None:
         twin = _rescaled(problem, _uniform_units(problem) or _row_units(problem))
@@ -266,10 +266,12 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
     return _near(largest, NONE) and _near(np.max(largest, keepdims=True))
 
 
-def _force_is_near_length(problem: ContactProblem) -> bool:
-    """Whether one unit of energy suits loads and lengths where no stiffness relates them to each other."""
-    forces, lengths = _largest_force_and_length(problem)
-    return bool(np.any(problem.diagonal)) or min(forces, lengths) < LEAST or abs(forces - lengths) <= FARTHEST
+def _units_are_own(problem: ContactProblem) -> bool:
+    """Whether every unknown has a stiffness, which relates forces to lengths; else whether they are near each other.
+
+    Without one, what is found among many right answers would depend on the units of length and force.
+    """
+    return bool(np.all(problem.diagonal > 0)) or _uniform_unit(problem) == 0
 
 
 def _largest(rows: Any) -> Vector:
@@ -288,17 +290,21 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
     norm of a body that nothing holds, is the same in all units of length and force. None where units of single unknowns
     and rows are needed.
     """
-    diagonal, rows = problem.diagonal[problem.diagonal > 0], _matrices(problem)
-    if diagonal.size:
-        unit = -(int(_exponent(np.max(diagonal))) // 2)
-    else:
-        forces, lengths = _largest_force_and_length(problem)
-        unit = (lengths - forces) // 2 if min(forces, lengths) > LEAST else 0
+    diagonal, rows, unit = problem.diagonal[problem.diagonal > 0], _matrices(problem), _uniform_unit(problem)
     exponents = _exponent(diagonal) + 2 * unit
     near = bool(np.all(abs(exponents) <= FARTHEST)) and all(_near(_largest(matrix)) for matrix in rows)
     if not (near and _near(_largest_without_stiffness(problem, rows))):
         return None
     return np.full(problem.dimension, unit), np.full(sum(matrix.shape[0] for matrix in rows), unit)
+
+
+def _uniform_unit(problem: ContactProblem) -> int:
+    """The exponent of D that makes the largest stiffness about one; without any, loads as large as lengths."""
+    stiffest = np.max(problem.diagonal, initial=0.0)
+    if stiffest > 0:
+        return -(int(_exponent(stiffest)) // 2)
+    forces, lengths = _largest_force_and_length(problem)
+    return (lengths - forces) // 2 if min(forces, lengths) > LEAST else 0
 
 
 def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projectio
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -411,6 +412,7 @@ class Iteration(ContactIteration):
 
         def count(_: float) -> None:
             steps[0] += 1
+            refuse_late("GMRES came to an end")
 
         restart = min(RESTART, most)
         found, _ = gmres(

@@ -213,10 +213,27 @@ FREE: dict[str, Any] = dict(  # two bars that nothing holds; what moves them lea
     stiffness=np.kron(np.diag([2.0, 64.0]), BAR),
     load=[1.0, 0.0, 0.0, 0.0], normal=[[0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]], gap=[0.5, 0.25],
 )  # fmt: skip
+# Contacts and ties that say the same, so that many forces are right: the same of them are found in all units.
+TIED: dict[str, Any] = dict(
+    stiffness=np.zeros((3, 3)), load=[0.0, 0.0, -2.5],
+    normal=[[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]], gap=[1.0, 0.625, -0.625, -0.625],
+    tie=np.array([[-1.0, 2.0, -1.0], [-1.0, 2.0, -1.0]]), tie_value=np.array([-0.25, -0.25]),
+)  # fmt: skip
+EITHER: dict[str, Any] = dict(
+    stiffness=np.zeros((2, 2)), load=[-0.125, -1.375], tie=np.array([[0.5, 1.0]]), tie_value=np.array([-0.1875]),
+    normal=[[0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]], gap=[0.25, -0.375, 0.25, 0.0, 0.75],
+)  # fmt: skip
+OPPOSITE: dict[str, Any] = dict(
+    stiffness=np.diag([0.0, 0.158203125]), load=[0.375, -3.125],
+    normal=[[0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], gap=[0.0, 0.25, -0.125, 0.0, 0.0],
+    tie=np.array([[2.0, -0.5], [-0.5, 2.0]]), tie_value=np.array([-0.25, 0.0625]),
+)  # fmt: skip
+UNLIKE = [BESIDE_A_BAR, BARE, FREE, TIED, EITHER, OPPOSITE]
+NEARER = [(2.0**-332, 2.0**332), (2.0**52, 2.0**-222), (2.0**-86, 2.0**-18), (2.0**-20, 1.0), (1.0, 2.0**-40)]
 
 
-@pytest.mark.parametrize(("length", "force"), [*SIZES, (2.0**-332, 2.0**332), (2.0**52, 2.0**-222)])
-@pytest.mark.parametrize("data", [BESIDE_A_BAR, BARE, FREE], ids=["beside a bar", "bare", "free"])
+@pytest.mark.parametrize(("length", "force"), [*SIZES, *NEARER])
+@pytest.mark.parametrize("data", UNLIKE, ids=["beside a bar", "bare", "free", "tied", "either", "opposite"])
 def test_what_no_stiffness_sees_is_the_same_in_all_units(data: dict[str, Any], length: float, force: float) -> None:
     near, far = cq.solve(in_units(data, 1.0, 1.0)), cq.solve(in_units(data, length, force))
     assert np.any(near.normal_force > 0)

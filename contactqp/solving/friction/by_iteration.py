@@ -52,8 +52,10 @@ class FrictionNewton:
     collective over ranks.
     """
 
-    def __init__(self, rows: FrictionRows, tolerance: float, energy: float, certifiable: Certifiable) -> None:
-        self._rows, self._iteration, self._problem = rows, rows.iteration, rows.problem
+    def __init__(
+        self, rows: FrictionRows, tolerance: float, energy: float, certifiable: Certifiable, end: float
+    ) -> None:
+        self._rows, self._iteration, self._problem, self._end = rows, rows.iteration, rows.problem, end
         self._tolerance, self._energy, self._certifiable = tolerance, energy, certifiable
 
     def run(self, start: FrictionalAnswer) -> FrictionalAnswer | None:
@@ -62,6 +64,8 @@ class FrictionNewton:
         states: Combination | None = None
         seen: dict[object, int] = {}
         for _ in range(MOST):
+            if self._iteration.any(time.perf_counter() > self._end):
+                return None
             states = self._rows.coulomb(here, states)
             if not self._rows.sticking(states.stick)[0].supports(states.closed, self._problem.load):
                 return None
@@ -114,6 +118,8 @@ def solve_friction_by_iteration(
 ) -> Candidate:
     """Return the answer of Coulomb's law as far as the steps can tell; the certificate judges it. Collective.
 
+    Where they end without one, at a limit of time too, the last answer of a step is returned and not claimed.
+
     Parameters
     ----------
     problem : FrictionalLimits
@@ -132,24 +138,32 @@ def solve_friction_by_iteration(
     Raises
     ------
     NotConverged
-        The bounds have not settled, or those of a step do not hold the bodies; the history has their changes.
+        The steps ended before one of them had an answer.
     NoEquilibrium
         The bodies are held neither without friction nor with all contacts stuck.
     """
     fixed_point = _FixedPoint(problem, iteration, settings, energy, certifiable)
-    found, steps = fixed_point.run(start)
+    status = ""
+    try:
+        found, steps = fixed_point.run(start)
+    except NotConverged as error:
+        if fixed_point.last is None:
+            raise
+        found, steps, status = fixed_point.last, len(fixed_point.changes), str(error)
     return Candidate(
         found.displacement,
         found.normal_force,
         found.tie_force,
         iterations=steps,
+        claimed=not status,
+        status=status,
         history=tuple(fixed_point.changes),
         friction_force=found.friction_force,
     )
 
 
 class _FixedPoint:
-    """Tresca's fixed point; `changes` are those of the bounds in each step, relative."""
+    """Tresca's fixed point; `changes` are those of the bounds in each step, relative, and `last` its last answer."""
 
     def __init__(
         self,
@@ -165,8 +179,9 @@ class _FixedPoint:
         self._end = np.inf if limit is None else time.perf_counter() + limit
         self._settings = replace(settings, warm_start=None, max_iter=None)
         self._most = settings.max_iter or MAX_STEPS
-        self._newton = FrictionNewton(self._rows, settings.tolerance, energy, certifiable)
+        self._newton = FrictionNewton(self._rows, settings.tolerance, energy, certifiable, self._end)
         self.changes: list[float] = []
+        self.last: FrictionalAnswer | None = None
 
     def run(self, start: Answer | None) -> tuple[FrictionalAnswer, int]:
         """Return the answer and the number of contact problems without friction that it took."""
@@ -175,7 +190,7 @@ class _FixedPoint:
             here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
             if (found := self._newton.run(here)) is not None:
                 return found, 0
-        here = self._first()
+        here = self.last = self._first()
         bound = rows.bound(here.normal_force)
         relaxation, before = RELAXATION[1], None
         states: Combination | None = None
@@ -186,7 +201,7 @@ class _FixedPoint:
                 raise self._not_converged("the time limit is reached")
             states = combination_of(rows.trial(here), bound, rows.stiffness, states)
             try:
-                here = self._solved(states, bound[:, None] * states.direction)
+                here = self.last = self._solved(states, bound[:, None] * states.direction)
             except NoEquilibrium as error:
                 raise self._not_converged(f"the friction bounds of step {step} do not hold the bodies") from error
             missing = rows.bound(here.normal_force) - bound

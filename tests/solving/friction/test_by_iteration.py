@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -195,10 +196,34 @@ def test_what_is_not_iterated_on_is_said_with_the_cure() -> None:
         cq.solve(on_paraboloid((6, 6, 4), sides=False, friction=0.3))
 
 
-def test_a_limit_of_time_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
+def test_a_limit_of_time_is_kept_and_hands_over_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = fresh(BLOCK)
+    right = cq.solve(problem)
     with pytest.raises(cq.NotConverged, match="time limit"):
-        cq.solve(fresh(BLOCK), time_limit=1e-6)
+        cq.solve(problem, time_limit=1e-6)
+    monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
+    with pytest.raises(cq.NotConverged, match="have not settled in 3 steps") as ended:
+        cq.solve(problem, max_iter=3)
+    near = ended.value.solution
+    assert near is not None
+    assert not near.certificate.passed
+    assert np.max(abs(near.normal_force - right.normal_force)) <= 0.05 * np.max(right.normal_force)
+    assert near.certificate.distance is not None  # what is known of its error
+    assert 0 < near.certificate.distance < 0.1
+
+
+def test_gmres_ends_with_the_time_of_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = fresh(BLOCK)
+    cq.solve(problem)  # what lasts is there
+    looks = count()
+    patched = "contactqp.linalg.iteration.refuse_late"
+    monkeypatch.setattr(patched, lambda what: stopped(what) if next(looks) == 2 else None)
+    with pytest.raises(cq.NotConverged, match="before GMRES came to an end"):
+        cq.solve(problem.replace(load=1.1 * problem.load))
+
+
+def stopped(what: str) -> None:
+    raise cq.NotConverged(f"stopped, before {what}")
 
 
 def test_an_algorithm_that_needs_factors_has_a_large_body_factorised(monkeypatch: pytest.MonkeyPatch) -> None:
