@@ -22,7 +22,7 @@ from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
@@ -102,6 +102,9 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     if (near := near_one(problem)) is not None:
         found = critical_friction(near.problem)
         return replace(found, single=near.coefficients(found.single), _friction=problem.friction)
+    if iterated(problem) and may_be_factorised(problem):
+        with factorised(problem):
+            return critical_friction(problem)
     if iterated(problem):
         raise Unsupported("critical_friction: a body this large is not factorised")
     with problem.lock:

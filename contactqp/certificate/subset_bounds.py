@@ -20,6 +20,7 @@ from contactqp.certificate.state_answer import StateVerdict, figures_alone, last
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.iteration import MANY_WITH_FRICTION
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
@@ -28,8 +29,6 @@ from contactqp.model.solution import Answer
 
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000
-# Contacts with friction in space that are as many cost more than those that close, and what it takes to find them.
-MANY_WITH_FRICTION = 300
 # Contact unknowns to begin with.
 FIRST = 1000
 # Layers of unknowns around a penetrated contact whose contacts become candidates with it; around one that closes

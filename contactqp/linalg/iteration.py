@@ -243,8 +243,10 @@ class ContactIteration(ABC):
         return float(np.sqrt(self.dot(x, x)))
 
 
-# A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
+# A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
+# friction from fewer, where its contacts, with three condensed unknowns each, are more than so many.
 LARGE, COUPLED = 200_000, 40
+LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 20_000, 300
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
 LARGEST_BY_SUPERLU = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
@@ -255,25 +257,34 @@ FLOATING = 1e-12
 def iterated(problem: ContactProblem) -> bool:
     """Whether a problem is solved and judged without a factorisation.
 
-    From 200 000 unknowns with more than 40 entries a row where pyamg is installed. What cannot be iterated on, bodies
-    that float and methods that work with factors (`factorised`), is left to PARDISO, which refuses what does not fit
-    into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the variable
-    CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, with more than 300 contacts that rub
+    in space from 20 000. What cannot be iterated on, bodies that float and methods that work with factors
+    (`factorised`), is left to PARDISO, which refuses what does not fit into memory. SuperLU, which cannot tell, is left
+    bodies that float, up to a size. Always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names
+    another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
         return chosen == "pyamg"
-    n = problem.dimension
-    if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
+    if not (_is_large(problem) and available()):
         return False
-    if pardiso.available():
+    if pardiso.available() or problem.dimension < LARGE:
         return not problem._computed.of_stiffness.factorised and held_by_hierarchy(problem)
-    return n > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
+    return problem.dimension > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
 
 
-def may_be_factorised() -> bool:
-    """Whether a body of any size may be: by a solver that refuses what does not fit, and unless the user chose."""
-    return pardiso.available() and not os.environ.get(CHOICE, "")
+def _is_large(problem: ContactProblem) -> bool:
+    n = problem.dimension
+    if not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n:
+        return False
+    in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
+    many = problem.frictional and in_space and problem.contacts > MANY_WITH_FRICTION
+    return n >= (LARGE_WITH_FRICTION if many else LARGE)
+
+
+def may_be_factorised(problem: ContactProblem) -> bool:
+    """Whether a body that is iterated on may be: by a solver that refuses what does not fit, unless the user chose."""
+    return (pardiso.available() or problem.dimension < LARGE) and not os.environ.get(CHOICE, "")
 
 
 @contextmanager
@@ -294,14 +305,14 @@ def factorised(problem: ContactProblem) -> Iterator[None]:
 def held_by_hierarchy(problem: ContactProblem) -> bool:
     """Whether no body floats, as far as a hierarchy can tell; False without pyamg."""
     with problem.lock:
-        if problem._computed.supported is None:
+        if problem._computed.of_stiffness.supported is None:
             try:
                 iteration(problem)
             except (BackendMissing, Unsupported):
-                problem._computed.supported = False
+                problem._computed.of_stiffness.supported = False
             else:
-                problem._computed.supported = True
-        return problem._computed.supported
+                problem._computed.of_stiffness.supported = True
+        return problem._computed.of_stiffness.supported
 
 
 class Iteration(ContactIteration):

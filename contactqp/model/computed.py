@@ -21,6 +21,7 @@ class OfStiffness:
     bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
+    supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
 
 
@@ -52,7 +53,6 @@ class Computed:
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration
     frictional_iteration: Any = None  # linalg.iteration, with the tangential rows
-    supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # linalg.measures: likewise
     parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties

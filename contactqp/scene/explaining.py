@@ -16,7 +16,7 @@ from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import LARGE, iterated
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem, Units
@@ -377,7 +377,9 @@ def _axes(problem: ContactProblem) -> int:
 def _systems(problem: ContactProblem) -> BuildingBlock:
     """Which systems `solve` takes."""
     if iterated(problem):
-        return BuildingBlock("condensation", False, "the body is too large to factorise: it is iterated on")
+        many = problem.frictional and problem.dimension < LARGE
+        why = "contacts that rub are many" if many else "the body is too large to factorise"
+        return BuildingBlock("condensation", False, f"{why}: it is iterated on")
     if constraints_are_many(problem):
         return BuildingBlock("condensation", False, "constraints are many: sparse systems are predicted to cost less")
     rows = [problem.normal, problem.tie] if problem.tangent is None else [problem.normal, problem.tie, problem.tangent]

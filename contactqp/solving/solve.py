@@ -191,7 +191,7 @@ def _solve(
         return found
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    if _works_with_factors(find(method), condense, algorithm) and iterated(problem) and may_be_factorised():
+    if _works_with_factors(find(method), condense, algorithm) and iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
     if algorithm != "associated" and not iterated(problem) and not constraints_are_many(problem):
@@ -205,8 +205,13 @@ def _solve(
         return begin(problem, method, start, **same).finish()
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or same["time_limit"] or time_is_up()
-        if method != DEFAULT_METHOD or limited or iterated(problem):
+        if method != DEFAULT_METHOD or limited:
             raise
+        if iterated(problem):
+            if not (problem.frictional and isinstance(error, NotConverged) and may_be_factorised(problem)):
+                raise
+            with factorised(problem):
+                return _after(error, solve(problem, method, warm_start=warm_start, **same), "factorised")
         if constraints_are_many(problem):
             if not problem.frictional:
                 raise  # the other routes condense
@@ -242,6 +247,16 @@ def _routes(problem: ContactProblem) -> tuple[str, ...]:
     return ROUTES
 
 
+CERTIFIED = "its answer is certified"
+
+
+def _after(error: NotConverged, found: Solution, route: str) -> Solution:
+    """A solution that was found where another way had not converged."""
+    first = error.solution
+    spent = first.work if isinstance(first, Solution) else Work()
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{route}: {CERTIFIED}")))
+
+
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
     """The answer of the first of the other exact routes that is certified; `Work.routes` says what was tried.
 
@@ -266,7 +281,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         except (NotCertified, NotConverged, SeveralEquilibria, BackendFailed, BackendMissing, Unsupported) as other:
             tried.append(str(other))
             continue
-        work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
+        work = replace(found.work.after(spent), routes=(*tried, f"{route}: {CERTIFIED}"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
     error.args = (f"{error}; {', '.join(_routes(problem))} were tried too, and no answer is certified",)

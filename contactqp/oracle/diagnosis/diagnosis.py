@@ -325,7 +325,7 @@ def _best(found: list[Explanation]) -> list[Finding]:
 
 
 def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
-    if too_large(problem):
+    if too_large(problem) or iterated(problem):
         text = (
             f"not examined, the problem being large ({problem.dimension} unknowns, {problem.contacts} contacts): "
             "whether it is the right answer to some other question, such as without ties or with contacts glued"

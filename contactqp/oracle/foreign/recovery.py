@@ -31,7 +31,7 @@ from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
@@ -346,6 +346,10 @@ class _Unknowns:
 
 def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
     """A displacement, and tie forces, from contact forces."""
+    if iterated(problem) and may_be_factorised(problem):
+        with factorised(problem):
+            yield from _displaced(problem, given, missing)
+        return
     if iterated(problem):
         raise Unsupported(
             "certify: forces alone take a factorisation of the stiffness, and the body is too large for one; expected "

@@ -37,7 +37,7 @@ Certifiable = Callable[[Answer, float], bool]
 # Combinations tried from one start.
 MOST = 25
 # The part to which GMRES reduces what is unbalanced of a combination that may not be the last.
-LOOSE = 1e-3
+LOOSE = 1e-2
 # The part of the tolerance that figures of an answer may reach.
 FIGURE = 0.7
 # An error in energy, squared, of so many times what GMRES could not reduce is rounding too.

@@ -226,11 +226,41 @@ def stopped(what: str) -> None:
     raise cq.NotConverged(f"stopped, before {what}")
 
 
-def test_an_algorithm_that_needs_factors_has_a_large_body_factorised(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> cq.ContactProblem:
+    """A block that is large enough to be iterated on, by nobody's choice."""
     monkeypatch.delenv(CHOICE)
-    monkeypatch.setattr("contactqp.linalg.iteration.LARGE", 1)
-    monkeypatch.setattr("contactqp.solving.solve.may_be_factorised", lambda: True)
-    monkeypatch.setattr("contactqp.linalg.pardiso.available", lambda: True)
-    problem = fresh(BLOCK)
-    assert iterated(problem)
-    assert cq.solve(problem).work.solver == "pyamg"
+    monkeypatch.setattr("contactqp.linalg.iteration.LARGE_WITH_FRICTION", 1)
+    monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 20)
+    return fresh(BLOCK)
+
+
+def test_many_contacts_that_rub_are_iterated_on_and_other_algorithms_have_their_factors(
+    large: cq.ContactProblem,
+) -> None:
+    assert iterated(large)
+    assert not iterated(large.replace(friction=0.0))
+    assert not iterated(on_paraboloid((6, 6, 4), sides=False, friction=0.3))
+    solution = cq.solve(large)
+    assert solution.work.solver == "pyamg"
+    exact = factorised(large)
+    assert cq.certify(fresh(large), normal_force=exact.normal_force, friction_force=exact.friction_force).passed
+    few = fresh(large.with_contacts(np.arange(30)))
+    assert iterated(few)
+    assert np.all(cq.critical_friction(few).single > 0)
+    other = cq.solve(large, algorithm="nsgs")
+    assert other.work.factorisations > 0
+    assert other.normal_force == pytest.approx(solution.normal_force, abs=1e-8 * np.max(solution.normal_force))
+
+
+def test_where_the_iteration_ends_without_an_answer_the_body_is_factorised(
+    large: cq.ContactProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
+    monkeypatch.setattr(by_iteration, "MAX_STEPS", 2)
+    with pytest.raises(cq.NotConverged):
+        cq.solve(large, time_limit=600.0)
+    solution = cq.solve(large)
+    assert solution.work.factorisations > 0
+    assert solution.work.routes[0].startswith("tresca with active-set: tresca: the friction bounds have not settled")
+    assert solution.work.routes[1] == "factorised: its answer is certified"
