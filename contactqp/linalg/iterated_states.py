@@ -185,14 +185,15 @@ class FrictionRows:
         by_contact = (values.ravel(), np.arange(values.size), self.width * np.arange(self.m + 1))
         return sp.csr_matrix(sp.csr_matrix(by_contact, (self.m, values.size)) @ self.tangential)
 
-    def turning(self, states: Combination) -> tuple[sp.csr_matrix, Vector]:
-        """Return sqrt(C) (I - t t')E_T ((d-1) m, t), and sqrt(C) (I - t t') slip_origin ((d-1) m,)."""
+    def turning(self, states: Combination) -> sp.csr_matrix:
+        """Return sqrt(C) (I - t t') ((d-1) m, m + k + (d-1) m): times E and the limits, what turns with the slip."""
         t, root = states.direction, np.sqrt(states.turning)
         blocks = root[:, None, None] * (np.eye(self.width) - t[:, :, None] * t[:, None, :])
         size = self.m * self.width
         column = np.repeat(np.arange(size).reshape(self.m, 1, self.width), self.width, axis=1)
         across = sp.csr_matrix((blocks.ravel(), column.ravel(), self.width * np.arange(size + 1)), (size, size))
-        return sp.csr_matrix(across @ self.tangential), np.asarray(across @ self.limit[self.plain :])
+        across.eliminate_zeros()
+        return sp.csr_matrix(sp.hstack([sp.csr_matrix((size, self.plain)), across]))
 
     def turned_friction(self, u: Vector, states: Combination) -> Array:
         """Return C (I - t t')(E_T u - slip_origin) (m, d-1), the friction across t in space. Collective."""
@@ -255,9 +256,10 @@ class CombinationSystem:
             holding.at_rest(iteration.constrained(sp.csr_matrix(entries), limit), states.closed) for entries in (H, G)
         )
         self._turning: sp.csr_matrix | None = None
+        across = rows.turning(states)
         if iteration.any(states.turning > 0):
-            self._turning, self._origin = rows.turning(states)
-        self._smooth = iteration.smoother(self._active)
+            self._turning, self._origin = sp.csr_matrix(across @ iteration.entries), across @ rows.limit
+        self._smooth = iteration.smoother(self._active, across)
         self._scale = np.sqrt(iteration.diagonal)
 
     def closed(self, u: Vector) -> Vector:

@@ -197,9 +197,9 @@ class ContactIteration(ABC):
         Returns x and the number of steps.
         """
 
-    def smoother(self, rows: NDArray[np.intp]) -> Callable[[Vector], Vector]:
-        """M r for bodies that some rows hold; here that for bodies without rows."""
-        del rows
+    def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
+        """M r for bodies that some rows hold, with the springs of (sums of rows) `sprung` E; here for bodies alone."""
+        del rows, sprung
         return self.smooth
 
     # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
@@ -438,9 +438,9 @@ class Iteration(ContactIteration):
         )
         return np.asarray(found), steps[0]
 
-    def smoother(self, rows: NDArray[np.intp]) -> Callable[[Vector], Vector]:
-        """M r for bodies that some rows hold."""
-        return self._hierarchy.cycle(rows)
+    def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
+        """M r for bodies that some rows hold, with the springs of (sums of rows) `sprung` E."""
+        return self._hierarchy.cycle(rows, sprung)
 
     @property
     def own_compliance(self) -> Vector:

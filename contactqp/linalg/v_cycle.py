@@ -119,11 +119,16 @@ class HeldHierarchy:
         other.rows = [LevelRows(row.entries[chosen], row.columns) for row in self.rows]
         return other
 
-    def cycle(self, held: NDArray[np.intp]) -> VCycle:
-        """M for the stiffness K + E'CE, E the rows `held` (h,)."""
+    def cycle(self, held: NDArray[np.intp], sprung: sp.csr_matrix | None = None) -> VCycle:
+        """M for the stiffness K + E'CE, E the rows `held` (h,).
+
+        With `sprung` (s, a) F'F is added too, F = `sprung` times all rows: springs that the stiffness has besides.
+        """
         E, columns = self.rows[0]
         strength = held_strength(E[held].multiply(E[held]) @ (1 / self.levels[0].diagonal[columns]))
-        rows = [LevelRows(sp.csr_matrix(sp.diags(strength) @ row.entries[held]), row.columns) for row in self.rows]
+        parts = [sp.csr_matrix((strength, (np.arange(len(held)), held)), (len(held), E.shape[0]))]
+        factors = sp.vstack(parts if sprung is None else [*parts, sprung], format="csr")
+        rows = [LevelRows(sp.csr_matrix(factors @ row.entries), row.columns) for row in self.rows]
         levels = [_HeldLevel(*parts) for parts in zip(self.levels[:-1], rows[:-1], strict=True)]
         on_coarsest = rows[-1].entries
         return VCycle(levels, HeldCoarsestLevel(self.coarsest, (on_coarsest.T @ on_coarsest).toarray()).solve)

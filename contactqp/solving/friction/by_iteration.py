@@ -30,7 +30,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.iterate import RELAXATION, aitken
 from contactqp.solving.methods import Settings
-from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+from contactqp.solving.methods.inexact_active_set import identified_by_iteration, solve_by_iteration
 
 # Whether every figure of the certificate is at most this part of the tolerance, as it asks of an answer.
 Certifiable = Callable[[Answer, float], bool]
@@ -217,13 +217,16 @@ class _FixedPoint:
         m, width = self._rows.m, self._rows.width
         nothing, everywhere = np.zeros((m, width)), np.ones(m, dtype=bool)
         try:
-            return self._solved(Combination(~everywhere, ~everywhere, nothing, np.zeros(m)), nothing)
+            return self._solved(Combination(~everywhere, ~everywhere, nothing, np.zeros(m)), nothing, roughly=True)
         except NoEquilibrium:
             stuck = Combination(everywhere, everywhere & (self._rows.friction > 0), nothing, np.zeros(m))
-            return self._solved(stuck, nothing)
+            return self._solved(stuck, nothing, roughly=True)
 
-    def _solved(self, states: Combination, prescribed: Array) -> FrictionalAnswer:
-        """Return the answer where some contacts stick and the others have the prescribed friction (m, d-1)."""
+    def _solved(self, states: Combination, prescribed: Array, roughly: bool = False) -> FrictionalAnswer:
+        """Return the answer where some contacts stick and the others have the prescribed friction (m, d-1).
+
+        Roughly is with the closed contacts that signs agree with, and forces of a few digits.
+        """
         rows, m = self._rows, self._rows.m
         k = rows.plain - m
         iteration, limit = rows.sticking(states.stick)
@@ -231,7 +234,10 @@ class _FixedPoint:
         tangential = np.concatenate([np.zeros(rows.plain), prescribed.ravel()])
         limits = _Limits(self._problem.load - self._iteration.forces(tangential), limit[:m], limit[m:])
         seconds = None if np.isinf(self._end) else max(self._end - time.perf_counter(), 0.0)
-        candidate = solve_by_iteration(limits, iteration, replace(self._settings, time_limit=seconds), self._energy)
+        settings = replace(self._settings, time_limit=seconds)
+        candidate = identified_by_iteration(limits, iteration, settings) if roughly else None
+        if candidate is None:
+            candidate = solve_by_iteration(limits, iteration, settings, self._energy)
         self._iteration.krylov_iterations += iteration.krylov_iterations - before
         # What the first answers have not settled, later steps do.
         if self.changes and not candidate.claimed:
