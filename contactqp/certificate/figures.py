@@ -473,8 +473,8 @@ def law_residual(
 
 
 def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
-    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
-    return _inverse(entries.largest(entries.over(meeting)))
+    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one; zero where no force meets."""
+    return np.where(entries.meets(meeting), _inverse(entries.largest(entries.over(meeting))), 0.0)
 
 
 def least_force(entries: ContactEntries, none: Vector) -> Vector:
@@ -483,7 +483,8 @@ def least_force(entries: ContactEntries, none: Vector) -> Vector:
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
-    """(m,) at least the largest |l_T| whose own measure is one, and whether every direction of it is felt.
+    """(m,) at least the largest |l_T| whose own measure is one, zero where no force meets, and whether every direction
+    of it is felt.
 
     max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
     """
@@ -491,14 +492,15 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     unit = _inverse(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]
     own = [entries.sums(row * row) for row in scaled]
+    meets = entries.meets(meeting)
     if len(own) == 1:
-        return unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), own[0] > 0
+        return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), 0.0), own[0] > 0
     shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
     sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
     felt = sine > PARALLEL
     largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
     smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
-    return unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
+    return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), 0.0), felt
 
 
 def _inverse(size: Vector) -> Vector:

@@ -33,6 +33,10 @@ class ContactEntries:
             scaled = np.where(F > 0, scaled, idle)
         return scaled
 
+    def meets(self, meeting: Vector) -> NDArray[np.bool_]:
+        """(m,) whether any force meets at an unknown of a contact."""
+        return self.sums((meeting[self.unknown] > 0).astype(float)) > 0
+
     def largest(self, values: NDArray[np.float64]) -> Vector:
         """The largest size (m,) of values (w, z), contact by contact."""
         found = np.zeros(self.contacts)

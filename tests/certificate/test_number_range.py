@@ -250,3 +250,19 @@ def test_where_other_answers_are_beyond_doubles_nothing_is_said_of_them() -> Non
     )  # fmt: skip
     judged = cq.certify(problem, displacement=[0.0], normal_force=[0.0, 0.0], friction_force=[[0.0], [0.0]])
     assert not judged.passed
+
+
+@pytest.mark.parametrize("force", [1.0, 2.0**-5, 2.0**-40, 2.0**60])
+def test_the_law_is_measured_alike_in_all_units_where_nothing_meets_along_a_tangent(force: float) -> None:
+    """Two masses rest on a floor, and one of them is said to be pulled down: no force acts along the floor."""
+    masses = dict(
+        stiffness=np.array([[2.0, 0.0, -1.0, 0.0], [0.0] * 4, [-1.0, 0.0, 1.0, 0.0], [0.0] * 4]),
+        load=np.array([0.0, -2.0, 0.0, -1.0]),
+        normal=np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]]),
+        gap=np.zeros(2),
+        tangent=np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]),
+        friction=0.25,
+    )
+    judged = cq.certify(in_units(masses, 1.0, force), np.zeros(4), np.array([-1.0, 1.0]) * force, np.zeros((2, 1)))
+    assert judged.tension == pytest.approx(1 / 3)
+    assert judged.natural_map == pytest.approx(1 / 3 / 1.25)
