@@ -8,7 +8,9 @@ A box of hexahedra (a rectangle of quadrilaterals in the plane) twice as wide as
 supports on its top, or pressed onto it by forces and held by two planes of symmetry (`free along z`) or by nothing at
 all (`free`). Two boxes meet by the mortar. Every cell is a process of its own, which poses the problem, solves it once
 by `cq.solve` with its certificate, and says seconds, peak memory, the way that was taken and what the certificate
-states; posing it is not timed. A cell that ends with an error says that error. Threads are those of the environment.
+states; posing it is not timed. With `--forge` its largest contact force is then made a hundredth larger, and the answer
+to a load a hundredth larger is taken for its own: the certificate has to refuse both. A cell that ends with an error
+says that error. Threads are those of the environment.
 """
 
 from __future__ import annotations
@@ -154,7 +156,19 @@ ROWS: dict[str, Callable[[int, bool], tuple[float, Any]]] = {
 }
 
 
-def cell(row: str, size: str) -> dict[str, Any]:
+def _forgeries_refused(solution: Any) -> bool:
+    """Whether one force that is a hundredth off is refused, and so is the right answer to a load a hundredth larger."""
+    problem, force = solution.problem, solution.normal_force.copy()
+    force[int(np.argmax(force))] *= 1.01
+    other = cq.solve(problem.replace(load=1.01 * problem.load), warm_start=solution)
+    forged = (
+        (solution.displacement, force, solution.friction_force, solution.tie_force),
+        (other.displacement, other.normal_force, other.friction_force, other.tie_force),
+    )
+    return not any(cq.certify(problem, *answer).passed for answer in forged)
+
+
+def cell(row: str, size: str, forge: bool = False) -> dict[str, Any]:
     """What one cell came to, in this process."""
     cells, plane = SIZES[size], size.startswith("plane")
     try:
@@ -171,11 +185,12 @@ def cell(row: str, size: str) -> dict[str, Any]:
         "verdict": ("passed" if certificate.passed else "REFUSED") + (", proven" if certificate.proven else ""),
         "error_bound": certificate.energy_error,
         "back_substitutions": work.back_substitutions,
+        "forgeries_refused": _forgeries_refused(solution) if forge else None,
     }
 
 
-def _in_a_process(row: str, size: str) -> dict[str, Any]:
-    command = [sys.executable, "-m", "benchmarks.at_size", "--cell", row, size]
+def _in_a_process(row: str, size: str, forge: bool) -> dict[str, Any]:
+    command = [sys.executable, "-m", "benchmarks.at_size", "--cell", row, size, *(["--forge"] if forge else [])]
     try:
         ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     except subprocess.TimeoutExpired:
@@ -184,6 +199,9 @@ def _in_a_process(row: str, size: str) -> dict[str, Any]:
         return {"error": f"ended with {ended.returncode}: {(ended.stderr.strip().splitlines() or [''])[-1]}"}
     found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
     return found
+
+
+FORGED = {None: "", True: ", 1 % off: refused", False: ", 1 % off: PASSED"}
 
 
 def _line(row: str, size: str, found: dict[str, Any], reference: float | None) -> str:
@@ -196,6 +214,7 @@ def _line(row: str, size: str, found: dict[str, Any], reference: float | None) -
         f"{head}{found['seconds']:9.2f} s{price:>7} x{found['memory']:7.2f} GiB  {found['unknowns']} unknowns, "
         f"{found['closed']} of {found['contacts']} contacts, {found['solver']}, "
         f"{found['back_substitutions']} back-substitutions, {found['verdict']}{bound}"
+        f"{FORGED[found['forgeries_refused']]}"
     )
 
 
@@ -203,10 +222,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", nargs="+", choices=list(SIZES), default=["20k", "74k"])
     parser.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS))
+    parser.add_argument("--forge", action="store_true", help="have wrong answers refused, too; memory is then of both")
     parser.add_argument("--cell", nargs=2, help=argparse.SUPPRESS)
     chosen = parser.parse_args(arguments)
     if chosen.cell:
-        found = cell(*chosen.cell)
+        found = cell(*chosen.cell, chosen.forge)
         found["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(json.dumps(found))
         return 0
@@ -215,7 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
     for size in chosen.sizes:
         reference = None
         for row in chosen.rows:
-            found = _in_a_process(row, size)
+            found = _in_a_process(row, size, chosen.forge)
             reference = found.get("seconds") if row == "frictionless" else reference
             print(_line(row, size, found, reference), flush=True)
     return 0

@@ -246,7 +246,7 @@ class ContactIteration(ABC):
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
 # friction from fewer, where its contacts, with three condensed unknowns each, are more than so many.
 LARGE, COUPLED = 200_000, 40
-LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 20_000, 300
+LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 10_000, 300
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
 LARGEST_BY_SUPERLU = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
@@ -258,7 +258,7 @@ def iterated(problem: ContactProblem) -> bool:
     """Whether a problem is solved and judged without a factorisation.
 
     From 200 000 unknowns with more than 40 entries a row where pyamg is installed, with more than 300 contacts that rub
-    in space from 20 000. What cannot be iterated on, bodies that float and methods that work with factors
+    in space from 10 000. What cannot be iterated on, bodies that float and methods that work with factors
     (`factorised`), is left to PARDISO, which refuses what does not fit into memory. SuperLU, which cannot tell, is left
     bodies that float, up to a size. Always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names
     another solver.
