@@ -10,11 +10,12 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import sys
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -78,6 +79,35 @@ def print_error(message: str, code: str, ending: int) -> None:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+# Seconds after which a command says where it is, and between two such words.
+LONG, BETWEEN = 2.0, 0.2
+
+
+@contextmanager
+def whereabouts() -> Iterator[Callable[[str], None] | None]:
+    """Yield what shows a few words on a terminal, in one line of the standard error that is taken away at the end.
+
+    Nothing is shown of what is done at once, and None is yielded where the standard error is no terminal.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    begun, shown = time.monotonic(), [0.0]
+
+    def show(text: str) -> None:
+        now = time.monotonic()
+        if now - begun >= LONG and now - shown[0] >= BETWEEN:
+            shown[0] = now
+            line = f"{now - begun:.0f} s: {text}"[: shutil.get_terminal_size().columns - 1]
+            click.echo(f"\r\x1b[K{line}", nl=False, err=True, color=True)
+
+    try:
+        yield show
+    finally:
+        if shown[0]:
+            click.echo("\r\x1b[K", nl=False, err=True, color=True)
 
 
 def refuse_doubts(_: click.Context, __: click.Parameter, strict: bool) -> bool:

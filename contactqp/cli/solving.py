@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option
+from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option, whereabouts
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported
-from contactqp.linalg.runtime import cores, within_time
+from contactqp.linalg.runtime import cores, telling, within_time
 from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
@@ -232,7 +233,8 @@ def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bo
     from contactqp.scene.judging import Failure, judge_all
     from contactqp.scene.printing import judgement_data
 
-    with within_time(asked.time_limit):
+    here = terminal is None and asked.engine == SERIAL  # others write to the same terminal
+    with within_time(asked.time_limit), whereabouts() if here else nullcontext() as shown, telling(shown):
         found = judge_all(scene, asked.methods, asked.knobs, asked.engine, asked.checkpoint)
     failures = [outcome for outcome in found if isinstance(outcome, Failure)]
     speakers.meet(_failed((failure.message, failure.code) for failure in failures))

@@ -92,8 +92,30 @@ def timed() -> Iterator[StageClock]:
         RUNNING.reset(token)
 
 
+# Who is told where the call that runs is, if anybody.
+_LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("who is told where the call is", default=None)
+
+
+@contextmanager
+def telling(progress: Callable[[str], object] | None) -> Iterator[None]:
+    """Have `tell` call a function while this lasts; None leaves the one that there is."""
+    token = _LISTENER.set(_LISTENER.get() if progress is None else progress)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)
+
+
+def tell(where: str) -> None:
+    """Say in a few words what is done now."""
+    listener = _LISTENER.get()
+    if listener is not None:
+        listener(where)
+
+
 def stage(name: str) -> AbstractContextManager[None]:
-    """Charge what happens meanwhile to a stage, if a clock runs."""
+    """Say that a stage begins, and charge what happens meanwhile to it if a clock runs."""
+    tell(name)
     clock = RUNNING.get()
     return _UNTIMED if clock is None else clock.within(name)
 

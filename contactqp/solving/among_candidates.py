@@ -21,6 +21,7 @@ from contactqp.certificate.subset_bounds import (
 )
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
@@ -42,6 +43,7 @@ def solve_among(
     started = time.perf_counter()
     candidates, spent = _first(problem, start, without_friction)
     while candidates is not None:
+        tell(f"{len(candidates)} of {problem.contacts} contacts are candidates")
         few = among(problem, candidates)
         try:
             solution = solve(few, _restricted(start, few, candidates))

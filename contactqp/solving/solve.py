@@ -19,6 +19,7 @@ from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
+    InvalidProblem,
     NoEquilibrium,
     NotCertified,
     NotConverged,
@@ -27,7 +28,7 @@ from contactqp.errors import (
     refuse_other,
 )
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
-from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, time_is_up, within_time
+from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
@@ -84,6 +85,7 @@ def solve(
     max_iter: int | None = None,
     warm_start: Any = None,
     algorithm: str | None = None,
+    progress: Callable[[str], object] | None = None,
     **options: Any,
 ) -> Solution | LocalSolution:
     """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate.
@@ -126,6 +128,9 @@ def solve(
         "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`): it
         is approximate by design, and its answer is returned although the certificate refuses it wherever something
         slides.
+    progress : callable, optional
+        Is called with a few words on what is done now, such as ``"condense"`` or ``"contact set 3: 577 closed"``,
+        whenever that changes. An exception that it raises ends the call.
     **options
         What the method names in its `options`: `penalty`, `tangential_penalty` and `perturbation` [force / length],
         `update`, `solver`.
@@ -158,10 +163,19 @@ def solve(
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
     """
-    if engine == SERIAL:  # other engines have methods of their own
-        method = registered_name(method)
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
+    if progress is not None and not callable(progress):
+        raise InvalidProblem(f"progress: expected a function of one text, got {type(progress).__name__}")
+    with telling(progress):
+        return _solve_any(problem, method, engine, condense, warm_start, same)
+
+
+def _solve_any(
+    problem: Any, method: str, engine: str, condense: bool | str, warm_start: Any, same: dict[str, Any]
+) -> Solution | LocalSolution:
+    if engine == SERIAL:  # other engines have methods of their own
+        method = registered_name(method)
     if engine != SERIAL:
         refuse_unknown_engine(engine)
     if isinstance(problem, LocalProblem):
@@ -172,8 +186,8 @@ def solve(
         return solve_local(problem, method, warm_start=warm_start, **same)
     if type(problem) is not ContactProblem:
         refuse_other("solve", problem, ContactProblem, LocalProblem)
-    refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
-    with within_time(time_limit):
+    refuse_arguments(same["tolerance"], condense, same["polish"], same["time_limit"], same["max_iter"])
+    with within_time(same["time_limit"]):
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
 
 

@@ -22,7 +22,7 @@ from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_dri
 from contactqp.linalg.interior_point import solved_from
 from contactqp.linalg.iteration import held_by_hierarchy, iterated, iteration
 from contactqp.linalg.refinement import shift_to_least_norm
-from contactqp.linalg.runtime import on_one_thread, refuse_late
+from contactqp.linalg.runtime import on_one_thread, refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many, uniqueness
 from contactqp.model.problem import ContactProblem
@@ -99,6 +99,7 @@ class SparseRun(Run):
             yield found
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
+            tell(f"{name} finds the closed contacts")
             given = Settings(tolerance, None, settings.time_limit, None, {})
             try:
                 found = find(name).solve(self._twin if scaled else self.problem, given)
@@ -124,6 +125,7 @@ class SparseRun(Run):
 
     def _settle(self, candidate: Candidate) -> ClosedState:
         """What a candidate leads to, which is kept if it is a solution."""
+        tell("sparse systems settle the closed contacts")
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
         state = solved_from(self._twin, answer, self._effort)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.runtime import stated_limit
+from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.admm import admm
@@ -172,6 +172,7 @@ def run_algorithm(
     try:
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
+            tell(f"{name}, step {found.iterations}: the law is violated by {found.error:.1e}")
             last = found.iterations >= limit or deadline.passed or _stagnates(history, patience)
             nearest = found
             if polish and (found.iterations >= next_polish or last or found.error <= nearly):

@@ -26,6 +26,7 @@ from contactqp.linalg.iterated_states import (
     combination_of,
 )
 from contactqp.linalg.iteration import ContactIteration
+from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.iterate import RELAXATION, aitken
@@ -63,12 +64,14 @@ class FrictionNewton:
         here, before = start, None
         states: Combination | None = None
         seen: dict[object, int] = {}
-        for _ in range(MOST):
+        for number in range(1, MOST + 1):
             if self._iteration.any(time.perf_counter() > self._end):
                 return None
             states = self._rows.coulomb(here, states)
             if not self._rows.sticking(states.stick)[0].supports(states.closed, self._problem.load):
                 return None
+            closed, stick = (self._iteration.count(flags) for flags in (states.closed, states.stick))
+            tell(f"combination {number} of open, stick and slip: {closed} closed, {stick} of them stick")
             mark = self._iteration.mark(states.flags)
             again = mark == before
             seen[mark] = seen.get(mark, 0) + 1
@@ -199,6 +202,7 @@ class _FixedPoint:
                 return found, step
             if self._iteration.any(time.perf_counter() > self._end):
                 raise self._not_converged("the time limit is reached")
+            tell(f"friction bounds, step {step}")
             states = combination_of(rows.trial(here), bound, rows.stiffness, states)
             try:
                 here = self.last = self._solved(states, bound[:, None] * states.direction)

@@ -24,7 +24,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
-from contactqp.linalg.runtime import stated_limit
+from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -82,6 +82,7 @@ def solve_tresca(
     tried: dict[bytes, float] = {}  # combinations, and the change of the bound from which each was last refined
     limit = MAX_STEPS if settings.max_iter is None else settings.max_iter
     for step in range(1, limit + 1):
+        tell(f"friction bounds, step {step}")
         try:
             found = run.with_bound(bound)
         except NoEquilibrium as error:

@@ -121,7 +121,17 @@ def find(name: str) -> Method:
 
 
 # Arguments of `solve` that every method has, and what other packages call them.
-ARGUMENTS = ("tolerance", "condense", "polish", "time_limit", "max_iter", "warm_start", "algorithm", "method")
+ARGUMENTS = (
+    "tolerance",
+    "condense",
+    "polish",
+    "time_limit",
+    "max_iter",
+    "warm_start",
+    "algorithm",
+    "progress",
+    "method",
+)
 ELSEWHERE = {"tol": "tolerance", "eps": "tolerance", "eps_abs": "tolerance", "rtol": "tolerance", "atol": "tolerance",
              "solver": "method", "maxiter": "max_iter", "max_iterations": "max_iter", "timeout": "time_limit",
              "initvals": "warm_start", "x0": "warm_start", "beta": "penalty", "kappa": "perturbation"}  # fmt: skip

@@ -22,6 +22,7 @@ from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
 from contactqp.linalg.iteration import ConstrainedRows, ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.measures import beyond, ratio
+from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Settings
@@ -133,6 +134,7 @@ class _Search:
         sets = 0
         while True:
             sets += 1
+            tell(f"contact set {sets}: {self.way.count(self.closed)} closed")
             mark = self.way.mark(self.closed)
             if mark in self.seen:
                 self.trust *= TIGHTER
