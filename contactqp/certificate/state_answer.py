@@ -55,6 +55,9 @@ COMBINATIONS = 10
 ROUNDING_OF_FIGURES = 1e-10
 # A turn of slip directions that changes the displacement by this part of its energy norm is the last.
 SETTLED_TURN = 1e-10
+# Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
+MOST_COMPARING = 150
+FAR = "it is far from the answers of the combinations that it leads to"
 # Steps of conjugate gradients towards the response to forces.
 MOST_STEPS = 200
 # Signs that fail by this part of the limit of the distance leave the combination as it is.
@@ -314,6 +317,7 @@ class _IteratedBodies:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._iteration = problem, frictional_iteration(problem)
+        self._before = self._iteration.krylov_iterations
         self._rows = FrictionRows(problem, self._iteration)
         self.width, self.rubs = self._rows.width, self._rows.friction > 0
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
@@ -327,8 +331,11 @@ class _IteratedBodies:
         here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
         states = self._rows.in_states(status, here)
         for _ in range(TURNS):
+            left = self._before + MOST_COMPARING - self._iteration.krylov_iterations
+            if left <= 0:
+                raise BackendFailed(FAR)
             system = CombinationSystem(self._rows, states)
-            found = system.answer(system.solved(system.closed(here.displacement), ROUNDING_OF_FIGURES, ENERGY))
+            found = system.answer(system.solved(system.closed(here.displacement), ROUNDING_OF_FIGURES, ENERGY, left))
             last = Answer(
                 found.displacement - here.displacement,
                 found.normal_force - here.normal_force,

@@ -284,7 +284,7 @@ class CombinationSystem:
         """Return |r'P_H M r|, about the square of the error in energy."""
         return abs(self._iteration.dot(unbalanced, self._along(unbalanced)))
 
-    def solved(self, x: Vector, tolerance: float, energy: float) -> Vector:
+    def solved(self, x: Vector, tolerance: float, energy: float, most: int = ROUNDS * STEPS) -> Vector:
         """Return the displacement from one that is closed, as exact as equilibrium and energy ask, or as GMRES comes.
 
         Parameters
@@ -295,12 +295,18 @@ class CombinationSystem:
             Of the equilibrium at each unknown, of which EQUILIBRIUM is aimed at.
         energy : float
             The error in energy, as a part of the energy norm of x.
+        most : int
+            Steps of GMRES in all.
         """
+        last = self._iteration.krylov_iterations + most
         for _ in range(ROUNDS):
             unbalanced = self.unbalanced(x)
             if self._small(x, unbalanced, ROUNDING) or self.enough(x, unbalanced, tolerance, energy):
                 break
-            x = self.improved(x, self._reduction(x, unbalanced, tolerance, energy))
+            left = last - self._iteration.krylov_iterations
+            if left <= 0:
+                break
+            x = self.improved(x, self._reduction(x, unbalanced, tolerance, energy), min(left, STEPS))
         return x
 
     def enough(self, x: Vector, residual: Vector, tolerance: float, energy: float, floor: float = 0.0) -> bool:
@@ -327,7 +333,7 @@ class CombinationSystem:
         balanced = EQUILIBRIUM * tolerance / left if left > 0 else np.inf
         return float(np.clip(AIM * min(allowed, balanced), TIGHTEST, LOOSEST))
 
-    def improved(self, x: Vector, reduction: float) -> Vector:
+    def improved(self, x: Vector, reduction: float, most: int = STEPS) -> Vector:
         """Return x after GMRES has reduced what is unbalanced at it to this part, or as far as it comes."""
         scale, unbalanced = self._scale, self.unbalanced(x)
         if self._small(x, unbalanced, ROUNDING):
@@ -336,7 +342,7 @@ class CombinationSystem:
         def operator(y: Vector) -> Vector:
             return np.asarray(self._on_g.balanced(self._stiffness(self._along(scale * y))) / scale)
 
-        found, steps = self._iteration.gmres(operator, unbalanced / scale, reduction, STEPS)
+        found, steps = self._iteration.gmres(operator, unbalanced / scale, reduction, most)
         self._iteration.krylov_iterations += steps
         return np.asarray(x + self._along(scale * found))
 
