@@ -31,6 +31,7 @@ from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force
 from contactqp.certificate.failures import failed_errors
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
 from contactqp.linalg.factorization import inverse_root
@@ -317,6 +318,7 @@ class _IteratedBodies:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._iteration = problem, frictional_iteration(problem)
+        refuse_indefinite_by_iteration(problem, self._iteration)
         self._before = self._iteration.krylov_iterations
         self._rows = FrictionRows(problem, self._iteration)
         self.width, self.rubs = self._rows.width, self._rows.friction > 0

@@ -11,6 +11,7 @@ from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import DENSE_SIZE, SuperLU, inverse_root, with_added_diagonal
+from contactqp.linalg.iteration import ContactIteration
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -21,6 +22,8 @@ CURVED = 1e-12
 REGULAR = 1e-8
 # Unknowns of a direction that a message names.
 NAMED = 6
+# Steps of conjugate gradients that show a negative eigenvalue.
+STEPS = 15
 
 
 def refuse_indefinite(problem: ContactProblem) -> None:
@@ -91,6 +94,12 @@ def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
         return None
     z = np.zeros(problem.dimension)
     z[acting] = scale[acting] * direction
+    _refuse_curved(problem, z)
+    return None
+
+
+def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
+    """Raise InvalidProblem if K has negative curvature along z (n,) that is no rounding of its entries."""
     z = z / np.max(abs(z))
     curvature = extend(z).dot(extended_rows(problem).stiffness @ extend(z))
     if curvature < -CURVED * float(abs(z) @ (problem.stiffness_sizes @ abs(z))):
@@ -99,7 +108,24 @@ def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
             f"stiffness: expected positive semidefinite, got z'Kz = {curvature:.3g} along a direction z whose largest "
             f"entry is one ({names}): the energy is not convex"
         )
-    return None
+
+
+def refuse_indefinite_by_iteration(problem: ContactProblem, way: ContactIteration) -> None:
+    """Raise InvalidProblem if conjugate gradients from a random force meet a direction of negative curvature; once.
+
+    A preconditioner that leaves the positive eigenvalues of M K between a fifth and one makes a negative one show
+    itself in a dozen steps, which amplify it by three each; GMRES would not notice.
+    """
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.convex or of_stiffness.convex_by_iteration:
+        return
+    random = np.random.default_rng(0).standard_normal(problem.dimension)
+    run = way.run_without_rows(np.sqrt(problem.diagonal) * random)
+    while run.steps < STEPS and run.step():
+        way.krylov_iterations += 1
+    if run.fall is not None:
+        _refuse_curved(problem, run.fall)
+    of_stiffness.convex_by_iteration = True
 
 
 def _lowest(matrix: Any) -> Vector | None:

@@ -77,6 +77,7 @@ class ConjugateGradients:
         self._square: float | None = None  # rho of the residual as it is; None until M is applied to it
         self._before, self._before_size = np.inf, 1.0  # rho of the residual before it, and that residual squared
         self._direction = np.zeros(0)
+        self.fall: Vector | None = None  # a direction d with d'K d < 0, where one was met
 
     @property
     def steps(self) -> int:
@@ -115,6 +116,7 @@ class ConjugateGradients:
         force = self._product(self._direction)
         stiffness = float(self._dot(self._direction, force))
         if not (square > 0 and stiffness > 0 and np.isfinite(stiffness)):
+            self.fall = self._direction if stiffness < 0 else None
             return False
         length = square / stiffness
         self.x += length * self._direction

@@ -23,6 +23,7 @@ class OfStiffness:
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
     supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
+    convex_by_iteration: bool = False  # linalg.convexity: whether a run of conjugate gradients met none
 
 
 @dataclass(eq=False)

@@ -19,6 +19,7 @@ from contactqp.certificate.figures import holds, holds_by_products, rounded_slip
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
+from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
@@ -249,6 +250,7 @@ class IteratedFrictionRun(Run):
         self.name = f"tresca with {method.name}"
         self._iteration = frictional_iteration(problem)
         self._before = self._iteration.krylov_iterations
+        refuse_indefinite_by_iteration(problem, self._iteration)
         start = _known_answer(problem, settings.warm_start)
         certifiable = partial(holds_by_products, problem)
         with on_one_thread():  # nothing dense here is large
@@ -277,7 +279,7 @@ class IteratedFrictionRun(Run):
 
 def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
     """The answer that a warm start is, if it has friction."""
-    if known is None or known.friction_force is None:
+    if known is None or known.friction_force is None or not known.finite:
         return None
     friction = known.friction_force.reshape(problem.contacts, -1)
     return Answer(known.displacement, known.normal_force, friction, known.tie_force)

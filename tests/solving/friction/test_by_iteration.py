@@ -106,6 +106,26 @@ def test_the_fixed_point_comes_to_the_same_without_newton(name: str, monkeypatch
     assert np.max(abs(solution.friction_force - reference.friction_force)) <= 1e-7 * push
 
 
+@pytest.mark.parametrize("too_much", [1.004, 1.3])
+def test_an_indefinite_stiffness_is_refused_where_no_coarse_level_shows_it(
+    too_much: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few unknowns in the middle of the block have negative energy along one of their motions."""
+    monkeypatch.setattr(multigrid, "COARSEST", 100)
+    problem = fresh(BLOCK)
+    right = cq.solve(problem)
+    K = sp.csr_matrix(problem.stiffness)
+    row = K[problem.dimension // 2]
+    near = row.indices[np.argsort(-abs(row.data))][:9]
+    values, vectors = np.linalg.eigh(K[near][:, near].toarray())
+    z = np.zeros((problem.dimension, 1))
+    z[near, 0] = vectors[:, -1]
+    curved = problem.replace(stiffness=K - too_much * values[-1] * sp.csr_matrix(z) @ sp.csr_matrix(z).T)
+    for ask in (cq.solve, lambda one: cq.certify(one, right.displacement, right.normal_force, right.friction_force)):
+        with pytest.raises(cq.InvalidProblem, match="expected positive semidefinite, got z'Kz = -"):
+            ask(curved)
+
+
 def test_a_next_step_starts_from_the_one_before() -> None:
     problem = fresh(BLOCK)
     first = cq.solve(problem)
