@@ -12,6 +12,8 @@ A sign that fails is measured by what mending it would change: a length over |E_
 root of the energy that closes it with all other unknowns held; forces by the energy of their response. It is added to
 the distance, so that contacts at the border of two states may be taken in either.
 
+Bodies that are not factorised have the system of a combination solved by GMRES, in double precision.
+
 This is a comparison, no proof: other equilibria may exist (`contactqp.certificate.uniqueness`). Where forces of
 redundant contacts are not unique, or the system has no inverse, the figures remain, and the minimisation with the
 friction forces held: u and l_N of an equilibrium minimise 1/2 u'Ku - (f - E_T'l_T)'u over E_N u <= g, for which bounds
@@ -71,6 +73,7 @@ UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
     "system of that is singular to working precision"
 )
+BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11
 
@@ -156,7 +159,8 @@ def state_verdict(
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
-    return StateVerdict(STATE, largest, distance.displacement[1], failures, displacement=compared.displacement)
+    said = (BY_ITERATION,) if isinstance(bodies, _IteratedBodies) else ()
+    return StateVerdict(STATE, largest, distance.displacement[1], failures, said, compared.displacement)
 
 
 def remember_verdict(

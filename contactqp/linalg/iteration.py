@@ -170,7 +170,7 @@ class ContactIteration(ABC):
     @property
     @abstractmethod
     def entries(self) -> sp.csr_matrix:
-        """E (m + k + ..., t) over the unknowns that its rows touch."""
+        """Return E (m + k + ..., t) over the unknowns that its rows touch."""
 
     @abstractmethod
     def of_rows(self, chosen: NDArray[np.intp]) -> ContactIteration:
@@ -198,7 +198,7 @@ class ContactIteration(ABC):
         """
 
     def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
-        """M r for bodies that some rows hold, with the springs of (sums of rows) `sprung` E; here for bodies alone."""
+        """Return the function M r for bodies that rows hold and springs on `sprung` E join; here for bodies alone."""
         del rows, sprung
         return self.smooth
 
@@ -391,7 +391,7 @@ class Iteration(ContactIteration):
 
     @property
     def entries(self) -> sp.csr_matrix:
-        """E (m + k + ..., t) over the unknowns that its rows touch."""
+        """Return E (m + k + ..., t) over the unknowns that its rows touch."""
         return self.rows
 
     def of_rows(self, chosen: NDArray[np.intp]) -> Iteration:
@@ -439,7 +439,7 @@ class Iteration(ContactIteration):
         return np.asarray(found), steps[0]
 
     def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
-        """M r for bodies that some rows hold, with the springs of (sums of rows) `sprung` E."""
+        """Return the function M r for bodies that some rows hold and springs on sums of rows, `sprung` E, join."""
         return self._hierarchy.cycle(rows, sprung)
 
     @property

@@ -43,15 +43,15 @@ class HeldLevel(ABC):
 
     @abstractmethod
     def product(self, x: Array) -> Array:
-        """(K + E'CE) x."""
+        """Return the forces (K + E'CE) x of a displacement."""
 
     @abstractmethod
     def restricted(self, r: Array) -> Array:
-        """P'r."""
+        """Return P'r, a force on the next coarser level."""
 
     @abstractmethod
     def prolonged(self, z: Array) -> Array:
-        """P z."""
+        """Return P z, a displacement of the next coarser level on this one."""
 
     def smooth(self, r: Array, terms: int) -> tuple[Array, Array, Array]:
         """Chebyshev's polynomial from zero (Saad 2003, algorithm 12.1): z, its last step, the residual before that."""

@@ -41,7 +41,7 @@ from contactqp.solving.friction.newton import refined
 from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.friction.sparse_newton import solve_sparse_newton
 from contactqp.solving.methods import Method, Settings, find
-from contactqp.solving.runs import CondensedRun, Meter, Run, described
+from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
 def solve_associated(problem: ContactProblem, method: Method, settings: Settings) -> tuple[Answer, str]:
@@ -232,7 +232,7 @@ class SparseFrictionRun(FrictionRun):
         )
 
 
-class IteratedFrictionRun(Run):
+class IteratedFrictionRun(RunByIteration):
     """Coulomb's answer on a body too large to factorise, by Tresca's fixed point and Newton's method.
 
     Raises
@@ -244,37 +244,20 @@ class IteratedFrictionRun(Run):
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
-        if method.kind != "active set":
-            raise Unsupported(f"{method.name}: a body this large is only iterated on, by active-set; {_FACTORISE}")
-        super().__init__(problem, method)
+        super().__init__(problem, method, frictional_iteration)
         self.name = f"tresca with {method.name}"
-        self._iteration = frictional_iteration(problem)
-        self._before = self._iteration.krylov_iterations
-        refuse_indefinite_by_iteration(problem, self._iteration)
+        refuse_indefinite_by_iteration(problem, self.iteration)
         start = _known_answer(problem, settings.warm_start)
         certifiable = partial(holds_by_products, problem)
         with on_one_thread():  # nothing dense here is large
             self.candidate = solve_friction_by_iteration(
-                problem, self._iteration, settings.now, start, ENERGY, certifiable
+                problem, self.iteration, settings.now, start, ENERGY, certifiable
             )
 
     def final(self) -> Final:
         """The answer that is to be certified: the candidate."""
         found = self.candidate
         return Final(found.displacement, found.normal_force, found.tie_force, friction_force=found.friction_force)
-
-    def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-        return Work(
-            iterations=self.candidate.iterations,
-            retained=self.problem.dimension,
-            polish_corrections=corrections,
-            solver=self._iteration.solver,
-            krylov_iterations=self._iteration.krylov_iterations - self._before,
-        )
-
-    def refuse_conflict(self) -> None:
-        """Does nothing: constraints that conflict are not told from others without a factorisation."""
 
 
 def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
@@ -292,7 +275,8 @@ STEPS_BEFORE_LISTING = 20
 
 
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
-    """An answer by `algorithm`. None is, in the plane, Newton's method in sparse systems where contacts are many, else
+    """An answer by `algorithm`. None is, on bodies that are iterated on, Tresca's fixed point and Newton's method by
+    iteration; else, in the plane, Newton's method in sparse systems where contacts are many, else
     from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
     enumeration where contacts are few; in space the algorithms of the local form, by steps of `method` where that is
     not the default.

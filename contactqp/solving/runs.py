@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -420,7 +420,39 @@ def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, V
 _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
 
 
-class IteratedRun(Run):
+class RunByIteration(Run):
+    """A run on a body too large to factorise: what it has cost are steps of its iteration.
+
+    Raises
+    ------
+    Unsupported
+        Another method than the active set.
+    """
+
+    def __init__(self, problem: ContactProblem, method: Method, way: Callable[[ContactProblem], Iteration]) -> None:
+        if method.kind != "active set":
+            raise Unsupported(
+                f"{method.name}: a body this large is not factorised, only iterated on, by active-set; {_ELSE}"
+            )
+        super().__init__(problem, method)
+        self.iteration = way(problem)
+        self._before = self.iteration.krylov_iterations
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far."""
+        return Work(
+            iterations=self.candidate.iterations,
+            retained=self.problem.dimension,
+            polish_corrections=corrections,
+            solver=self.iteration.solver,
+            krylov_iterations=self.iteration.krylov_iterations - self._before,
+        )
+
+    def refuse_conflict(self) -> None:
+        """Does nothing: constraints that conflict are not told from others without a factorisation."""
+
+
+class IteratedRun(RunByIteration):
     """The active set by conjugate gradients on a body too large to factorise, as accurate as the certificate asks.
 
     Raises
@@ -432,32 +464,12 @@ class IteratedRun(Run):
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
-        if method.kind != "active set":
-            raise Unsupported(
-                f"{method.name}: a body this large is not factorised, only iterated on, by active-set; {_ELSE}"
-            )
         if condense is True:
             raise Unsupported(f"{method.name}: condensing a body this large means factorising it; {_ELSE}")
-        super().__init__(problem, method)
-        known: Iteration | None = problem._computed.iteration
-        self._before = known.krylov_iterations if known else 0
-        self._iteration = iteration(problem)
+        super().__init__(problem, method, iteration)
         with on_one_thread():  # nothing dense here is large
-            self.candidate = solve_by_iteration(problem, self._iteration, settings.now)
+            self.candidate = solve_by_iteration(problem, self.iteration, settings.now)
 
     def final(self) -> Final:
         """The answer that is to be certified: the candidate."""
         return Final(self.candidate.displacement, self.candidate.normal_force, self.candidate.tie_force)
-
-    def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-        return Work(
-            iterations=self.candidate.iterations,
-            retained=self.problem.dimension,
-            polish_corrections=corrections,
-            solver=self._iteration.solver,
-            krylov_iterations=self._iteration.krylov_iterations - self._before,
-        )
-
-    def refuse_conflict(self) -> None:
-        """Does nothing: constraints that conflict are not told from others without a factorisation."""

@@ -222,7 +222,7 @@ def _solve(
         if method != DEFAULT_METHOD or limited:
             raise
         if iterated(problem):
-            if not (problem.frictional and isinstance(error, NotConverged) and may_be_factorised(problem)):
+            if not (problem.frictional and may_be_factorised(problem)):
                 raise
             with factorised(problem):
                 return _after(error, solve(problem, method, warm_start=warm_start, **same), "factorised")
@@ -264,7 +264,7 @@ def _routes(problem: ContactProblem) -> tuple[str, ...]:
 CERTIFIED = "its answer is certified"
 
 
-def _after(error: NotConverged, found: Solution, route: str) -> Solution:
+def _after(error: NotCertified | NotConverged, found: Solution, route: str) -> Solution:
     """A solution that was found where another way had not converged."""
     first = error.solution
     spent = first.work if isinstance(first, Solution) else Work()

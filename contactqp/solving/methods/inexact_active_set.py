@@ -232,11 +232,11 @@ class _Search:
         return run.step()
 
     def _work(self, run: ConjugateGradients) -> float:
-        """x'K x."""
+        """Return x'K x, twice the strain energy."""
         return self.way.dot(self.x, self.problem.load - run.residual)
 
     def _energy_norm(self, run: ConjugateGradients) -> float:
-        """|x|_K."""
+        """Return the energy norm |x|_K of the displacement."""
         return float(np.sqrt(max(self._work(run), 0.0)))
 
     def _penetration(self) -> Vector:
@@ -304,7 +304,7 @@ def _size(search: _Search) -> float:
 
 
 def _strain(search: _Search) -> float:
-    """|x|_K."""
+    """Return the energy norm |x|_K of the displacement that a search has."""
     return float(np.sqrt(max(search.way.dot(search.x, search.problem.load - search.residual), 0.0)))
 
 
