@@ -59,8 +59,9 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows, residuals
-from contactqp.linalg.iteration import ContactIteration, Iteration, Limits
+from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, parts, rigid_part
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point

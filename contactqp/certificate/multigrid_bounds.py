@@ -35,7 +35,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.iteration import ContactIteration, Limits
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.model.arrays import Vector
 
 # Refinement that contracts less than this proves nothing, as in `energy_norm`.

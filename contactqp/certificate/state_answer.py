@@ -23,46 +23,34 @@ are proven.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
+from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size
 from contactqp.certificate.failures import failed_errors
+from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import refuse_indefinite_by_iteration
-from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
 from contactqp.linalg.factorization import inverse_root
-from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
-from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
+from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
-from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.sparse_saddle import constraints_are_many
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES_ALONE, STATE, Answer, Violations
 
 if TYPE_CHECKING:
-    from contactqp.linalg.friction_states import RefinedState, ScaledRows
+    from contactqp.linalg.friction_states import RefinedState
 
 
 # Combinations that are looked at: the answer's own, and those that its failing signs lead to.
 COMBINATIONS = 10
-# Equilibrium at every unknown that the answer of a combination that is iterated on is asked for.
-ROUNDING_OF_FIGURES = 1e-10
-# A turn of slip directions that changes the displacement by this part of its energy norm is the last.
-SETTLED_TURN = 1e-10
-# Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
-MOST_COMPARING = 150
-FAR = "it is far from the answers of the combinations that it leads to"
-# Steps of conjugate gradients towards the response to forces.
-MOST_STEPS = 200
 # Signs that fail by this part of the limit of the distance leave the combination as it is.
 HARDLY = 0.1
 # Refinement whose last correction is this part of the limit of the distance has settled.
@@ -132,15 +120,15 @@ def state_verdict(
     """
     tolerance, part = tolerances
     nothing = part * found.intrinsic_size
-    bodies: _Bodies
+    bodies: Bodies
     if condensation is not None:
         if (reason := _too_large(problem, condensation, answer)) is not None:
             return figures_alone(reason)
-        bodies = _CondensedBodies(problem, condensation)
+        bodies = CondensedBodies(problem, condensation)
     elif iterated(problem):
-        bodies = _IteratedBodies(problem)
+        bodies = IteratedBodies(problem)
     elif constraints_are_many(problem):
-        bodies = _SparseBodies(problem)
+        bodies = SparseBodies(problem)
     else:
         return figures_alone("the bodies are not factorised as a whole")
     try:
@@ -159,7 +147,7 @@ def state_verdict(
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
-    said = (BY_ITERATION,) if isinstance(bodies, _IteratedBodies) else ()
+    said = (BY_ITERATION,) if isinstance(bodies, IteratedBodies) else ()
     return StateVerdict(STATE, largest, distance.displacement[1], failures, said, compared.displacement)
 
 
@@ -226,172 +214,10 @@ def _with_friction_held(
     return replace(figures_alone(reason), energy=known.energy_scale, failures=failures)
 
 
-class _Bodies(Protocol):
-    """What combinations of states are solved on."""
-
-    along: Vector  # (m,) the response of a contact to its own force
-    across: Vector  # (m,) the same of friction
-    width: int  # d-1
-    rubs: Mask  # (m,) contacts that friction acts on
-    floats: bool
-
-    def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
-
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-
-    def rounding(self, displacement: Vector) -> float:
-        """The energy norm that the rounding of a rigid displacement has."""
-
-
-class _CondensedBodies:
-    """Bodies that are condensed onto their contacts."""
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        from contactqp.linalg.friction_states import FrictionalRows
-
-        self._problem, self._condensation = problem, condensation
-        self._rows = FrictionalRows(problem, condensation)
-        self.width, self.rubs = self._rows.width, _rubbing(self._rows)
-        self.floats = condensation.rigid.count > 0
-        compliance = contact_compliance(problem, condensation)
-        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
-        self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
-
-    def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
-        from contactqp.linalg.friction_states import refined_in
-
-        return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True)
-
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-        way = self._condensation
-        assert way.tangent is not None
-        load = normal @ way.normal + way.tangent.T @ friction.ravel()
-        saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
-        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
-        return float(np.sqrt(max(float(load @ x), 0.0)))
-
-    def rounding(self, displacement: Vector) -> float:
-        """The energy norm that the rounding of a rigid displacement has."""
-        return rigid_rounding(self._problem, self._condensation, displacement)
-
-
-class _SparseBodies:
-    """Bodies that are held, in the plane, in all their unknowns; a contact's response is that of its own unknowns."""
-
-    floats = False
-
-    def __init__(self, problem: ContactProblem) -> None:
-        from contactqp.linalg.sparse_states import frictional_rows
-
-        self._problem, self._rows = problem, frictional_rows(problem)
-        self.width, self.rubs = self._rows.width, _rubbing(self._rows)
-        self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
-
-    def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
-        from contactqp.linalg.sparse_states import refined_sparse
-
-        return refined_sparse(self._problem, status, start)
-
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, 1)."""
-        assert self._problem.tangent is not None
-        load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
-        return self._rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
-
-    def rounding(self, displacement: Vector) -> float:
-        """Nothing floats."""
-        del displacement
-        return 0.0
-
-
-# The error in energy of the answer of a combination that is iterated on, and how often slip directions in space turn.
-ENERGY, TURNS = 1e-10, 8
-# Of the square of the energy norm of a response, what is left to be found.
-RESPONSE_LEFT = 1e-2
-
-
-class _IteratedBodies:
-    """Bodies that are held and too large to factorise; a contact's response is that of its own unknowns."""
-
-    floats = False
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self._problem, self._iteration = problem, frictional_iteration(problem)
-        refuse_indefinite_by_iteration(problem, self._iteration)
-        self._before = self._iteration.krylov_iterations
-        self._rows = FrictionRows(problem, self._iteration)
-        self.width, self.rubs = self._rows.width, self._rows.friction > 0
-        self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
-        self.across = np.max(self.across.reshape(problem.contacts, -1), axis=1, initial=0.0)
-
-    def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, by GMRES from a start; in space the directions of slip turn with it."""
-        from contactqp.linalg.friction_states import RefinedState
-
-        assert start.friction_force is not None
-        here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
-        states = self._rows.in_states(status, here)
-        for _ in range(TURNS):
-            left = self._before + MOST_COMPARING - self._iteration.krylov_iterations
-            if left <= 0:
-                raise BackendFailed(FAR)
-            system = CombinationSystem(self._rows, states)
-            found = system.answer(system.solved(system.closed(here.displacement), ROUNDING_OF_FIGURES, ENERGY, left))
-            last = Answer(
-                found.displacement - here.displacement,
-                found.normal_force - here.normal_force,
-                found.friction_force - here.friction_force,
-                found.tie_force - here.tie_force,
-            )
-            here, moved = found, energy_norm(self._problem, extend(last.displacement))[0]
-            if not moved > SETTLED_TURN * energy_norm(self._problem, extend(here.displacement))[0]:
-                break
-            states = self._rows.in_states(status, here)
-        held = self._rows.constrained(states)
-        return RefinedState(
-            extend(here.displacement),
-            extend(here.normal_force),
-            extend(here.friction_force.ravel()),
-            extend(here.tie_force),
-            states.direction,
-            last,
-            regular=bool(np.all(np.isfinite(here.displacement))),
-            redundant=self._iteration.held(held, self._rows.limit[held]).redundant,
-        )
-
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1), to a few per cent."""
-        way, rows = self._iteration, self._rows
-        ties = np.arange(rows.m, rows.plain)
-        load = way.forces(np.concatenate([normal, np.zeros(len(ties)), friction.ravel()]))
-        if not np.any(load):
-            return 0.0
-        held = way.held(ties, np.zeros(len(ties)))
-        run = way.run(np.zeros_like(load), load, ties, held)
-        while run.square() > RESPONSE_LEFT * run.gained and run.steps < MOST_STEPS and run.step():
-            way.krylov_iterations += 1
-        return float(np.sqrt(run.gained + run.square()))
-
-    def rounding(self, displacement: Vector) -> float:
-        """Nothing floats."""
-        del displacement
-        return 0.0
-
-
-def _rubbing(rows: ScaledRows) -> Mask:
-    """(m,) contacts that friction acts on."""
-    return np.asarray(rows.slides & (rows.coefficient > 0))
-
-
 class _Comparison:
     """One answer beside the answers of combinations of states."""
 
-    def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, bodies: _Bodies) -> None:
+    def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, bodies: Bodies) -> None:
         self._problem, self._answer, self._found = problem, answer, found
         self._bodies, self._width, self._rubs = bodies, bodies.width, bodies.rubs
         self._along, self._across = bodies.along, bodies.across

@@ -22,7 +22,8 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import UNRESISTED
-from contactqp.linalg.iteration import FLOATING, ConstrainedRows
+from contactqp.linalg.contact_iteration import ConstrainedRows
+from contactqp.linalg.iteration import FLOATING
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
 from contactqp.linalg.refinement import shift_within_gaps
 from contactqp.model.arrays import Array, Mask, Vector

@@ -23,7 +23,7 @@ from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows, chosen_rows
-from contactqp.linalg.iteration import RESTART, ConstrainedRows, ContactIteration, Flags, Limits
+from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Flags, Limits
 from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections
 from contactqp.linalg.measures import force_measure
 from contactqp.model.arrays import Index, Indices, Vector

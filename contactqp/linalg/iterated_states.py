@@ -9,8 +9,8 @@ a contact is closed where p > 0, sticks where |y| <= theta, and slides along t =
 Coulomb's bound, another one Tresca's. In space the slip turns the friction: across t Newton's method has
 l_T = C (E_T u - slip_origin) with C = rho_T theta / (|y| - theta).
 
-In one process and over ranks alike: an iteration (`contactqp.linalg.iteration.ContactIteration`) gives products, sums
-and a preconditioner, and everything here is collective where that is.
+In one process and over ranks alike: an iteration (`contactqp.linalg.contact_iteration`) gives products, sums and a
+preconditioner, and everything here is collective where that is.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.iteration import ContactIteration, Limits
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths

@@ -8,7 +8,8 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate.multigrid_bounds import dual_norm, refined_norm
-from contactqp.linalg.iteration import ContactIteration, Iteration, iteration
+from contactqp.linalg.contact_iteration import ContactIteration
+from contactqp.linalg.iteration import Iteration, iteration
 from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.multigrid import available
 from contactqp.linalg.pardiso import CHOICE

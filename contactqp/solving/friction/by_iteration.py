@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.iterated_states import (
     Combination,
     CombinationSystem,
@@ -25,7 +26,6 @@ from contactqp.linalg.iterated_states import (
     FrictionRows,
     combination_of,
 )
-from contactqp.linalg.iteration import ContactIteration
 from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Answer, Candidate

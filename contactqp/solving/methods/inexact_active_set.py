@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
-from contactqp.linalg.iteration import ConstrainedRows, ContactIteration, Limits
+from contactqp.linalg.contact_iteration import ConstrainedRows, ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.runtime import tell
