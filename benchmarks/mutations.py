@@ -7,6 +7,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -117,6 +118,7 @@ def gigantic(data: bytes, random: Random) -> bytes:  # noqa: ARG001
     return choices[int(random.integers(0, len(choices)))]
 
 
+@cache
 def bomb(npy: bytes) -> bytes:
     """An archive whose members grow to far more than they are, or say so."""
     archive = io.BytesIO()

@@ -175,8 +175,10 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     across = np.max(np.diag(tangent).reshape(len(rubs), d - 1), axis=1)
     weight = np.sqrt(mu_r) * (across / np.diag(normal)) ** 0.25
     other = np.repeat(mu_r / weight, d - 1)
-    norms = (np.linalg.norm(M * np.outer(w, w), 2) for M, w in ((normal, weight), (tangent, other)))
-    return float(0.5 * np.sqrt(np.prod(list(norms))))
+    scaled = [M * np.outer(w, w) for M, w in ((normal, weight), (tangent, other))]
+    if not all(np.all(np.isfinite(one)) for one in scaled):
+        return np.inf  # compliances so far apart that an inverse leaves the range of floats
+    return float(0.5 * np.sqrt(np.prod([np.linalg.norm(one, 2) for one in scaled])))
 
 
 def combinations(mu: Vector) -> Status:

@@ -158,7 +158,7 @@ class Condensation:
         before = self._diagonal[self.retained]
         left = self.schur.diagonal()
         alive = left > NOTHING_LEFT * before
-        return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
+        return np.where(alive, inverse_root(left), of_stiffness[self.retained])
 
     def _may_be_singular(self, problem: ContactProblem) -> bool:
         """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""

@@ -130,8 +130,11 @@ def unit_diagonal_scale(matrix: Any) -> Array:
 
 
 def inverse_root(diagonal: Array) -> Array:
-    """1/sqrt of a diagonal, and 1 where it is zero."""
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
+
+    Products of two of these scales therefore stay in the range of floats.
+    """
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
 
 
 def with_added_diagonal(matrix: Any, added: Array) -> Any:

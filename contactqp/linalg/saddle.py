@@ -60,7 +60,7 @@ class Delassus:
         response = self.solve(self.rows.T)
         few = self.rows.size <= WRITTEN_OUT
         W = (self.rows if few else sp.csr_array(self.rows)) @ response  # a contact touches few unknowns
-        self.row_scale = 1.0 / np.sqrt(np.diag(W))
+        self.row_scale = 1.0 / np.sqrt(np.maximum(np.diag(W), np.finfo(float).tiny))
         self.compliance = np.asarray(1.0 / self.row_scale**2)  # W_ii of every contact and tie [length / force]
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
         self.response = response * self.row_scale

@@ -55,6 +55,15 @@ def test_every_word_is_spoken() -> None:
     assert spoken >= {*BODIES, *HELD, *CONTACTS, *LOADS, *REPEATS, *SIZES}
 
 
+# Trials that found something once: a diagonal below the normal floats, of which scales overflowed; a compliance whose
+# inverse did.
+@pytest.mark.parametrize(("seed", "number"), [(777, 1023), (9001, 14110)])
+def test_wild_trials_that_found_something_find_nothing(seed: int, number: int) -> None:
+    done = trial(seed, number, ("wild",))
+    assert done.judgements >= 5
+    assert done.findings == ()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_trials_find_nothing(kind: str) -> None:

@@ -15,7 +15,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, holding_unknowns, pardiso, schur
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import connected_parts, null_space, with_added_diagonal
+from contactqp.linalg.factorization import DenseCholesky, connected_parts, null_space, with_added_diagonal
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
 from contactqp.linalg.schur import BackSubstitution, LastBlock, TrailingBlock, eliminate
 
@@ -328,3 +328,9 @@ def test_what_pardiso_and_the_saddle_points_are_given_is_the_matrix(form):
     for known in (given, (matrix + sp.identity(60)).asformat(form)):
         expected = known.toarray() + np.diag(added)
         assert np.array_equal(with_added_diagonal(known, added).toarray(), expected)
+
+
+def test_a_diagonal_below_the_normal_floats_is_scaled_without_overflow():
+    matrix = np.outer([1.0, 0.6, 2e-160], [1.0, 0.6, 2e-160])
+    assert 0 < matrix[2, 2] < np.finfo(float).tiny
+    assert DenseCholesky(matrix).smallest_pivot <= 1e-15

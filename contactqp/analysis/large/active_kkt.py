@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.factorization import DENSE_SIZE, factorise
+from contactqp.linalg.factorization import DENSE_SIZE, factorise, inverse_root
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -151,7 +151,7 @@ def positive_semidefinite(K: Any) -> bool:
     if not np.all(diagonal >= 0):
         return False
     if K.shape[0] <= DENSE_SIZE:
-        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        scale = inverse_root(diagonal)
         eigenvalues = np.linalg.eigvalsh(K.toarray() * np.outer(scale, scale))
         return bool(eigenvalues[0] >= -64 * len(scale) * np.finfo(float).eps * max(eigenvalues[-1], 1.0))
     try:

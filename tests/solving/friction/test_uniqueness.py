@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.critical_friction import _one_sign
+from contactqp.certificate.critical_friction import _one_sign, of_operator
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.elements.geometry import Block
 from contactqp.elements.material import Material
@@ -322,3 +322,9 @@ def test_the_findings_survive_changes_of_units_and_rows() -> None:
         assert there.single == pytest.approx(here.single, rel=1e-8)
         assert there.kappa == pytest.approx(here.kappa, rel=1e-6)
         assert there.unique == here.unique
+
+
+def test_compliances_whose_inverse_leaves_the_floats_are_no_contraction():
+    with np.errstate(over="ignore"):  # as in every public function
+        found = of_operator(np.diag([1e-300, 1e300, 1.0, 1.0]), np.array([0.5, 0.5]), 2, floats=False)
+    assert found.kappa == np.inf
