@@ -96,7 +96,8 @@ def init_command(file: str) -> None:
 def schema_command() -> None:
     """Print the JSON schema of case files, by which editors check and complete their keys.
 
-    It knows what each key takes, and that a quantity begins with a number; its unit is checked when the case is read.
+    It knows what each key takes, and the units by name; whether joined ones, as in kN*m/s, are of the right kind, is
+    checked when the case is read.
     With Taplo or the extension Even Better TOML, the first line of a case file names it: `#:schema ./case.schema.json`.
     In a shell `contactqp explain FILE` checks a case whole, units included.
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import html_of, summary_of, value_at
+from contactqp.model.summary import html_of, place_of, summary_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -329,17 +329,35 @@ class Solution(ReadOnly):
         InvalidProblem
             No unknown is called that; the nearest names are given.
         """
-        return value_at(self.displacement, unknown, self.problem.dof_name, "unknown")
+        return float(self.displacement[place_of(unknown, self.problem.dimension, self.problem.dof_name, "unknown")])
 
     def force_at(self, contact: str | int) -> float:
         """Return the normal force of a contact, by its name in `contact_names` or its number [force].
+
+        `gap_at`, `friction_at` and `status_at` ask in the same way.
 
         Raises
         ------
         InvalidProblem
             No contact is called that; the nearest names are given.
         """
-        return value_at(self.normal_force, contact, self.problem.contact_name, "contact")
+        return float(self.normal_force[self._contact(contact)])
+
+    def gap_at(self, contact: str | int) -> float:
+        """Return the gap of a contact, positive when open [length]; `contact` and errors as in `force_at`."""
+        return float(self.gap[self._contact(contact)])
+
+    def friction_at(self, contact: str | int) -> Vector | None:
+        """Return the friction force (d-1,) of a contact [force], or None without friction; else as `force_at`."""
+        place = self._contact(contact)
+        return None if self.friction_force is None else read_only(self.friction_force[place])
+
+    def status_at(self, contact: str | int) -> str:
+        """Return open, closed, grazing, stick or slip; `contact` and errors as in `force_at`."""
+        return str(self.contact_status[self._contact(contact)])
+
+    def _contact(self, contact: str | int) -> int:
+        return place_of(contact, self.problem.contacts, self.problem.contact_name, "contact")
 
     def summary(self) -> str:
         """Return verdict, contacts and displacements as tables of at most 80 columns; what `print` shows."""

@@ -208,8 +208,10 @@ def local_summary(solution: Any) -> str:
     return "\n".join([first, *(line for text in said for line in wrapped(text)), Table(title, columns, rows).text()])
 
 
-def value_at(values: Vector, name: str | int, name_of: Callable[[int], str], what: str) -> float:
-    """Return the value that is called by a name, also as other codes spell it (``2.UX`` for ``2.x``), or its number.
+def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: str) -> int:
+    """Return the place, among so many, of what has a name, also as other codes spell it (``2.UX`` for ``2.x``).
+
+    A number is the place itself; one below zero counts from the end.
 
     Raises
     ------
@@ -218,14 +220,14 @@ def value_at(values: Vector, name: str | int, name_of: Callable[[int], str], wha
     """
     from difflib import get_close_matches
 
-    if isinstance(name, int | np.integer) and -len(values) <= name < len(values):
-        return float(values[name])
-    names = [name_of(i) for i in range(len(values))]
+    if isinstance(name, int | np.integer) and -count <= name < count:
+        return int(name) % count
+    names = [name_of(i) for i in range(count)]
     if isinstance(name, str) and name in names:
-        return float(values[names.index(name)])
+        return names.index(name)
     meant = plain_name(name) if isinstance(name, str) else None
     same = [i for i, other in enumerate(names) if meant is not None and plain_name(other) == meant]
     if len(same) == 1:
-        return float(values[same[0]])
+        return same[0]
     near = get_close_matches(str(name), names, n=3) or names[:3]
     raise InvalidProblem(f"no {what} is called {name!r}; nearest: {', '.join(near) or 'there is none'}")

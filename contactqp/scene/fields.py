@@ -13,7 +13,17 @@ from typing import Annotated, Any, Self, get_args
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema
 
 from contactqp.errors import SceneError
-from contactqp.scene.units import KINDS, NotANumber, Quantity, describe, read_number, read_quantity
+from contactqp.scene.units import (
+    KINDS,
+    NotANumber,
+    Quantity,
+    describe,
+    quantity_pattern,
+    read_number,
+    read_quantity,
+    read_unit,
+    split_number,
+)
 
 
 class Block(BaseModel):
@@ -63,6 +73,22 @@ def _quantity(*kinds: str, roots: bool = False) -> tuple[PlainValidator, WithJso
         "examples": [kind.example for kind in allowed],
     }
     return PlainValidator(lambda value: read_quantity(value, allowed, roots=roots)), WithJsonSchema(schema)
+
+
+def add_patterns_of_units(schema: Any) -> None:
+    """Let a JSON schema of case files know the units of its quantities, where it knows so far how a number begins.
+
+    Made where a schema is asked for: the list of units takes longer to read than a small case to solve.
+    """
+    if isinstance(schema, list):
+        for part in schema:
+            add_patterns_of_units(part)
+    elif isinstance(schema, dict):
+        if schema.get("pattern") == _BEGINS_AS_NUMBER and "description" in schema:
+            read = [read_unit(split_number(example)[1])[1] for example in schema["examples"]]
+            schema["pattern"] = quantity_pattern(read)
+        for part in schema.values():
+            add_patterns_of_units(part)
 
 
 def _number(value: Any) -> Fraction:
@@ -209,13 +235,15 @@ def _name_of(location: Location, data: Any) -> str | None:
     return name
 
 
-def first_error(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
-    """Return the first thing that is wrong in one line, and how many more there are."""
-    # An unknown key explains the key that is then missing, so it comes first.
+def first_errors(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
+    """Return the first thing that is wrong in one line, then the next one, and how many there are."""
+    # An unknown key explains the key that is then missing, which is left out.
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-    first, others = errors[0], len(errors) - 1
-    message = f"{key_path(first['loc'], data)}: {_sentence(first, model)}".removeprefix(": ")
-    return " ".join(message.split()) + (f" (and {others} more)" if others else "")
+    unknown = {tuple(e["loc"][:-1]) for e in errors if e["type"] == "extra_forbidden"}
+    errors = [e for e in errors if not (e["type"] == "missing" and tuple(e["loc"][:-1]) in unknown)]
+    told = [f"{key_path(e['loc'], data)}: {_sentence(e, model)}".removeprefix(": ") for e in errors[:2]]
+    message = told[0] + "".join(f" (1 of {len(errors)}; the next: {text})" for text in told[1:])
+    return " ".join(message.split())
 
 
 def _sentence(error: Any, model: type[BaseModel]) -> str:

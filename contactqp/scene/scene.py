@@ -25,7 +25,7 @@ from contactqp.scene.blocks.element import Element
 from contactqp.scene.building import build
 from contactqp.scene.checking import check
 from contactqp.scene.claims import QUANTITIES
-from contactqp.scene.fields import first_error
+from contactqp.scene.fields import first_errors
 from contactqp.scene.schema import SceneData
 from contactqp.scene.shipped import case_path, nearest_names
 from contactqp.scene.unknowns import end_time
@@ -48,7 +48,7 @@ class Scene(SceneData):
         try:
             super().__init__(**keys)
         except ValidationError as error:
-            raise SceneError(first_error(error, type(self), keys)) from None
+            raise SceneError(first_errors(error, type(self), keys)) from None
         check(self)
 
     def problem(self) -> ContactProblem:

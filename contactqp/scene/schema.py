@@ -17,7 +17,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks import Frame
 from contactqp.scene.blocks.strings import LineLoad
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
-from contactqp.scene.fields import Block, Name, Number, TwoNames, check_own_keys, no_such
+from contactqp.scene.fields import Block, Name, Number, TwoNames, add_patterns_of_units, check_own_keys, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 
 # What each kind of obstacle must state, and what it may.
@@ -354,5 +354,6 @@ class SceneData(Frame):
 
 def case_schema() -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of case files; blocks that were registered are in it."""
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return head | SceneData.model_json_schema() | {"title": "A case of contactqp"}
+    schema = SceneData.model_json_schema() | {"title": "A case of contactqp"}
+    add_patterns_of_units(schema)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

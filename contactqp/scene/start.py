@@ -30,20 +30,22 @@ def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
 
 def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
     """Warn of contacts of nodes, whose initial gaps are these [length]."""
-    if not len(gaps) or np.min(gaps) >= 0:
+    if not len(gaps) or np.min(gaps) > 0:
         return
     from contactqp.elements.start import CURE, doubt_of_depth
 
     points = {node: np.array(scene.point(node), dtype=float) for node in scene.every_node}
     size = float(np.ptp(np.array(list(points.values())), axis=0).max())
     beside = _neighbours(scene)
-    for place in np.flatnonzero(gaps < 0).tolist():
+    for place in np.flatnonzero(gaps <= 0).tolist():
         contact, depth = scene.contacts[place], -float(gaps[place])
         if contact.obstacle is None:
             doubt = doubt_of_depth(depth, size, "the other node", scene.units.length)
         elif _deeper(scene, contact, depth, points, beside):
-            what = f"{contact.obstacle!r}, and all that it is joined to lies deeper still"
-            doubt = f"it starts {depth:.6g} {scene.units.length} inside {what}: {CURE}; turn it round?"
+            where = f"{depth:.6g} {scene.units.length} inside" if depth else "on the surface of"
+            deeper = "lies deeper still" if depth else "lies inside"
+            what = f"{contact.obstacle!r}, and all that it is joined to {deeper}"
+            doubt = f"it starts {where} {what}: {CURE}; turn it round?"
         else:
             doubt = doubt_of_depth(depth, size, repr(contact.obstacle), scene.units.length)
         warn_of_start(scene, place, doubt)

@@ -342,6 +342,35 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
     return Fraction(quantity.magnitude) / Fraction(1000) ** mass, Dimension(mass, length - mass, time + 2 * mass)
 
 
+def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
+    """Return a regular expression of texts such as ``"15 cm^2"``, for editors that check a case while it is written.
+
+    It knows every unit by name, which single units are of one of these dimensions, and powers of lengths. Of units that
+    are joined, as in ``kN*m``, it does not know the dimension; `read_quantity` does.
+    """
+    prefixes, units = _prefixes_and_units()
+
+    def words(of: Sequence[Dimension] | None) -> str:
+        named = [name for name in units if of is None or read_unit(name)[1] in of]
+        return f"({'|'.join(prefixes)})?({'|'.join(named)})" if named else ""
+
+    power = r"(\s*(\^|\*\*)\s*-?\d|[²³⁴])"
+    allowed = [rf"{words(None)}{power}?(\s*[*/ ]\s*{words(None)}{power}?)+", words(dimensions)]
+    for dimension in dimensions:
+        if dimension == Dimension(0, dimension.length, 0) and dimension.length > 1:
+            raised = "²³⁴"[dimension.length - 2]
+            allowed.append(rf"{words([Dimension(0, 1, 0)])}(\s*(\^|\*\*)\s*{dimension.length}|{raised})")
+    unit = f"({'|'.join(filter(None, allowed))})" + "?" * (Dimension(0, 0, 0) in dimensions)
+    return rf"^(?=[-+\s(]*(\d|\.\d|sqrt))(sqrt|[-+*/().\deE\s])+{unit}\s*$"
+
+
+def _prefixes_and_units() -> tuple[list[str], list[str]]:
+    """Return the names of prefixes and of units, the short ones and the long ones, as they are defined."""
+    written = [[part.strip() for part in definition.split("=")] for definition in _DEFINITIONS]
+    names = [name for parts in written for name in (parts[0], *parts[2:])]
+    return [name[:-1] for name in names if name.endswith("-")], [name for name in names if not name.endswith("-")]
+
+
 def read_number(value: Any, *, roots: bool = False) -> Fraction:
     """Read an exact number without a unit, from a number or a text such as ``"5/7"``.
 

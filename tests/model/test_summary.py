@@ -66,12 +66,19 @@ def test_numbers_are_had_by_name() -> None:
     solution = cq.solve(TRUSS)
     assert solution.at("1.x") == solution.at(0) == solution.displacement[0]
     assert solution.force_at("floor") == solution.force_at(0) == solution.normal_force[0]
+    assert solution.gap_at("floor") == solution.gap[0] == solution.gap_at(-1)
+    assert (solution.status_at("floor"), solution.friction_at("floor")) == ("closed", None)
     with pytest.raises(cq.InvalidProblem, match=r"no unknown is called '1.z'; nearest: 1\.[xy], 1\.[xy]"):
         solution.at("1.z")
     with pytest.raises(cq.InvalidProblem, match="no contact is called 'flor'; nearest: floor"):
         solution.force_at("flor")
+    with pytest.raises(cq.InvalidProblem, match="no contact is called 'flor'; nearest: floor"):
+        solution.status_at("flor")
     with pytest.raises(cq.InvalidProblem, match="no contact is called 1"):
         solution.force_at(1)
+    rough = cq.solve(TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3))
+    assert rough.status_at("floor") == "slip"
+    assert rough.friction_at("floor") == pytest.approx(0.3 * rough.force_at("floor"))
 
 
 def test_a_history_prints_its_instants_and_events() -> None:

@@ -358,3 +358,28 @@ def test_names_that_look_like_markup_are_printed_as_they_are(tmp_path, capsys):
             main([command, str(file)])
         assert exit_.value.code == 0
         assert "[/]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (  # of a misspelled key one thing is said: that the right one is missing follows from it
+            [('area = "15', 'aera = "15')],
+            "bars[0].aera ('rod'): there is no key 'aera'; nearest: 'area'\n",
+        ),
+        (
+            [('area = "15', 'aera = "15'), ('"2.1e8 kN/m^2"', '"2.1e8 kN/m"')],
+            "nearest: 'area' (1 of 2; the next: bars[0].modulus ('rod'): expected a modulus such as",
+        ),
+        (
+            [('"30 cm^2"', '"30 cm"'), ('"15 cm^2"', '"15 cm"'), ('mass = "2 t"', 'mass = "2 m"')],
+            "which is a length (1 of 3; the next: ",
+        ),
+    ],
+)
+def test_the_next_mistake_of_a_file_is_told_too(changes, words, tmp_path, capsys):
+    file, text = tmp_path / "case.toml", GOOD
+    for old, new in changes:
+        text = mutated(text, old, new)
+    file.write_text(text)
+    assert words in complaint(capsys, "run", str(file))

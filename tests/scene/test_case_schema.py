@@ -38,6 +38,14 @@ def test_every_case_fits_the_schema(validator: Any, file: Path) -> None:
         (("titel",), "a bar", "'titel' was unexpected"),
         (("bars", 0, "area"), 15, "15 is not of type 'string'"),
         (("bars", 0, "area"), "large", "'large' does not match"),
+        (("bars", 0, "area"), "15 cm", "'15 cm' does not match"),
+        (("bars", 0, "area"), "15 cm^3", "'15 cm^3' does not match"),
+        (("bars", 0, "area"), "15 qm", "'15 qm' does not match"),
+        (("bars", 0, "area"), "15", "'15' does not match"),
+        (("bars", 0, "modulus"), "210 gpa", "'210 gpa' does not match"),
+        (("bars", 0, "modulus"), "210 kN/m²/", "does not match"),
+        (("nodes", 1, "at", 0), "2 kN", "'2 kN' does not match"),
+        (("loads", 0, "value"), "300 m", "'300 m' does not match"),
         (("obstacles", 0, "kind"), "wall", "is not one of"),
         (("contacts", 0, "name"), 3, "3 is not of type 'string'"),
         (("contacts", 0, "friction"), [1], "not valid under any"),
@@ -52,6 +60,29 @@ def test_an_editor_marks_what_the_reader_refuses(validator: Any, path: tuple[Any
     assert [error for error in validator.iter_errors(data) if said in error.message]
     with pytest.raises(cq.SceneError):
         cq.Scene(**data)
+
+
+@pytest.mark.parametrize(
+    "area",
+    [
+        "15 cm^2",
+        "15 cm**2",
+        "3/2 mm ^ 2",
+        " 2*(1+3) m*m",
+        "1e-3 m^2",
+        "15cm^2",
+        ".5 in^2",
+        "4 N/Pa",
+        "1 km mm",
+        "2 cm²",
+        "3 kN/MPa²*Pa",
+    ],
+)
+def test_an_editor_marks_nothing_that_the_reader_takes(validator: Any, area: str) -> None:
+    data = read(CASES / "bar_wall.toml")
+    data["bars"][0]["area"] = area
+    assert cq.Scene(**data).bars[0].area.si > 0
+    assert [error.message for error in validator.iter_errors(data)] == []
 
 
 def test_the_command_prints_the_schema(capsys: Any) -> None:

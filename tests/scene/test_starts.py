@@ -50,6 +50,7 @@ def bar(wall: float, normal: int) -> cq.Scene:
         (1.4, -1, DRAGGED),
         (2.001, 1, LIES_DEEPER),
         (5.0, 1, LIES_DEEPER),
+        (2.0, 1, "on the surface of 'wall', and all that it is joined to lies inside"),
         (-0.1, 1, ""),  # a wall behind the bar, which its tip is far from
     ],
 )
