@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import click
@@ -130,3 +131,13 @@ def test_the_console_script_works_in_an_empty_folder(
     from_wheel: tuple[Path, Path], words: list[str], tmp_path: Path
 ) -> None:
     assert _call(from_wheel[0] / "contactqp", *words, folder=tmp_path)
+
+
+def test_the_table_of_extras_has_all_of_them_with_their_packages() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    rows = [line.split("|") for line in (ROOT / "docs" / "tour.md").read_text(encoding="utf-8").splitlines()]
+    table = {name: row[2] for row in rows if len(row) == 5 for name in re.findall(r"`([a-z]+)`", row[1])}
+    assert set(table) == set(extras)
+    for extra in set(extras) - {"all", "test", "browser", "develop", "docs"}:
+        needed = {re.split(r"[><=; ]", requirement)[0] for requirement in extras[extra]}
+        assert needed == {word for word in re.findall(r"[\w-]+", table[extra]) if word in needed}, extra
