@@ -26,7 +26,7 @@ from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
-from contactqp.model.summary import history_table
+from contactqp.model.summary import Printed, history_table, wrapped
 from contactqp.solving.methods import find
 
 # Two events nearer than this part of a leg are one: doubles cannot order them.
@@ -68,7 +68,7 @@ class Event:
     name: str = ""
 
 
-class History(ReadOnly, Sequence[Solution]):
+class History(ReadOnly, Printed, Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
     Solutions may be a sequence that expands each one, with its certificate, on first access. With friction each
@@ -186,7 +186,8 @@ class History(ReadOnly, Sequence[Solution]):
 
     def summary(self) -> str:
         """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
-        return history_table(self.times, self, self.normal_forces, self.events, exact=self._linear)
+        table = history_table(self.times, self, self.normal_forces, self.events, exact=self._linear)
+        return "\n".join([table, *(line for note in self.notes for line in wrapped(f"note: {note}"))])
 
     def __str__(self) -> str:
         try:

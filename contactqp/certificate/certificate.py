@@ -302,10 +302,10 @@ def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
 
     A contact is closed where its force is not nothing and its gap, relative to the lengths that meet there, is at most
-    its force relative to the forces that meet, or at most `tolerance`. Signs do not count: `tension` judges that of
-    the force, `penetration` that of the gap. A closed contact with friction slips where its slip is more than
-    `tolerance` of the lengths that meet. It is grazing where gap and force are both at most `tolerance`, and the force
-    is nothing beside the energy.
+    its force relative to the forces that meet, or at most `tolerance`; and where it is penetrated and pushes back, as
+    with a penalty. Other signs do not count: `tension` judges that of the force. A closed contact with friction slips
+    where its slip is more than `tolerance` of the lengths that meet. It is grazing where gap and force are both at most
+    `tolerance`, and the force is nothing beside the energy.
     """
     grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
     return status_words(certificate, problem.friction, grazing)
@@ -316,7 +316,9 @@ def status_words(certificate: Certificate, friction: Vector | None, grazing: NDA
     found = certificate.violations
     if found is None:
         return np.full(len(grazing), "unknown")
-    pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance))
+    near = found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance)
+    yields = (found.penetration > 0) & (found.tension == 0)
+    pushes = (found.force_measure > 0) & (near | yields)
     status = np.where(pushes, "closed", "open").astype("<U8")
     if friction is not None:
         frictional = (friction > 0) & (status == "closed")

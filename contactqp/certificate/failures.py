@@ -137,7 +137,7 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
         if value is None or (name == "energy_error" and known.by_energy):
             continue  # `failed_energy` judges the energy itself
         if scale > none:
-            kind, limit, size = "of their size", tolerance, scale
+            kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
         else:
             value = value * (scale or 1.0)
             kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
@@ -176,7 +176,7 @@ def said_of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tole
     return (
         f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
         f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
-        f"({known.relative_force_bound[i]:.3g} of the contact forces, tolerance {tolerance:g})"
+        f"({known.relative_force_bound[i]:.3g} of all contact forces in energy, tolerance {tolerance:g})"
     )
 
 

@@ -383,7 +383,8 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     """Spectral radius of bounds mu l_N -> mu l_N of the next Tresca problem, linearised at the answer.
 
     Closed contacts stay closed, those that stick stick; where one slips, l_T = theta d, d = s/|s|, changes with theta
-    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None where more than 100 contacts are closed.
+    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None where more than 100 contacts are closed, or
+    where numbers leave the range of floats.
     """
     if problem.friction is None or len(state.closed) > MOST_LINEARISED:
         return None
@@ -407,11 +408,15 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
         rows = slice(first + own.start, first + own.stop)
         matrix[rows] += turned * (np.eye(d - 1) - np.outer(direction, direction)) @ flexible[own]
         right[rows, k] = mu[i] * direction
+    if not np.all(np.isfinite(matrix)):
+        return None
     try:
         change = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:
         change = np.linalg.lstsq(matrix, right, rcond=None)[0]
     pressed = change[np.searchsorted(state.closed, state.slides)]
+    if not np.all(np.isfinite(pressed)):
+        return None  # forces and slips so far apart that their ratio leaves the floats
     return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0)) if len(pressed) else 0.0
 
 

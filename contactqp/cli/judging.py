@@ -27,7 +27,11 @@ from contactqp.errors import InvalidProblem
     help="Which sign of CANDIDATE's normal forces means compression.",
 )
 @click.option("--pressure-areas", metavar="FILE", help="Areas of the contacts: CANDIDATE holds pressures.")
-@click.option("--dof-map", metavar="FILE", help="Where each unknown of PROBLEM stands in CANDIDATE, or its name there.")
+@click.option(
+    "--dof-map",
+    metavar="FILE",
+    help="Where each unknown of PROBLEM stands in CANDIDATE, or its name there; places may be written out: '[1, 0]'.",
+)
 @click.option("--contact-map", metavar="FILE", help="The same for contacts.")
 @click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
 @click.option("--error-tolerance", type=float, default=1e-6, show_default=True, help="Largest bound that passes.")

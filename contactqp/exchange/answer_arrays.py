@@ -41,6 +41,8 @@ from contactqp.model.unknown_names import axis_called
 NAME = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")
 Held = dict[str, NDArray[np.float64]]
+# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...
+LIKE_FORCES = re.compile(r"force|frict|press|tract|lambda|multiplier|shear|norm|^f_?[nct]")
 FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
 
 
@@ -77,6 +79,7 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
         axis = axis_called(column)
         if axis is None:
             refuse_unit(table.path, column, axis_called)
+            _refuse_forces(table, column)
             ledger.ignored.append(f"column {column:.60}")
             continue
         names += [f"{node}.{axis}" for node in nodes]
@@ -86,6 +89,22 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
     part = "displacement"
     order = places(table.path, part, names, names_of(problem, part), ledger)
     return {part: np.array(values)[order]}
+
+
+def _refuse_forces(table: Table, column: str) -> None:
+    """Refuse a column of forces that would be ignored: an answer whose forces are not read may be right without them.
+
+    Raises
+    ------
+    InvalidProblem
+        The column's name is one of forces, as far as names tell.
+    """
+    plain = column.strip().lower()
+    if part_called(column) is None and (LIKE_FORCES.search(plain) is None or plain.endswith("coefficient")):
+        return
+    of_contacts = table.columns[0] == "contact"
+    expected = "normal_force or friction_force" if of_contacts else "forces in a table whose first column is contact"
+    raise wrong(table.path, f"column {column:.60}", expected, f"it in a table by {table.columns[0]}")
 
 
 def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
@@ -101,6 +120,7 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
             columns[part] = [column, *columns.get(part, [])]
         else:
             refuse_unit(table.path, column, lambda name: part_called(name) in belongs or _is_friction(table, name))
+            _refuse_forces(table, column)
             ledger.ignored.append(f"column {column:.60}")
     if friction:
         columns["friction_force"] = sorted(friction) if all(name[-1].isdecimal() for name in friction) else friction

@@ -33,7 +33,7 @@ from contactqp.model.problem_data import (
     read_vector,
 )
 from contactqp.model.solution import LocalCertificate
-from contactqp.model.summary import local_summary
+from contactqp.model.summary import Printed, local_summary
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -253,7 +253,7 @@ def _asymmetry(W: Any) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class LocalSolution(ReadOnly):
+class LocalSolution(ReadOnly, Printed):
     """Forces and velocities of one LocalProblem, with the certificate that judged them."""
 
     problem: LocalProblem = field(repr=False)

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import html_of, place_of, summary_of
+from contactqp.model.summary import Printed, html_of, place_of, summary_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -75,7 +76,7 @@ class Violations(ReadOnly):
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate(ReadOnly):
+class Certificate(ReadOnly, Printed):
     """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
 
     `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
@@ -159,7 +160,7 @@ def _together(reasons: Iterable[str]) -> Iterator[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class LocalCertificate(ReadOnly):
+class LocalCertificate(ReadOnly, Printed):
     """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
 
     natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
@@ -329,6 +330,8 @@ class Solution(ReadOnly):
         InvalidProblem
             No unknown is called that; the nearest names are given.
         """
+        if isinstance(unknown, str) and unknown in (self.problem.contact_names or ()):
+            raise InvalidProblem(f"{unknown!r} is a contact: force_at, gap_at, friction_at and status_at take it")
         return float(self.displacement[place_of(unknown, self.problem.dimension, self.problem.dof_name, "unknown")])
 
     def force_at(self, contact: str | int) -> float:

@@ -19,6 +19,8 @@ MOST = 10
 MOST_INSTANTS = 12
 # Gaps below this part of the lengths that meet are the rounding of zero.
 ROUNDING = 1e-14
+# Forces below this part of the largest of a history are the rounding of zero.
+ROUNDING_OF_FORCES = 1e-12
 # Characters of a line of text.
 WIDTH = 80
 
@@ -50,6 +52,13 @@ class Table:
 
         body = "".join(cells(row, "td") for row in self.rows)
         return f"<p>{html.escape(self.title)}</p><table>{cells(self.columns, 'th')}{body}</table>"
+
+
+class Printed:
+    """What a notebook shows as `print` does."""
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 @own_floating_point
@@ -172,14 +181,16 @@ def history_table(
         evenly = np.linspace(0, len(times) - 1, MOST_INSTANTS - 1).round().astype(int)
         largest = int(np.argmax(np.max(normal_forces, axis=1, initial=0.0)))
         chosen = np.unique([*evenly, largest])
-    rows = []
+    rows, noise = [], ROUNDING_OF_FORCES * float(np.max(normal_forces, initial=0.0))
     for k in chosen.tolist():
         status = solutions[k].contact_status
         pushed = solutions[k].normal_force
         at = int(np.argmax(pushed)) if len(pushed) else -1
-        name = solutions[k].problem.contact_name(at) if len(pushed) and pushed[at] > 0 else ""
+        largest_force = float(np.max(pushed, initial=0.0))
+        largest_force = largest_force if largest_force > noise else 0.0
+        name = solutions[k].problem.contact_name(at) if largest_force > 0 else ""
         closed = int(np.sum(np.isin(status, ("closed", "stick", "slip"))))
-        rows.append((number(times[k]), str(closed), number(np.max(pushed, initial=0.0)), name))
+        rows.append((number(times[k]), str(closed), number(largest_force), name))
     told = [f"{event.name or event.contact} {event.kind} at {number(event.time)}" for event in events[:MOST]]
     more = [f"and {len(events) - MOST} events more"] if len(events) > MOST else []
     shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"

@@ -86,7 +86,7 @@ def thinned(found: Sequence[Label]) -> str:
     if not hidden:
         return ""
     named = sum(label.events for label in found) - hidden
-    return f"{named} events are named; + n stands for n more there, {hidden} in all"
+    return f"{named} of {named + hidden} events are named; + n: n more at that place"
 
 
 def draw_lines(panel: Any, events: Sequence[Event], width: float) -> None:

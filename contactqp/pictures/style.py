@@ -222,7 +222,7 @@ LARGEST = 0.06
 VISIBLE = 0.02
 # A gap that goes from g_0 to g is drawn as g_0 + scale (g - g_0), which magnified is an overlap for contacts that have
 # closed: of at most this part of the picture's size.
-OVERLAP = 0.01
+OVERLAP = 0.002
 
 
 def magnification(scale: float | None, size: float, displacement: Array, initial_gap: Array, gap: Array) -> float:

@@ -16,6 +16,7 @@ from contactqp.scene.answers import OF_BOTH, Instant
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.claims import COMPONENTS, Claim
 from contactqp.scene.schema import SceneData
+from contactqp.scene.tables import ROUNDING
 from contactqp.scene.units import KINDS, vector
 
 # Directions of motions have 1 as their largest component and are accurate to rounding.
@@ -234,6 +235,8 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)
+        smallest = float(gaps.min()) if len(gaps) else 0.0
+        size = max(float(np.max(abs(part), initial=0.0)) for part in (gaps, solution.displacement))
         rows.append(
             {
                 "contact": contact.name,
@@ -241,7 +244,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": float(gaps.min()) if len(gaps) else 0.0,
+                "smallest_gap": smallest if abs(smallest) > ROUNDING * size else 0.0,
             }
         )
         if model.problem.frictional:

@@ -29,6 +29,7 @@ from contactqp.scene.unknowns import is_rotation
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 # Rows of a table that are printed where not all are asked for.
 FEW_ROWS = 8
+MOST_EVENTS = 16
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement], verbose: bool = True) -> None:
@@ -44,6 +45,9 @@ def print_judgements(console: Console, judgements: Sequence[Judgement], verbose:
     claimed = [judgement for judgement in others if judgement.expectations or judgement.published]
     for judgement in (judgement for judgement in others if judgement not in claimed):
         console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+    refused = [one for one in judgements if not (one.expectations or one.published or one.met)]
+    if refused:
+        console.print(f"the case says nothing of {escape(str(refused[0].trial.method))}: its certificate decides")
     if claimed and not verbose:
         runs = f"{len(claimed)} other methods and settings" if len(claimed) > 1 else str(claimed[0].trial)
         console.print(f"by {escape(runs)}: {met_in_words(claimed)} (--verbose lists them)")
@@ -95,7 +99,7 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         header, shown = _unknowns(judgement)
         moved = np.array([value for _, value in shown])
         _print_largest(console, header, [row for row, _ in shown], moved, [(2, moved)], most)
-        contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
+        contacts = zip(names, solution.contact_status, solution.normal_force, _gaps(solution), strict=True)
         rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
         if solution.problem.frictional:
@@ -104,10 +108,11 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, _gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
+        _print_unpushed(console, judgement)
     print_courses(console, judgement)
     if verbose:
         print_instants(console, judgement, most)
-    print_events(console, judgement.history, time_label(scene))
+    print_events(console, judgement.history, time_label(scene), verbose)
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
         console.print(escape(f"{energies} {force}*{length}"))
@@ -116,6 +121,9 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
     _print_comparisons(console, [judgement], [], unmet_alone=claims > most)
     if claims > most:
         console.print(f"what the case claims: {met_in_words([judgement])} (--verbose lists all)")
+    if solution.certificate.uniqueness:
+        for note in solution.certificate.notes:
+            console.print(f"[yellow]{escape(note)}[/yellow]")
     for motion in _free_motions(judgement):
         console.print(escape(f"free to move: {motion}"))
 
@@ -146,8 +154,17 @@ def _print_largest(
         console.print(f"the {len(chosen)} largest of {len(rows)} (--verbose, --json)")
 
 
+def _print_unpushed(console: Console, judgement: Judgement) -> None:
+    """Print what is doubtful of contacts that start inside of their obstacles and end outside, without a force."""
+    problem, solution, unit = judgement.solution.problem, judgement.solution, judgement.scene.units.length
+    for contact, gap, status in zip(judgement.scene.contacts, problem.gap, solution.contact_status, strict=False):
+        if contact.obstacle is not None and gap < 0 and status == "open":
+            where = f"{escape(contact.name)} starts {-gap:.6g} {unit} inside of {escape(contact.obstacle)}"
+            console.print(f"[yellow]{where} and ends outside without a force: is the normal turned round?[/yellow]")
+
+
 def _gaps(solution: Solution) -> NDArray[np.float64]:
-    """Return the gaps without what rounding leaves of closed ones, which is not drawn."""
+    """Return the gaps without what rounding leaves of closed ones."""
     size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
     return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)
 
@@ -168,10 +185,14 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], fl
     if is_moving(solution):
         header, columns = [*header, f"velocity [{length}/s]"], [*columns, solution.velocity]
     rows = zip(solution.problem.dof_names or (), *columns, strict=True)
+    shown = [(name, row) for name, *row in rows if name.rpartition(".")[0] in ends]
+    units = [(" rad", " rad/s") if is_rotation(name) else ("", "") for name, _ in shown]
     return header, [
-        ([name, *map(written, row)], math.nan if is_rotation(name) else row[0])
-        for name, *row in rows
-        if name.rpartition(".")[0] in ends
+        (
+            [name, *(written(value) + unit for value, unit in zip(row, own, strict=False))],
+            math.nan if own[0] else row[0],
+        )
+        for (name, row), own in zip(shown, units, strict=True)
     ]
 
 
@@ -198,7 +219,7 @@ def _verdict(judgement: Judgement) -> str:
 def _unproven(certificate: Certificate) -> str:
     """Return what a verdict rests on that is not proven."""
     if certificate.basis == STATE:
-        return ", compared with the answer of its own states"
+        return ", not proven (friction)"
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
@@ -248,14 +269,24 @@ def print_failure(console: Console, failure: Failure) -> None:
     print_notes(console, history)
 
 
-def print_events(console: Console, history: History, when: str) -> None:
-    """Print events and limit points."""
+def print_events(console: Console, history: History, when: str, verbose: bool = True) -> None:
+    """Print events and limit points; of many, unless `verbose`, those of one kind at one time in one row."""
     names = history[-1].problem.contact_name
-    rows = [[event.kind, event.name or names(event.contact), written(event.time)] for event in history.events]
-    print_table(console, ["event", "contact", when], rows)
+    events = [(event.kind, event.name or names(event.contact), written(event.time)) for event in history.events]
+    together: dict[tuple[str, str], list[str]] = {}
+    for kind, name, time in events:
+        together.setdefault((kind, time), []).append(name)
+    rows = [list(event) for event in events]
+    if not verbose and len(events) > FEW_ROWS:
+        rows = [[kind, _some_of(named), time] for (kind, time), named in together.items()]
+    print_table(console, ["event", "contact", when], rows, most=MOST_ROWS if verbose else MOST_EVENTS)
     if isinstance(history, LargeHistory):
         points = [[point.kind, written(point.load_factor), _shape(point.smooth)] for point in history.limit_points]
         print_table(console, ["limit point", "load factor", "form"], points)
+
+
+def _some_of(names: Sequence[str]) -> str:
+    return f"{names[0]} and {len(names) - 1} others" if len(names) > 2 else " and ".join(names)
 
 
 def _shape(smooth: bool) -> str:
@@ -302,6 +333,8 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "proven": bool(certificate.proven),
             "basis": certificate.basis,
             "failures": [str(failure) for failure in certificate.failures],
+            "uniqueness": list(certificate.uniqueness),
+            "notes": list(certificate.notes),
         },
         **_body_data(judgement),
         **_friction_data(judgement),

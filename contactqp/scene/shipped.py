@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +25,14 @@ class ShippedCase:
         return self.file.stem
 
     def has(self, word: str) -> bool:
-        """Say whether a word, or that of which it is a plural, stands in the name or the file, whatever its case."""
-        known = f"{self.name} {self.text}".casefold()
-        return word.casefold() in known or word.casefold().removesuffix("s") in known
+        """Say whether a word of the name or the file begins so, or as that of which it is a plural, in any case.
+
+        Parts of words that do not begin them are not looked at: ``ring`` is not in ``string``.
+        """
+        known = f" {self.name} {self.text}".casefold().replace("_", " ")
+        return any(
+            re.search(rf"\b{re.escape(one)}", known) for one in (word.casefold(), word.casefold().removesuffix("s"))
+        )
 
 
 def shipped_folder() -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,9 @@ WIDTHS = (24, 16, 10, 6)
 ENDLESS = 10_000
 # Of the largest value; what is smaller is drawn as zero.
 ROUNDING = 1e-12
+# A number in a cell, with its unit where it has one; one of so many letters need not be shortened.
+NUMBER = re.compile(r"([-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?)( rad(?:/s)?)?")
+SHORT = 8
 
 
 @dataclass(frozen=True)
@@ -164,16 +168,33 @@ def _fitting(
             table = _table(header, rows, pictures)
             if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
                 return table
-    return _table(header, rows, ())
+    table = _table(header, rows, ())
+    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+        return table
+    return _table(header, [[_shortened(cell) for cell in row] for row in rows], (), whole_numbers=True)
+
+
+def _shortened(cell: str | Text) -> str | Text:
+    """Return a number to six digits, where it has more; all else as it is."""
+    match = NUMBER.fullmatch(cell) if isinstance(cell, str) else None
+    return cell if match is None or len(match[0]) <= SHORT else f"{float(match[1]):.6g}{match[2] or ''}"
 
 
 def _table(
-    header: Sequence[str], rows: Sequence[Sequence[str | Text]], pictures: Sequence[tuple[int, Sequence[str]]]
+    header: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    pictures: Sequence[tuple[int, Sequence[str]]],
+    whole_numbers: bool = False,
 ) -> Table:
+    """Return the table; with `whole_numbers` words are folded where it is too wide, and numbers stay whole."""
     columns = [list(column) for column in zip(header, *rows, strict=True)]
     for before, cells in sorted(pictures, reverse=True):
         columns.insert(before, ["", *cells[: len(rows)]])
-    table = Table(*(escape(str(column[0])) for column in columns), box=box.SIMPLE, pad_edge=False)
+    table = Table(box=box.SIMPLE, pad_edge=False, padding=(0, 0) if whole_numbers else (0, 1))
+    for name, *cells in columns:
+        widest = max(map(len, [*cells, *str(name).split()]))
+        numbers = whole_numbers and any(isinstance(cell, str) and NUMBER.fullmatch(cell) for cell in cells)
+        table.add_column(escape(str(name)), overflow="fold", width=widest if numbers else None)
     for row in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     return table

@@ -332,6 +332,7 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
     except pint.UndefinedUnitError as error:
         unknown = _first_unknown(error)
         near = [name for name in COMMON_UNITS if name.lower() == unknown.lower()]
+        near = near or [f"{unknown[:i]}*{unknown[i:]}" for i in range(1, len(unknown)) if _are_units(unknown, i)]
         near = near or difflib.get_close_matches(unknown, COMMON_UNITS, n=3, cutoff=0.5)
         raise NotANumber(
             f"the unit {unknown!r} is unknown" + (f" (nearest: {', '.join(near)})" if near else "")
@@ -369,6 +370,11 @@ def _prefixes_and_units() -> tuple[list[str], list[str]]:
     written = [[part.strip() for part in definition.split("=")] for definition in _DEFINITIONS]
     names = [name for parts in written for name in (parts[0], *parts[2:])]
     return [name[:-1] for name in names if name.endswith("-")], [name for name in names if not name.endswith("-")]
+
+
+def _are_units(text: str, place: int) -> bool:
+    """Return whether a text is two units without a sign between them, as in ``kNm``."""
+    return text[:place] in COMMON_UNITS and text[place:] in COMMON_UNITS
 
 
 def read_number(value: Any, *, roots: bool = False) -> Fraction:
@@ -417,7 +423,10 @@ def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
             raise NotANumber(f"{value}, a number without a unit")
         return Quantity(number, Dimension(0, 0, 0), str(value))
     number, unit = split_number(value, roots=roots)
-    factor, dimension = read_unit(unit)
+    try:
+        factor, dimension = read_unit(unit)
+    except NotANumber as error:
+        raise NotANumber(f"{value!r}: {error}") from None
     if dimension not in {kind.dimension for kind in kinds}:
         raise NotANumber(
             f"{value!r}, " + (f"which is {describe_dimension(dimension)}" if unit else "a number without a unit")

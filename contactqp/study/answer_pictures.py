@@ -148,14 +148,17 @@ TIME_UNIT = "s"
 DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
-def answer_figure(scene: SceneData, solution: Solution, *, title: str = "") -> Figure:
-    """Return the figure of geometry, deformed shape and contact forces; large displacements are true to scale."""
+def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scale: float | None = None) -> Figure:
+    """Return the figure of geometry, deformed shape and contact forces; large displacements are true to scale.
+
+    `scale` magnifies displacements; by default it is chosen, and membranes have their own.
+    """
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)
     fields = fields_of(scene, solution)
     if isinstance(fields, ContactFields):
-        return figure(fields, title=title)
-    return structure_figure(fields, scale=1.0 if scene.large else None, title=title)
+        return figure(fields, title=title, scale=scale)
+    return structure_figure(fields, scale=1.0 if scene.large and scale is None else scale, title=title)
 
 
 def draw(
@@ -166,6 +169,8 @@ def draw(
     system: System | None = None,
     contacts: Sequence[Pairing] = (),
     title: str = "",
+    scale: float | None = None,
+    time_unit: str = "",
 ) -> Figure:
     """Draw an answer: on its geometry where that is given, a history over time or load, else forces and gaps as bars.
 
@@ -183,6 +188,11 @@ def draw(
         pressure at their contacts.
     title : str
         The title of the picture.
+    scale : float, optional
+        How many times displacements are magnified; by default as many as make them visible, and bodies that meet
+        across a gap overlap by no more than a five-hundredth of their size. The title states it. Gaps stay as they are.
+    time_unit : str
+        Unit of the times of a motion, for labels.
 
     Returns
     -------
@@ -209,7 +219,10 @@ def draw(
     path = None if file is None else check_picture(file)
     if not isinstance(answer, Solution | History):
         raise InvalidProblem(f"draw: expected a Solution or a History, got {type(answer).__name__}")
-    drawn = _drawn(answer, scene, system, contacts, title)
+    if scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
+        drawn = history_figure(answer, title=title, time_unit=time_unit)
+    else:
+        drawn = _drawn(answer, scene, system, contacts, title, scale)
     if path is not None:
         save(drawn, path)
     return drawn
@@ -221,17 +234,16 @@ def _drawn(
     system: System | None,
     contacts: Sequence[Pairing],
     title: str,
+    scale: float | None,
 ) -> Figure:
     solution = answer[-1] if isinstance(answer, History) else answer
     if scene is not None and system is not None:
         raise InvalidProblem("draw: expected a scene or a system, got both")
     if scene is not None:
         read = load_scene(scene) if isinstance(scene, str | Path) else scene
-        return answer_figure(read, solution, title=title or read.title)
+        return answer_figure(read, solution, title=title or read.title, scale=scale)
     if system is not None:
-        return figure(contact_fields(system, contacts, solution), title=title)
-    if isinstance(answer, History) and len(answer) > 1:
-        return history_figure(answer, title=title)
+        return figure(contact_fields(system, contacts, solution), title=title, scale=scale)
     return solution_figure(solution, title=title)
 
 

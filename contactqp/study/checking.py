@@ -107,6 +107,8 @@ def check_problem(
         found.ledger.converted.append("pressures: multiplied by the areas of the contacts")
     _take_pressure(candidate_file, given, options)
     given |= {"tolerance": options.tolerance, "error_tolerance": options.error_tolerance}
+    if options.compression == "negative" and "normal_force" not in given:
+        raise wrong(candidate_file, "normal_force", "the forces whose sign --compression tells", "none")
     if options.compression == "negative" and "normal_force" in given:
         found.ledger.converted.append("normal forces: turned round, compression is negative in the file")
     with naming(candidate_file):
@@ -136,13 +138,15 @@ def _renamed(problem: ContactProblem, dofs: Order | None, contacts: Order | None
 
 
 def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | Sequence[str] | None:
-    """Return the map for values that came in order; None for values by name, which are in the problem's order."""
+    """Return the map for values that came in order; of values by name, a table has told the names already."""
     if order is None:
         return None
     named = part in found.named or (part == "normal_force" and "normal_pressure" in found.named)
-    if named and order.renamed is None:
+    if named and order.names is not None:
         raise wrong(order.file, "content", "a table problem,candidate, as the candidate has names", "an order")
-    if not named and order.renamed is not None:
+    if named:  # values came by their names: places are then counted in the problem's order
+        return order.places if order.renamed is None else None
+    if order.renamed is not None and order.places is None:
         raise wrong(order.file, "candidate", "places counted from 0, as the candidate has no names", "names")
     return order.places or order.names
 
@@ -336,6 +340,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     """Print the verdict and its reasons, the worst contacts with right values beside them, and what was read."""
     word = "[green]right[/green]" if verdict.passed else "[red]WRONG[/red]"
     console.print(f"{escape(verdict.candidate_file)}: {word} (tolerance {verdict.certificate.tolerance:g})")
+    _print_lines(console, [f"  ignored: {line}" for line in verdict.ledgers[-1].ignored])
     if isinstance(verdict, AnswerVerdict) and not verdict.passed:
         _print_lines(console, [f"  {as_options(verdict.certificate.diagnosis)}"])
     for name, value in figures(verdict.certificate).items():
@@ -349,7 +354,9 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     if verdict.why_not is not None:
         _print_lines(console, [f"no right values to set beside: {verdict.why_not}"])
     for ledger in verdict.ledgers:
-        _print_lines(console, [ledger.source, *(f"  {kind}: {line}" for kind, line in ledger)])
+        last = ledger is verdict.ledgers[-1]  # of which it stands above what was ignored
+        lines = [f"  {kind}: {line}" for kind, line in ledger if not (last and kind == "ignored")]
+        _print_lines(console, [ledger.source, *lines])
 
 
 def _print_lines(console: Console, lines: Sequence[str]) -> None:

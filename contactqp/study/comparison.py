@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
+from contactqp.model.summary import Printed
 from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
 from contactqp.study.settings import chosen_methods, single_settings
@@ -18,14 +19,20 @@ from contactqp.study.truth import Reference, truth_of, truth_of_reference
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Printed, Sequence[Row]):
     """The table of `compare`, with one row for each method and value of its knob; `str` prints it."""
 
     rows: tuple[Row, ...]
     truth: str  # what the errors are measured against
 
-    def __iter__(self) -> Iterator[Row]:
-        return iter(self.rows)
+    @overload
+    def __getitem__(self, place: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
+        return self.rows[place]
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -23,7 +23,7 @@ from contactqp.scene.scene import load_scene
 from contactqp.scene.shipped import case_path
 from contactqp.study.checking import check_answer
 from contactqp.study.rows import finite
-from contactqp.study.verdict import CheckOptions, Verdict
+from contactqp.study.verdict import CheckOptions, Verdict, is_written_out
 
 SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1
 # Options that name files, which are hashed as well.
@@ -47,7 +47,7 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
     """
     target, problem = receipt_path(file, problem, candidate, options), str(case_path(problem))
     asked = {
-        name: _relative(value, target.parent) if name in FILES and value is not None else value
+        name: _relative(value, target.parent) if name in options.files() else value
         for name, value in asdict(options).items()
     }
     found = verdict.data()
@@ -62,6 +62,7 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
         "sha256": hashes(target, problem, candidate, options),
         "verdict": {name: found.get(name) for name in (*SAME, "basis", "diagnosis", "failures", "notes")},
         "figures": _figures(verdict),
+        "ignored": found["ledgers"][-1]["ignored"],
     }
     text = json.dumps(data, indent=1, allow_nan=False) + "\n"
     write_whole(target, lambda beside: _write(beside, text))
@@ -80,8 +81,8 @@ def receipt_path(file: str, problem: str, candidate: str, options: CheckOptions)
     target = Path(file).resolve()
     if not file or target.is_dir() or (target.exists() and not target.is_file()) or not target.parent.is_dir():
         raise InvalidProblem(f"--receipt: expected a file in a folder that is there, got {file!r}")
-    judged = (str(case_path(problem)), candidate, *(getattr(options, name) for name in FILES))
-    if target in {Path(name).resolve() for name in judged if name}:
+    judged = (str(case_path(problem)), candidate, *options.files().values())
+    if target in {Path(name).resolve() for name in judged}:
         raise InvalidProblem(f"--receipt: {file} is one of the files that are judged; expected another")
     return target
 
@@ -107,7 +108,7 @@ def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -
 
     Of a folder of matrices, and of a problem.json, those are all files of the folder, but for the receipt itself.
     """
-    named = [problem, candidate, *_meshes(problem), *(getattr(options, name) for name in FILES)]
+    named = [problem, candidate, *_meshes(problem), *options.files().values()]
     return {
         _relative(str(file), receipt.parent): hashlib.sha256(file.read_bytes()).hexdigest()
         for path in filter(None, named)
@@ -169,7 +170,7 @@ def verify(file: str) -> Verified:
     data, receipt = _read(file), Path(file).resolve()
     folder = receipt.parent
     asked: dict[str, Any] = {
-        name: str(folder / value) if name in FILES and value is not None else value
+        name: str(folder / value) if name in FILES and value is not None and not is_written_out(value) else value
         for name, value in data["options"].items()
     }
     options = CheckOptions(**asked)

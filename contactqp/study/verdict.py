@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,15 +35,20 @@ EXPECTED = "places or names, one a line, or a table problem,candidate"
 OPTIONS = (
     (r"\bcompression='(\w+)'", r"--compression \1"),
     (r"\bpressure_area=", "--pressure-areas"),
+    (r"\b(dof|contact)_map=(\[[^]]*\])", r"--\1-map '\2'"),
     (r"\b(dof|contact)_map=", r"--\1-map "),
     (r"\berror_tolerance=", "--error-tolerance "),
     (r"\btolerance=", "--tolerance "),
 )
 
 
+# A map that stands on the command line: places in brackets, or with commas between them.
+PLACES = re.compile(r"\s*(?:\[\s*\d+(?:\s*,\s*\d+)*\s*\]|\d+(?:\s*,\s*\d+)+)\s*")
+
+
 @dataclass(frozen=True)
 class CheckOptions:
-    """The options of `contactqp check`; areas and maps are names of files."""
+    """The options of `contactqp check`; areas and maps are names of files, a map of places may be written out."""
 
     tolerance: float = 1e-9
     compression: str = "positive"
@@ -50,6 +56,12 @@ class CheckOptions:
     dof_map: str | None = None
     contact_map: str | None = None
     error_tolerance: float = 1e-6
+
+    def files(self) -> dict[str, str]:
+        """Return the files that are named, by the name of their option; maps that are written out are none."""
+        maps = {"dof_map": self.dof_map, "contact_map": self.contact_map}
+        named = {name: told for name, told in maps.items() if told is not None and not is_written_out(told)}
+        return named if self.pressure_areas is None else {"pressure_areas": self.pressure_areas, **named}
 
     def __post_init__(self) -> None:
         if self.compression not in COMPRESSION:
@@ -81,8 +93,15 @@ class Order:
     renamed: tuple[str, ...] | None = None
 
 
+def is_written_out(told: str) -> bool:
+    """Return whether what stands for the file of a map are the places themselves."""
+    return PLACES.fullmatch(told) is not None and not Path(told).exists()
+
+
 def read_order(file: str | None, names: Sequence[str]) -> Order | None:
     """Read a map; `names` are the problem's names of its unknowns or contacts. None without a file.
+
+    Places may stand on the command line itself, as a diagnosis prints them: ``[1, 2, 0]``.
 
     Raises
     ------
@@ -91,6 +110,8 @@ def read_order(file: str | None, names: Sequence[str]) -> Order | None:
     """
     if file is None:
         return None
+    if is_written_out(file):
+        return _order(file, re.findall(r"\d+", file))
     if is_table(file, "problem"):
         return _renaming(file, names)
     entries = [line.strip() for line in read_text(file, EXPECTED).splitlines() if line.strip()]
@@ -116,7 +137,8 @@ def _renaming(file: str, names: Sequence[str]) -> Order:
         odd = sorted(set(called) ^ set(names)) or [name for name in given if given.count(name) > 1]
         raise wrong(file, "problem", f"each of the problem's {len(names)} names once", ", ".join(odd[:5])[:100])
     entries = tuple(called[name] for name in names)
-    return _order(file, entries) or Order(file, renamed=entries)
+    places = _order(file, entries)
+    return Order(file, places=None if places is None else places.places, renamed=entries)
 
 
 def read_areas(file: str, contact_names: Sequence[str], ledger: Ledger) -> Vector:

@@ -139,7 +139,7 @@ def test_the_title_says_the_chosen_magnification():
         (1e6, 1e3, 0.0, 0.0, 50.0),  # in other units
         (1.0, 0.3, 0.0, 0.0, 1.0),  # large enough
         (1.0, 0.0, 0.0, 0.0, 1.0),
-        (1.0, 1e-3, 1e-3, 0.0, 10.0),  # overlap of at most (10 - 1) * 1e-3 < 0.01
+        (1.0, 1e-3, 1e-3, 0.0, 2.0),  # overlap of at most (2 - 1) * 1e-3 < 0.002
         (1.0, 1e-3, 1e-3, 2e-3, 50.0),  # opens
     ],
 )

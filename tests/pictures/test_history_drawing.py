@@ -282,7 +282,7 @@ def test_labels_of_many_events_stand_free_and_count_all():
     assert sum(label.events for label in history_drawing.labels(history.events, 1.0)) == 99
     (remark,) = [text.get_text() for text in figure.axes[-1].texts if text.get_gid() == "remarks"]
     hidden = sum(int(text.get_text().split("+ ")[1]) for text in texts)
-    assert remark == f"{99 - hidden} events are named; + n stands for n more there, {hidden} in all"
+    assert remark == f"{99 - hidden} of 99 events are named; + n: n more at that place"
     assert len(marked(figure.axes[0])) == len(np.unique([event.time for event in history.events]))
 
 

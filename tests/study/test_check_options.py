@@ -94,13 +94,66 @@ def test_a_candidate_with_a_fault_is_exit_2(capsys, folder, name):
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [  # forces that would be left out, without which the answer is right
+        ("node,ux,normal_force\na,{},5\nb,{},5\nc,{},5\n", "column normal_force: expected forces in a table whose"),
+        (
+            "node,ux,fcontact\na,{},5\nb,{},5\nc,{},5\n",
+            "column fcontact: expected forces in a table whose first column",
+        ),
+        ("node,ux,CPRESS\na,{},5\nb,{},5\nc,{},5\n", "column cpress: expected forces in a table whose first column"),
+        ("dof,displacement,force\na.x,{},5\nb.x,{},5\nc.x,{},5\n", "column force: expected forces in a table whose"),
+        ("node,ux\na,{}\nb,{}\nc,{}\ncontact,fn\nleft,1\nright,2\n", "column fn: expected normal_force or friction"),
+    ],
+)
+def test_columns_of_forces_are_read_or_refused(capsys, folder, text, words):
+    values = json.loads((folder / "a.json").read_text())["displacement"].values()
+    (folder / "a.csv").write_text(text.format(*map(repr, values)))
+    code, out, err = run(capsys, "check", "p", "a.csv")
+    assert (code, out) == (2, "")
+    assert words in err
+
+
+def test_columns_of_other_numbers_are_ignored_which_stands_at_the_top_and_in_the_receipt(capsys, folder):
+    values = json.loads((folder / "a.json").read_text())["displacement"].values()
+    (folder / "a.csv").write_text("node,ux,temperature\na,{},5\nb,{},5\nc,{},5\n".format(*map(repr, values)))
+    code, out, _ = run(capsys, "check", "p", "a.csv", "--receipt", "r.json")
+    assert code == 0
+    assert out.splitlines()[1] == "  ignored: column temperature"
+    assert json.loads((folder / "r.json").read_text())["ignored"] == ["column temperature"]
+    code, _, err = run(capsys, "check", "p", "a.csv", "--compression", "negative")
+    assert code == 2
+    assert "normal_force: expected the forces whose sign --compression tells, got none" in err
+
+
+def test_the_map_that_a_diagnosis_names_can_be_pasted(capsys, folder):
+    data = json.loads((folder / "a.json").read_text())
+    left, right = data["normal_force"].values()
+    assert left != right
+    (folder / "turned.json").write_text(json.dumps(data | {"normal_force": {"left": right, "right": left}}))
+    out = run(capsys, "check", "p", "turned.json")[1]
+    assert "--contact-map '[1, 0]': this answer is right" in out
+    for told in ("[1, 0]", "1,0"):
+        code, _, _ = run(capsys, "check", "p", "turned.json", "--contact-map", told, "--receipt", "r.json")
+        assert code == 0
+        assert run(capsys, "check", "--verify", "r.json")[0] == 0
+    (folder / "map.csv").write_text("problem,candidate\nleft,4\nright,7\n")
+    (folder / "numbers.json").write_text(json.dumps(data | {"normal_force": {"4": left, "7": right}}))
+    assert run(capsys, "check", "p", "numbers.json", "--contact-map", "map.csv")[0] == 0
+
+
 BAD_MAPS = {
     "empty": ("", "lists.json", "map: content: expected places or names, one a line"),
     "few": ("0\n1\n", "lists.json", "dof_map: expected 3 integers"),
     "twice": ("0\n1\n1\n", "lists.json", "dof_map: place 1 is given to b.x and c.x"),
     "far": ("0\n1\n3\n", "lists.json", "displacement: expected at least 4 values"),
     "unknown": ("a.x\nb.x\nd.x\n", "lists.json", "dof_map: expected every unknown of the problem, 'c.x' missing"),
-    "names": ("0\n1\n2\n", "a.json", "map: content: expected a table problem,candidate, as the candidate has names"),
+    "names": (
+        "a.x\nb.x\nc.x\n",
+        "a.json",
+        "map: content: expected a table problem,candidate, as the candidate has names",
+    ),
     "renamed": ("problem,candidate\na.x,x\nb.x,y\nc.x,z\n", "lists.json", "expected places counted from 0"),
     "missing": ("problem,candidate\na.x,x\nb.x,y\n", "a.json", "each of the problem's 3 names once, got c.x"),
     "again": ("problem,candidate\na.x,x\nb.x,y\nc.x,x\n", "a.json", "candidate: expected every name once"),

@@ -21,11 +21,14 @@ from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
+from contactqp.model.summary import wrapped
 
 # Steps whose energies are found at once.
 BLOCK = 256
 # Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
 SLIPS = PENETRATES = 1e-9
+# The scheme whose contacts have no mass, so that no impulse stops them.
+WITHOUT_MASS = "modified-mass"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,11 @@ class MotionHistory(History):
         resumed.
         """
         return super().__getstate__() | dict(_resume=_refuse_to_go_on)
+
+    def summary(self) -> str:
+        """Return what `History.summary` does, and that the force of an impact depends on the step."""
+        said = (line for text in _said_of_impulses(self.motion) for line in wrapped(f"note: {text}"))
+        return "\n".join([super().summary(), *said])
 
     @property
     def displacements(self) -> NDArray[np.float64]:
@@ -181,6 +189,23 @@ def said_of_penetration(motion: Motion) -> Iterator[str]:
     if deepest is not None:
         place = f"step {deepest[0]}, at {motion.time(deepest[0]):.6g}"
         yield f"deepest at {place}: {_penetrates(motion, deepest)}"
+
+
+def _said_of_impulses(motion: Motion) -> Iterator[str]:
+    """Yield what the largest contact force is, where a contact closes with it and the scheme has no contact springs."""
+    forces = np.array([state.normal_force for state in motion.states])
+    if motion.scheme.springs is not None or motion.scheme.name == WITHOUT_MASS or not forces.size:
+        return
+    step, contact = np.unravel_index(int(np.argmax(forces)), forces.shape)
+    if step == 0 or not forces[step, contact] > 0 or forces[step - 1, contact] > 0:
+        return
+    units = motion.scheme.body.problem.units
+    unit, impulse = (f" {units.force}", f" {units.force}*time") if units.force else ("", "")
+    lasted = motion.time(int(step)) - motion.time(int(step) - 1)
+    yield (
+        f"the largest contact force, {forces[step, contact]:.6g}{unit}, is an impulse over one step: "
+        f"{forces[step, contact] * lasted:.6g}{impulse}; shorter steps make the force larger, and not the impulse"
+    )
 
 
 def _deepest(problem: ContactProblem, displacements: Sequence[Vector]) -> tuple[int, int, float] | None:

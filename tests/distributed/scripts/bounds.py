@@ -40,7 +40,7 @@ far = Bounds(energy_error=1e-3, force_error=1e-8, energy_scale=1.0, force_scale=
 refused = certify_distributed(part, answer, bounds=lambda: far)
 assert not refused.passed
 assert not refused.proven
-assert refused.failures == ("energy_error: the displacement may be off by 0.001 of their size (tolerance 1e-06)",), (
+assert refused.failures == ("energy_error: the displacement may be off by 0.001 of its size (tolerance 1e-06)",), (
     refused.failures
 )
 assert refused.notes[-1].startswith("nothing was factorised")
