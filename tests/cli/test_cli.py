@@ -118,6 +118,56 @@ def test_an_expectation_that_is_not_met_is_exit_1(capsys, tmp_path):
     assert code == 1
 
 
+def test_of_a_method_that_the_case_says_nothing_of_the_certificate_decides(capsys):
+    arguments = ("run", WALL, "--method", "perturbed-lagrangian", "--perturbation")
+    for perturbation, code, said in (("2e6 kN/m", 1, True), ("1e15 kN/m", 0, False)):
+        ended, out, _ = run(capsys, *arguments, perturbation)
+        assert (ended, "the case says nothing of perturbed-lagrangian: its certificate" in out) == (code, said)
+        (one,) = json.loads(run(capsys, *arguments, perturbation, "--json")[1])
+        assert (one["met"], one["expectations"], one["contact_status"]) == (code == 0, [], {"tip": "closed"})
+
+
+NODE = """
+title = "A node that may stick, slip or lift off"
+units = { length = "m", force = "N" }
+axes = ["x", "y"]
+nodes = [{ name = "1", at = ["0 m", "0 m"] }]
+matrices = [{ name = "K", unknowns = ["1.y", "1.x"], unit = "N/m", rows = [[5, -2], [-2, 1]] }]
+obstacles = [{ name = "floor", point = ["0 m", "0 m"], normal = [0, 1] }]
+contacts = [{ name = "foot", node = "1", obstacle = "floor", friction = 0.8 }]
+loads = [{ unknown = "1.y", value = "-1 N" }, { unknown = "1.x", value = "0.65 N" }]
+"""
+
+
+def test_several_answers_are_told(capsys, tmp_path):
+    (tmp_path / "node.toml").write_text(NODE)
+    out = run(capsys, "run", tmp_path / "node.toml")[1]
+    assert "several answers exist at this load" in " ".join(out.split())
+    (one,) = json.loads(run(capsys, "run", tmp_path / "node.toml", "--json")[1])
+    assert one["certificate"]["uniqueness"] == ["several answers"]
+    assert "several answers exist at this load" in one["certificate"]["notes"][0]
+    (tmp_path / "node.toml").write_text(NODE.replace("friction = 0.8", "friction = 0.2"))
+    (one,) = json.loads(run(capsys, "run", tmp_path / "node.toml", "--json")[1])
+    assert one["certificate"]["uniqueness"] == []
+
+
+def test_a_contact_that_leaves_its_obstacle_unpushed_is_doubted(capsys, tmp_path):
+    beam = (
+        "title = 'beam'\nunits = { length = 'mm', force = 'kN' }\naxes = ['x', 'y']\nfixed = ['root', 'tip.x']\n"
+        "nodes = [{ name = 'root', at = ['0 m', '0 m'] }, { name = 'tip', at = ['2 m', '0 m'] }]\n"
+        "beams = [{ name = 'b', nodes = ['root', 'tip'], area = '30 cm^2', inertia = '2000 cm^4', "
+        "modulus = '210 GPa' }]\n"
+        "contacts = [{ name = 'stop', node = 'tip', obstacle = 'block' }]\n"
+        "loads = [{ unknown = 'tip.y', value = '-20 kN' }]\n"
+        "obstacles = [{ name = 'block', point = ['0 m', '-5 mm'], normal = [0, %d] }]\n"
+    )
+    for normal, doubted in ((1, False), (-1, True)):
+        (tmp_path / "beam.toml").write_text(beam % normal)
+        out = run(capsys, "run", tmp_path / "beam.toml")[1]
+        assert ("stop starts 5 mm inside of block and ends outside without a force" in out) is doubted
+        assert re.search(r"tip\.theta +-0\.0\d+ rad", out)
+
+
 def test_a_verdict_that_does_not_hold_is_exit_1(capsys, tmp_path):
     file = tmp_path / "off.toml"
     text = (CASES / "truss_floor.toml").read_text()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import html
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.model.summary import history_table
 
 TRUSS = cq.ContactProblem(
     stiffness=[[59803.0, 6883.1], [6883.1, 77443.0]], load=[60.0, -100.0], normal=[[0.0, -1.0]], gap=[1e-3],
@@ -58,12 +62,32 @@ def test_a_local_problem_prints_its_forces_and_velocities() -> None:
 
 
 def test_notebooks_get_html_in_which_names_are_escaped() -> None:
-    html = cq.solve(TRUSS.replace(contact_names=["a<b"]))._repr_html_()
-    assert "<td>a&lt;b</td><td>closed</td><td>30.255</td>" in html
+    shown = cq.solve(TRUSS.replace(contact_names=["a<b"]))._repr_html_()
+    assert "<td>a&lt;b</td><td>closed</td><td>30.255</td>" in shown
+
+
+def test_notebooks_show_what_print_does_of_histories_certificates_and_comparisons() -> None:
+    solution = cq.solve(TRUSS)
+    judged = cq.certify(TRUSS, solution.displacement, 1.01 * solution.normal_force)
+    compared = cq.compare(TRUSS, methods=["active-set", "lemke"])
+    local = cq.solve(cq.LocalProblem(delassus=np.eye(2), offset=[-2.0, 5.0], friction=0.5, dimension=2))
+    for shown in (cq.follow_path(TRUSS, [TRUSS.load]), solution.certificate, judged, compared, local):
+        assert shown._repr_html_() == f"<pre>{html.escape(str(shown))}</pre>"
+    assert [compared[0].method, *(row.method for row in compared[1:])] == ["active-set", "lemke"]
+
+
+def test_the_noise_of_forces_is_zero_in_the_table_of_a_history() -> None:
+    history = cq.follow_path(TRUSS, [TRUSS.load], events="exact")
+    forces = np.array([0.0, 7e-17, 30.0])[:, None]
+    noisy = [replace(history[0], normal_force=force) for force in forces]
+    lines = history_table(np.arange(3.0), noisy, forces, ()).splitlines()
+    assert [line.split()[2:] for line in lines[2:]] == [["0"], ["0"], ["30", "floor"]]
 
 
 def test_numbers_are_had_by_name() -> None:
     solution = cq.solve(TRUSS)
+    with pytest.raises(cq.InvalidProblem, match="'floor' is a contact: force_at, gap_at, friction_at and status_at"):
+        solution.at("floor")
     assert solution.at("1.x") == solution.at(0) == solution.displacement[0]
     assert solution.force_at("floor") == solution.force_at(0) == solution.normal_force[0]
     assert solution.gap_at("floor") == solution.gap[0] == solution.gap_at(-1)

@@ -55,6 +55,8 @@ def test_cases_are_listed_and_found_by_words(capsys) -> None:
     code, out, _ = run(capsys, "cases", "Hertz", "sphere", "--json")
     assert [case["name"] for case in json.loads(out)] == ["cattaneo_mindlin_sphere", "hertz_sphere"]
     assert run(capsys, "cases", "nothing of the kind")[0] == 2
+    assert run(capsys, "cases", "ring")[0] == 2  # it stands in strings, springs and during alone
+    assert "string_over_floor" in run(capsys, "cases", "strings")[1]
     code, out, err = run(capsys, "cases", "unicorn", "cylinders", "mindlin")
     assert (code, "no case has all of unicorn cylinders mindlin; these have 2 of them" in err) == (0, True)
     assert "cattaneo_mindlin_cylinder" in out

@@ -47,6 +47,17 @@ def test_a_picture_takes_the_room_that_there_is():
         assert any("8.12345678901" in line for line in lines)
 
 
+def test_numbers_stay_whole_on_a_narrow_terminal():
+    header = ["contact between two bodies", "sum of normal forces [kN]", "gap [mm]", "error", "what of it"]
+    row = ["foot of the left leg", "8.12345678901", "-0.00084321234567", "1.0e-12", "met"]
+    screen = io.StringIO()
+    print_table(Console(file=screen, width=60), header, [row, ["a", "0.3", "2 rad", "7", "met"]])
+    lines = screen.getvalue().splitlines()
+    assert max(map(len, lines)) <= 60
+    assert "…" not in screen.getvalue()
+    assert all(any(number in line for line in lines) for number in ("8.12346", "-0.000843212", "1.0e-12", "2 rad"))
+
+
 def test_pictures_are_ascii_where_the_output_has_no_blocks():
     text = "".join(printed(80, ROWS, FORCES, "latin-1"))
     assert text.isascii()

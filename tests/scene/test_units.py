@@ -44,6 +44,7 @@ def test_quantities_are_exact(text, kind, value):
         ("15 cm^2", "which is an area"),
         ("15 KN", r"the unit 'KN' is unknown \(nearest: kN\)"),
         ("15 furlongs", "the unit 'furlongs' is unknown"),
+        ("15 kNm", r"got '15 kNm': the unit 'kNm' is unknown \(nearest: kN\*m\)"),
         ("m", "got 'm'"),
         ("", "got ''"),
         ("nan m", "got 'nan m'"),
