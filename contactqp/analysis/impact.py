@@ -68,7 +68,7 @@ def impact(
     scheme : str
         "moreau-jean": impulses and Newton's impact law (`theta`, `restitution`); robust, first order at contact.
         "modified-mass": trapezoidal rule, contact nodes without mass (taken from M by `redistributed_mass` where M has
-        not been); no spurious oscillations of the contact force, energy kept. "modified-mass-central": the same with
+        not been); no oscillations of a contact node's own mass, energy kept. "modified-mass-central": the same with
         central differences, explicit but for the contact nodes. "paoli-schatzman": central differences with a
         projection (`restitution`). "deuflhard-krause-ertel": contact-stabilised Newmark. "newmark": the trapezoidal
         rule with Signorini's conditions at the end of the step; its energy blows up at impacts. "backward-euler":

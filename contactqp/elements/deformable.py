@@ -175,7 +175,19 @@ class Supported(ReadOnly):
         return force
 
     def contact(self, geometry: ContactGeometry) -> SupportedContact:
-        """Return a contact geometry over the body's unknowns as one over the free unknowns."""
+        """Return a contact geometry over the body's unknowns as one over the free unknowns.
+
+        Raises
+        ------
+        InvalidProblem
+            It is over another number of unknowns.
+        """
+        over = getattr(geometry, "dimension", self.body.dimension)
+        if over != self.body.dimension:
+            raise InvalidProblem(
+                f"contact: expected rows over the {self.body.dimension} unknowns of the body, got "
+                f"{over}; state dimension={self.body.dimension} where it is made"
+            )
         return SupportedContact(self, geometry)
 
 

@@ -167,6 +167,11 @@ def paired(
     points: ArrayLike | Surface, obstacle: Obstacle, unknowns: ArrayLike | None = None, dimension: int | None = None
 ) -> Pairing:
     """Return the pairing of `pair`, wherever the points start."""
+    if isinstance(obstacle, Surface):
+        raise InvalidProblem(
+            f"obstacle: expected a rigid one, got the surface {obstacle.name!r} of a body; two bodies are paired by "
+            "pair_mortar(slave, master) or pair_node_to_segment(slave, master)"
+        )
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle.dimension)

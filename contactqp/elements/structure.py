@@ -259,7 +259,7 @@ class System:
 
     def problem(
         self,
-        pairings: Sequence[Pairing],
+        pairings: Sequence[Pairing] | Pairing,
         *,
         friction: ArrayLike | None = None,
         units: Any = None,
@@ -269,7 +269,7 @@ class System:
 
         Parameters
         ----------
-        pairings : sequence of Pairing
+        pairings : sequence of Pairing, or one
             Rows over all unknowns. Contacts between supported nodes, which no free unknown moves, are left out.
         friction : float or array with one coefficient for each row of all pairings, optional
             With it the tangent rows come in, and slip starts from what the supports prescribe.
@@ -283,6 +283,7 @@ class System:
         InvalidProblem
             Rows of another length than u; supported nodes that are pressed into an obstacle.
         """
+        pairings = [pairings] if isinstance(pairings, Pairing) else pairings
         contacts = free_contacts(pairings, self.prescribed, friction=friction, names=names)
         unknowns = self.structure.unknown_names()
         return ContactProblem(

@@ -306,10 +306,21 @@ def check_apart(slave: Surface, master: Surface) -> None:
         raise InvalidProblem(
             f"{slave.name} has {slave.dimension} dimensions and {master.name} has {master.dimension}: expected the same"
         )
+    _refuse_two_counts(slave, master)
     mine = slave.unknowns[slave.nodes]
     shared = np.isin(mine, master.unknowns[master.nodes]).any(axis=1)
     if shared.any():
         raise InvalidProblem(f"{slave.name}: node {slave.nodes[shared][0]} belongs to {master.name} as well")
+
+
+def _refuse_two_counts(slave: Surface, master: Surface) -> None:
+    """Refuse surfaces of two bodies that each count their unknowns from zero: the same unknown is at two places."""
+    _, mine, theirs = np.intersect1d(slave.unknowns[:, 0], master.unknowns[:, 0], return_indices=True)
+    if not np.array_equal(slave.points[mine], master.points[theirs]):
+        raise InvalidProblem(
+            f"{slave.name} and {master.name}: expected unknowns of one structure, and each body counts its own from 0; "
+            "structure.surface(body, side) has those of the structure"
+        )
 
 
 def check_distances(reach: float | None, overlap: float | None) -> None:

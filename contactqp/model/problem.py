@@ -174,7 +174,7 @@ class ContactProblem:
     def from_qp(
         cls,
         P: Any,
-        q: ArrayLike,
+        q: ArrayLike | None = None,
         G: Any = None,
         h: ArrayLike | None = None,
         A: Any = None,
@@ -193,7 +193,7 @@ class ContactProblem:
         Parameters
         ----------
         P : (n, n) array or sparse matrix
-            Symmetric positive semidefinite.
+            Symmetric positive semidefinite; or a `qpsolvers.Problem`, which has all of these.
         q : (n,) array
         G, h : (m, n) array or sparse matrix and (m,) array, optional
         A, b : (k, n) array or sparse matrix and (k,) array, optional
@@ -217,6 +217,10 @@ class ContactProblem:
         if unknown:
             raise InvalidProblem(f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u")
         given: tuple[Any, ...] = (P, q, G, h, A, b, lb, ub)
+        if q is None:
+            if not all(hasattr(P, name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")):
+                raise InvalidProblem("from_qp: q: expected an array, got None")
+            given = (P.P, P.q, P.G, P.h, P.A, P.b, P.lb, P.ub)
         return cls(**contact_data(QuadraticProgram(*given), **ranges))
 
     def to_qp(self) -> QuadraticProgram:

@@ -308,3 +308,36 @@ def _triangles(rng, count):
     clockwise = mortar_segments.areas(t) < 0
     t[clockwise] = t[clockwise][:, ::-1]
     return t
+
+
+@pytest.fixture
+def two_blocks():
+    """A block of its own mesh on a foundation."""
+    material = cq.Material(modulus=1.0, poisson=0.3)
+    block = cq.Body(cq.rectangle(1.0, 0.5, (3, 2), "quad4"), material, "plane-strain", name="block")
+    base = cq.Body(cq.rectangle(1.0, 0.5, (4, 2), "quad4", corner=(0.0, -0.5)), material, "plane-strain", name="base")
+    return cq.Structure([block, base])
+
+
+@pytest.mark.parametrize("pairing_of", PAIRINGS)
+def test_surfaces_of_bodies_that_each_count_from_zero_are_refused(two_blocks, pairing_of):
+    block, base = two_blocks.bodies
+    assert len(pairing_of(two_blocks.surface("block", "bottom"), two_blocks.surface("base", "top")).gap) > 2
+    with pytest.raises(InvalidProblem, match=r"each body counts its own from 0; structure\.surface"):
+        pairing_of(block.surface("bottom"), base.surface("top"))
+
+
+def test_two_bodies_are_no_body_and_an_obstacle(two_blocks):
+    with pytest.raises(InvalidProblem, match=r"two bodies are paired by pair_mortar\(slave, master\)"):
+        cq.pair(two_blocks.surface("block", "bottom"), two_blocks.surface("base", "top"))
+
+
+def test_one_pairing_needs_no_list(two_blocks):
+    supports = [
+        cq.Support(body, side, axis) for body, side in (("block", "top"), ("base", "bottom")) for axis in (0, 1)
+    ]
+    system = two_blocks.assemble(supports)
+    pairing = cq.pair_mortar(two_blocks.surface("block", "bottom"), two_blocks.surface("base", "top"))
+    one, listed = system.problem(pairing), system.problem([pairing])
+    assert one.contacts == listed.contacts > 2
+    np.testing.assert_array_equal(one.normal.toarray(), listed.normal.toarray())

@@ -72,6 +72,13 @@ def test_several_obstacles_are_one_geometry():
         ContactGroup([parts[0], ObstacleContact([[0.0, 1.0]], ball, dimension=3)]).state(np.zeros(3))
 
 
+def test_contacts_over_other_unknowns_than_the_body_has_are_refused():
+    held = Supported(truss(), [0, 1, 4, 5])
+    contact = ObstacleContact([[0.0, 1.0]], cq.Circle([0.0, -3.0], 2.0), dimension=held.body.dimension + 2)
+    with pytest.raises(InvalidProblem, match="expected rows over the 6 unknowns of the body, got 8; state dimension=6"):
+        held.contact(contact)
+
+
 def test_a_surface_brings_its_own_unknowns():
     from contactqp.elements.surface import Surface
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import qpsolvers
 import scipy.sparse as sp
 
 import contactqp as cq
@@ -83,6 +84,18 @@ def test_rows_that_only_look_like_bounds_stay_rows() -> None:
 def test_what_is_no_program_is_refused(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(cq.InvalidProblem, match=message):
         cq.ContactProblem.from_qp(**(PROGRAM | changed))
+
+
+def test_a_problem_of_qpsolvers_is_taken_as_it_is() -> None:
+    plain = {name: PROGRAM.get(name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
+    arrays = {name: None if value is None else np.array(value) for name, value in plain.items()}
+    read = cq.ContactProblem.from_qp(qpsolvers.Problem(**arrays))
+    told = cq.ContactProblem.from_qp(**plain)
+    np.testing.assert_array_equal(read.normal.toarray(), told.normal.toarray())
+    np.testing.assert_array_equal(read.gap, told.gap)
+    assert (read.contact_names, read.ties) == (told.contact_names, told.ties)
+    with pytest.raises(cq.InvalidProblem, match="from_qp: q: expected an array, got None"):
+        cq.ContactProblem.from_qp(np.eye(2))
 
 
 def test_friction_is_no_quadratic_program() -> None:

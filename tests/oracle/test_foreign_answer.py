@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -212,3 +213,24 @@ def test_the_tolerance_that_would_pass_is_named_and_does() -> None:
     assert "every number is one of single precision; tolerance=1e-07 passes it" in judged.diagnosis
     assert cq.certify(problem, **rounded, tolerance=1e-7).passed
     assert not cq.certify(problem, **rounded, tolerance=1e-8).passed
+
+
+def test_the_tolerance_is_named_where_forces_are_recovered_by_it() -> None:
+    """Rows touch, or do not, by the tolerance, and at 1e-9 the recovered forces are far off."""
+    rows = np.array([[-0.5, 0.2, -1.0, -0.2], [-1.0, 0, 0, 0], [1.0, 0, 0, 0], [0, 0, 0, -1.0], [0.9, 0.1, -0.7, -0.9]])
+    problem = cq.ContactProblem(
+        stiffness=np.array(
+            [[0.6, 0.8, -0.3, -1.1], [0.8, 3.1, -0.9, -1.2], [-0.3, -0.9, 2.6, 2.7], [-1.1, -1.2, 2.7, 7.6]]
+        ),
+        load=[1.6, 0.9, -1.2, -3.1],
+        normal=rows,
+        gap=[-0.1, 0.25, 0.2, 0.25, 0.5],
+    )
+    right = cq.solve(problem)
+    assert np.sum(right.normal_force > 0) >= 2
+    off = right.displacement + 1e-7 * np.array([0.8, -0.3, 0.5, -0.1])
+    judged = cq.certify(problem, displacement=off)
+    named = re.search(r"tolerance=(1e-\d+) passes it", judged.diagnosis)
+    assert named is not None, judged.diagnosis
+    assert not judged.passed
+    assert cq.certify(problem, displacement=off, tolerance=float(named[1])).passed

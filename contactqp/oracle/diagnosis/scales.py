@@ -310,7 +310,10 @@ def _what_passes(evidence: Evidence) -> str:
     ]
     worst = max([*sizes, found.slip_direction, (found.natural_map or 0.0) / 4, found.tolerance])
     start = int(np.ceil(np.log10(worst))) if np.isfinite(worst) else 0
-    for power in range(start, start + 3):
+    powers = range(start, start + 3)
+    if evidence.recovered:  # what is recovered depends on the tolerance, and with it every figure
+        powers = range(int(np.floor(np.log10(found.tolerance))) + 1, 0)
+    for power in powers:
         tolerance = max(10.0**power, found.tolerance)
         if tolerance > LOOSEST:
             break
