@@ -13,12 +13,26 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
+
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]  # one number an unknown, contact, tie
 Index = NDArray[np.int64]
 Indices = NDArray[np.intp]  # as NumPy's own functions return them
 Mask = NDArray[np.bool_]
 
+
+# What NumPy and SciPy say of matrices that are not finite.
+NOT_FINITE = (
+    "array must not contain infs or nans",
+    "svd did not converge",
+    "svd did not converge in linear least squares",
+    "eigenvalues did not converge",
+)
+TOO_FAR_APART = (
+    "numbers too far apart: a matrix made of them has entries beyond the range of floats ({}); expected fewer orders "
+    "of magnitude between stiffnesses, rows or coefficients, which other units may bring"
+)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,13 +43,19 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function overflow, underflow and divide by zero without a word, whatever `np.seterr` says.
 
     What comes of it is infinite or NaN, which no certificate passes; under `np.seterr(all="raise")`, or with warnings
-    as errors, harmless underflow would end a solve with somebody else's exception.
+    as errors, harmless underflow would end a solve with somebody else's exception. Where a factorisation refuses such
+    numbers, numbers of the problem are too far apart to be computed with, and the error says so.
     """
 
     @wraps(function)
     def computing(*args: P.args, **kwargs: P.kwargs) -> R:
         with np.errstate(all="ignore"):
-            return function(*args, **kwargs)
+            try:
+                return function(*args, **kwargs)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                if str(error).lower() not in NOT_FINITE:
+                    raise
+                raise InvalidProblem(TOO_FAR_APART.format(error)) from error
 
     return computing
 

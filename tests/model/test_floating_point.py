@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.linalg.extended import velocity_of
+from contactqp.model.arrays import own_floating_point
 from tests.blocks_in_space import on_paraboloid
 from tests.examples import truss
 from tests.public_objects import solid
@@ -232,3 +234,15 @@ def test_every_public_function_that_computes_has_settings_of_its_own() -> None:
     functions = {name: one for name in cq.__all__ if inspect.isfunction(one := getattr(cq, name))}
     bare = {name for name, function in functions.items() if not hasattr(function, "__wrapped__")}
     assert bare == NOT_COMPUTING
+
+
+@pytest.mark.parametrize("factorise", [np.linalg.svd, scipy.linalg.eigvalsh, np.linalg.eigvals])
+def test_matrices_beyond_the_floats_are_numbers_too_far_apart(factorise: Callable[[Any], Any]) -> None:
+    matrix = np.array([[np.nan, 0.0], [0.0, 1.0]])
+    with pytest.raises(cq.InvalidProblem, match=r"numbers too far apart: .* which other units may bring"):
+        own_floating_point(factorise)(matrix)
+
+
+def test_other_errors_of_linear_algebra_are_not_reworded() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="Singular matrix"):
+        own_floating_point(np.linalg.inv)(np.zeros((2, 2)))
