@@ -246,7 +246,7 @@ def magnification(scale: float | None, size: float, displacement: Array, initial
     >>> magnification(None, 100.0, np.array([[0.0, -0.01]]), np.zeros(1), np.zeros(1))
     500.0
     >>> magnification(None, 100.0, np.array([[0.0, -0.01]]), np.array([0.01]), np.zeros(1))
-    100.0
+    20.0
     >>> magnification(None, 100.0, np.array([[0.0, -3.0]]), np.zeros(1), np.zeros(1))
     1.0
     """
