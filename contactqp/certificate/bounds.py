@@ -109,6 +109,8 @@ class Bounds:
     energy_size: float = 0.0  # the larger of 1/2 u'Ku and |f'u|
     energy_rounding: float = 0.0  # the work of contact forces on gaps, as doubles round these
     determined: str = BY_DISPLACEMENT
+    scope: str | None = None  # with friction: "global", or "local", the only equilibrium within `radius`
+    radius: float | None = None
     by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()

@@ -23,6 +23,7 @@ from contactqp.certificate.failures import (
     said_of_force_bound,
 )
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
+from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import absurd_parts, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
@@ -40,7 +41,7 @@ from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
-from contactqp.model.solution import FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
+from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
@@ -48,6 +49,7 @@ ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
+SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
 # Why answers have no bounds whose numbers cannot be computed with.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
@@ -66,8 +68,9 @@ def compute_certificate(
     """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
 
     With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
-    slips. Another law's answer, such as that of the associated relaxation, is refused. No bound can be had, Coulomb's
-    law being no minimisation; instead the certificate says whether other answers exist, as far as that can be told.
+    slips. Another law's answer, such as that of the associated relaxation, is refused. Bounds are had where friction is
+    below a constant of the bodies, or of the equilibrium nearby (`frictional_bounds`); the certificate also says
+    whether other answers exist, as far as that can be told.
 
     Parameters
     ----------
@@ -173,9 +176,15 @@ def _measured(
             if state is None:
                 state = state_verdict(problem, answer, found, condensation, allowed)
                 remember_verdict(problem, answer, allowed, state)
-            known = replace(known, energy_scale=state.energy)
+            if state.compared is not None and condensation is not None:
+                known = frictional_bounds(problem, condensation, answer, state.compared)
+            known = known if known.proven else replace(known, energy_scale=state.energy)
         state = state or StateVerdict(known.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
+    if problem.frictional and (
+        any(failed_errors(known, error_tolerance, nothing)) or fails_force_bound(known, error_tolerance, nothing)
+    ):
+        known = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     dependent: tuple[tuple[int, NDArray[np.intp]], ...] = ()
     if condensation is not None and problem.ties > 1:
         dependent = dependent_ties(problem, condensation)
@@ -229,6 +238,8 @@ def _worded(
         energy_bounds=known.energy_bounds,
         determined=known.determined,
         distance=measured.state.distance,
+        scope=(known.scope or GLOBALLY) if known.proven else None,
+        radius=known.radius if known.proven else None,
         violations=found,
     )
 

@@ -169,6 +169,8 @@ class NearOne:
             changed["force_bound"] = np.ldexp(known.force_bound, self.length - self.contacts)
         if known.energy_bounds is not None:
             changed["energy_bounds"] = tuple(float(np.ldexp(value, 2 * self.length)) for value in known.energy_bounds)
+        if known.radius is not None:
+            changed["radius"] = float(np.ldexp(known.radius, self.length))
         return replace(known, solution=None, **changed)
 
     def no_equilibrium(self, error: NoEquilibrium) -> NoEquilibrium:

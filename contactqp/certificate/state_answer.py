@@ -39,7 +39,7 @@ from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.sparse_saddle import constraints_are_many
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem
@@ -67,6 +67,20 @@ MOST_OPERATIONS = 2e11
 
 
 @dataclass(frozen=True, eq=False)
+class Compared:
+    """The answer of a combination that an answer was compared with; norms are square roots of energies."""
+
+    refined: RefinedState
+    status: Status
+    rubs: Mask  # (m,) contacts that friction acts on
+    displacement: float  # |u - u_c|_K
+    force: float  # |l - l_c|_W
+    last: float  # of the last correction of the refinement
+    strain: float  # |u_c|_K
+    size: float  # |l_c|_W
+
+
+@dataclass(frozen=True, eq=False)
 class StateVerdict:
     """What the comparison says of an answer."""
 
@@ -76,6 +90,7 @@ class StateVerdict:
     failures: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     displacement: Vector | None = None  # of that answer
+    compared: Compared | None = None  # where it is near enough to pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +163,8 @@ def state_verdict(
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
     said = (BY_ITERATION,) if isinstance(bodies, IteratedBodies) else ()
-    return StateVerdict(STATE, largest, distance.displacement[1], failures, said, compared.displacement)
+    beside = None if failures else compared.compared
+    return StateVerdict(STATE, largest, distance.displacement[1], failures, said, compared.displacement, beside)
 
 
 def remember_verdict(
@@ -227,6 +243,7 @@ class _Comparison:
         self._felt = np.asarray(lengths_of_rows).reshape(problem.contacts, -1) > 0
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
+        self.compared: Compared | None = None
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
         """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
@@ -239,15 +256,23 @@ class _Comparison:
             signs = _Signs(self, refined, status)
             distance = self._distance(refined, signs)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
-            if not self._last_correction(refined) <= max(SETTLED * limit, nothing):
+            last = self._last_correction(refined)
+            if not last <= max(SETTLED * limit, nothing):
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
                 self.redundant, self.displacement = refined.redundant, refined.displacement.double()
+                self.compared = self._beside(refined, status, distance, last)
                 return distance, None
             status = signs.changed(status)
             if status.tobytes() in seen:
                 return None, None
         return None, None
+
+    def _beside(self, refined: RefinedState, status: Status, distance: _Distance, last: float) -> Compared:
+        friction = refined.friction_force.double().reshape(-1, self._width)
+        size = self._bodies.response_norm(refined.normal_force.double(), friction)
+        (moved, strain), (pushed, _) = distance.displacement, distance.force
+        return Compared(refined, status, self._rubs, moved, pushed, last, strain, size)
 
     def _last_correction(self, refined: RefinedState) -> float:
         """In the root of an energy."""

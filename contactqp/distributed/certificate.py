@@ -37,7 +37,7 @@ from contactqp.distributed.violations import coulomb_residual, outer_forces, out
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.model.solution import FIGURES, Answer, Certificate, Violations
+from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations
 
 # How near to each other the bounds of a minimum come: figures are read with a few digits.
 NEAR = 1e-9
@@ -308,6 +308,7 @@ def certify_distributed(
         error_tolerance=error_tolerance,
         passed=not failures,
         proven=error_bounds.proven,
+        scope=GLOBALLY if error_bounds.proven else None,
         basis=error_bounds.basis,
         violations=found,
     )

@@ -20,6 +20,8 @@ from contactqp.model.summary import Printed, html_of, place_of, summary_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
+# Of what a certificate proves: that no other answer exists or is bounded too, or the only answer nearby.
+GLOBALLY, LOCALLY = "global", "local"
 # What a problem determines: its displacement, or, where K does not see everything, its energy alone.
 BY_DISPLACEMENT, BY_ENERGY = "displacement", "energy"
 
@@ -95,6 +97,11 @@ class Certificate(ReadOnly, Printed):
     the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
     alone, because neither could be had; `notes` or `reasons` say why.
 
+    `scope` says of what `proven` holds. "global": the bounds hold for every equilibrium, so always without friction,
+    and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
+    "local": of the only equilibrium whose displacement is within `radius` of this one, in the energy norm; others
+    further away are not excluded. With friction `force_bound` is that of a contact's whole force, in all directions.
+
     Where unknowns have no stiffness, forces on them have no energy: `force_error` then compares the lengths of the
     vectors of all forces, rows having entries near one.
 
@@ -133,6 +140,8 @@ class Certificate(ReadOnly, Printed):
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper [force * length], where they were formed
     determined: str = BY_DISPLACEMENT  # "displacement" or "energy": what the problem determines at all
     distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
+    scope: str | None = None  # of what `proven` holds: "global", "local" (within `radius`), None: nothing is proven
+    radius: float | None = None  # [square root of energy], of the local statement
     violations: Violations | None = field(
         repr=False, default=None
     )  # contact by contact; None where the answer is not finite
@@ -143,6 +152,9 @@ class Certificate(ReadOnly, Printed):
         if self.basis == STATE and self.distance is not None:
             near = "with its contacts open, sticking and slipping as here"
             lines.append(f"  the equilibrium {near} is {self.distance:.3g} of its size away")
+        if self.scope == LOCALLY and self.radius is not None:
+            within = f"within {self.radius:.3g} of this answer, in the square root of energy"
+            lines.append(f"  proven is that it is the only one {within}; others further away are not excluded")
         lines += [f"  {failure}" for failure in self.failures]
         lines += [f"  no bound: {reason}" for reason in _together(self.reasons)]
         lines += [f"  note: {note}" for note in self.notes]

@@ -86,7 +86,11 @@ def headline(solution: Any) -> list[str]:
 
 def verdict_of(certificate: Any) -> str:
     """Return a certificate's verdict in a word or two: ``"passed, proven"``."""
-    return ("passed, proven" if certificate.proven else "passed") if certificate.passed else "REFUSED"
+    if not certificate.passed:
+        return "REFUSED"
+    if not certificate.proven:
+        return "passed"
+    return "passed, proven of the equilibrium nearby" if certificate.scope == "local" else "passed, proven"
 
 
 def tables_of(solution: Any) -> list[Table]:

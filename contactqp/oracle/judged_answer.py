@@ -127,8 +127,9 @@ def certify(
     in the notes. Friction alone may be missing only where displacements are given.
 
     With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
-    slips. Another law's answer, such as that of the associated relaxation, is refused. No bound can be had, Coulomb's
-    law being no minimisation; instead the certificate says whether other answers exist, as far as that can be told.
+    slips. Another law's answer, such as that of the associated relaxation, is refused. Errors are bounded where
+    friction is small enough for one answer, or of the equilibrium nearby (`scope`); the certificate also says whether
+    other answers exist, as far as that can be told.
 
     Parameters
     ----------

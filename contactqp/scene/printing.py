@@ -17,7 +17,7 @@ from rich.text import Text
 from contactqp.analysis import is_moving
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
+from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate, Solution
 from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
@@ -211,9 +211,14 @@ def _energies(judgement: Judgement) -> dict[str, float]:
 def _verdict(judgement: Judgement) -> str:
     certificate = judgement.solution.certificate
     if certificate.passed:
-        rest = ", error bounds proven" if certificate.proven else _unproven(certificate)
+        rest = _proven(certificate) if certificate.proven else _unproven(certificate)
         return f"[green]certificate passed[/green]{rest}"
     return f"[yellow]certificate refuses[/yellow] {escape('; '.join(certificate.failures))}"
+
+
+def _proven(certificate: Certificate) -> str:
+    """Return of what the error bounds are proven."""
+    return ", error bounds proven" + (" for the equilibrium nearby" if certificate.scope == LOCALLY else "")
 
 
 def _unproven(certificate: Certificate) -> str:
@@ -332,6 +337,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "passed": bool(certificate.passed),
             "proven": bool(certificate.proven),
             "basis": certificate.basis,
+            "scope": certificate.scope,
             "failures": [str(failure) for failure in certificate.failures],
             "uniqueness": list(certificate.uniqueness),
             "notes": list(certificate.notes),

@@ -1,0 +1,280 @@
+"""How far an answer with friction is from the truth: proven bounds where the law leaves one answer, or one nearby.
+
+Coulomb's law is no minimisation, but its distance to any equilibrium is bounded by what a candidate violates of it. Let
+W be the compliance of all contact rows (W_NN and W_TT its blocks of normal and tangential rows), |v|_K^2 = v'Kv and
+|d|_W^2 = d'Wd. Of forces l let w be their displacement, K w = f - E'l - A'nu, A w = b, with gaps g_i and slips s_i; of
+an equilibrium u*, l* likewise g* and s*. With d = l - l*, W d is (g - g*, s* - s), and
+
+    |w - u*|_K^2 = |d|_W^2 = sum over i of d_N (g - g*) - d_T.(s - s*).                                     (1)
+
+Write l = h + z, where h has h_N >= 0, |h_T| <= mu h_N, h_N = 0 where a contact is open, and h_T = mu h_N s/|s| where it
+slips, and e = h - l*. Signorini's law for l* (l*_N g* = 0, both at least 0) gives, contact by contact,
+
+    e_N (g - g*) <= |e_N| t,    t = |g| where closed, (-g)+ where open,                                     (2)
+
+and Coulomb's, l*_T.s* = mu l*_N |s*| and |l*_T| <= mu l*_N, gives
+
+    -e_T.(s - s*) <= mu e_N (|s*| - |s|) <= mu |e_N| |(Wd)_T|                    open or slipping,          (3)
+    -e_T.(s - s*) <= |e_T| |s| + mu |e_N| (|s| + |(Wd)_T|)                       sticking.                  (4)
+
+With |d_N,i| <= V_i |d|_W, V_i^2 = (W^-1)_NN,ii, the same for tangents, |(Wd)_T,i| <= w_i |d|_W, and Necas's constant
+kappa (`critical_friction`), by which sum mu_i |d_N,i| |(Wd)_T,i| <= kappa |d|_W^2, (1) becomes
+
+    (1 - kappa) |d|_W^2 <= b |d|_W + c,                                                                     (5)
+
+b and c sums of what l violates, t, |s| of sticking contacts and z. For kappa < 1 this bounds the distance to every
+equilibrium, in the plane and in space: `scope` is "global". It is applied to the answer of the candidate's own
+combination of open, stick and slip, refined in twice double precision, for which b and c are rounding; the distance of
+the candidate to that answer is added.
+
+Where kappa is not below 1, and in the plane, the combination itself is looked at. If every sign holds by a margin, an
+equilibrium nearer than r, the least margin over its V_i or w_i, has the same combination, and the linear system of that
+has one answer: `scope` is "local", `radius` is r in the energy norm.
+
+Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
+and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors. It is an a-posteriori
+estimate, not an interval enclosure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
+from contactqp.certificate.critical_friction import critical, too_many
+from contactqp.certificate.energy_norm import PIVOTS_FLATTER, energy_norm, response
+from contactqp.certificate.state_answer import Compared
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import ContactCompliance, contact_compliance
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.measures import own_compliance
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN, STICK, directions, lengths, onto_discs
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
+
+# Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
+TOO_ROUNDED = 1e-2
+# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
+UNMET = 1e-22
+FLOATS = "a body is held by contacts alone"
+WITHOUT_STIFFNESS = "some unknowns have no stiffness"
+DEPENDENT = "contact rows depend on one another, or nearly: compliance has no inverse"
+NO_MARGIN = "a contact is within rounding of another state"
+TURNING = "slip directions turn in space"
+
+
+@dataclass(frozen=True, eq=False)
+class _Norms:
+    """What a unit of |d|_W can be in each contact, in the scale of the compliance: (m,) each, with the allowance."""
+
+    normal_force: Vector
+    tangential_force: Vector
+    force: Vector  # of the whole vector
+    slip: Vector  # of (W d)_T; of (W d)_N it is one
+
+    @staticmethod
+    def of(compliance: ContactCompliance, contacts: int, allowance: float) -> _Norms | None:
+        """None where W has no inverse."""
+        inverse = _inverse(compliance.W)
+        if inverse is None:
+            return None
+        d = len(compliance.W) // contacts
+        own, response_of = (
+            blocks.reshape(contacts, d, contacts, d)[np.arange(contacts), :, np.arange(contacts), :]
+            for blocks in (inverse, compliance.W)
+        )
+        more = 1 + allowance
+        return _Norms(
+            more * np.sqrt(own[:, 0, 0]),
+            more * np.sqrt(_largest(own[:, 1:, 1:])),
+            more * np.sqrt(_largest(own)),
+            more * np.sqrt(_largest(response_of[:, 1:, 1:])),
+        )
+
+
+def _inverse(W: Array) -> Array | None:
+    try:
+        factor = np.linalg.cholesky(W)
+    except np.linalg.LinAlgError:
+        return None
+    half = np.linalg.solve(factor, np.eye(len(W)))
+    inverse = half.T @ half
+    return inverse if np.all(np.isfinite(inverse)) else None
+
+
+def _largest(blocks: Array) -> Vector:
+    return np.asarray(np.max(np.linalg.eigvalsh(blocks), axis=1, initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
+
+    normal: Vector  # (m,) l_N
+    friction: Array  # (m, d-1) l_T
+    gap: Vector  # (m,) of w
+    slip: Array  # (m, d-1) of w
+    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
+
+
+def frictional_bounds(
+    problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared
+) -> Bounds:
+    """The bounds of an answer that was compared with that of its own combination, or the reasons why there are none."""
+    found = _proven(problem, condensation, answer, compared)
+    return no_bounds(f"friction: {found}") if isinstance(found, str) else found
+
+
+def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared) -> Bounds | str:
+    if not np.all(problem.diagonal > 0):
+        return WITHOUT_STIFFNESS
+    if (reason := too_many(problem, condensation)) is not None:
+        return reason
+    compliance = contact_compliance(problem, condensation)
+    if compliance.floats:
+        return FLOATS
+    if compared.refined.redundant:
+        return DEPENDENT
+    allowance = _rounding_of(compliance, condensation)
+    norms = _Norms.of(compliance, problem.contacts, allowance) if allowance <= TOO_ROUNDED else None
+    if norms is None:
+        return DEPENDENT
+    refined = _refined(problem, condensation, compared, compliance)
+    if refined is None:
+        return "its refined answer leaves ties unmet"
+    kappa = critical(problem, condensation).kappa * (1 + allowance)
+    if kappa < 1:
+        error = _distance(problem, compared, refined, norms, kappa)
+        return _bounds(problem, answer, compared, norms, compliance, error)
+    if refined.friction.shape[1] > 1 and np.any(abs(compared.status) == 1):
+        return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {TURNING}"
+    error = 2 * compared.last + refined.correction
+    around = max(compared.displacement, compared.force) + error
+    radius = _margin(problem, compared, refined, norms) - around
+    if not radius > around:
+        return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
+    return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
+
+
+def _rounding_of(compliance: ContactCompliance, condensation: Condensation) -> float:
+    """The part of W^-1 and of kappa that rounding of W may have made, by the pivots of its factors."""
+    try:
+        pivots = np.diag(np.linalg.cholesky(compliance.W)) ** 2 / np.diag(compliance.W)
+    except np.linalg.LinAlgError:
+        return np.inf
+    rounding = max(condensation.lost_digits, len(pivots) * np.finfo(float).eps)
+    return float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+
+
+def _refined(
+    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
+) -> _Refined | None:
+    """The displacement w of the refined forces is one more correction away; its gaps and slips."""
+    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
+    u, force, friction = found.displacement, found.normal_force, found.friction_force
+    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
+    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
+    if np.any(missed > UNMET * size):
+        return None
+    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
+    left = left - rows.friction_force(friction)
+    step, error = response(problem, condensation, left, tied=problem.ties > 0)
+    moved = u + step
+    correction = 2 * energy_norm(problem, step)[0] + error
+    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
+    gap = (extend(problem.gap) - rows.normal @ moved).double()
+    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
+    scale = compliance.scale
+    width = slip.shape[1]
+    return _Refined(
+        force.double() * scale,
+        friction.double().reshape(m, width) * scale[:, None],
+        gap / scale,
+        slip / scale[:, None],
+        correction,
+    )
+
+
+def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms, kappa: float) -> float:
+    """|d|_W from the refined forces to those of any equilibrium, by (5), and |u - w|_K."""
+    status, more, mu = compared.status, refined.correction, _coefficient(problem, compared)
+    closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
+    held = np.where(closed, np.maximum(refined.normal, 0.0), 0.0)  # h_N
+    tension = abs(refined.normal - held)
+    gap = np.where(closed, abs(refined.gap), np.maximum(-refined.gap, 0.0))
+    gap = np.where(closed | (refined.gap < more), gap + more, 0.0)  # t
+    bound = mu * held
+    moved = np.maximum(lengths(refined.slip) - more * norms.slip, 0.0)
+    still = lengths(refined.slip) + more * norms.slip
+    # Slipping: h_T along the slip, whose direction is known to what its rounding turns it by.
+    turned = np.divide(2 * more * norms.slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
+    along = lengths(refined.friction - bound[:, None] * directions(refined.slip)) + bound * np.minimum(turned, 2.0)
+    # Sticking: h_T the nearest point of the disc, and what slips is counted.
+    within = lengths(refined.friction - onto_discs(refined.friction, bound))
+    as_slipping = along * norms.slip
+    as_sticking = within * norms.slip + still * (norms.tangential_force + mu * norms.normal_force)
+    sticks = closed & (mu > 0) & ~(slides & (as_slipping <= as_sticking))
+    off = np.where(closed & (mu > 0), np.where(sticks, within, along), lengths(refined.friction))  # |z_T|
+    slip = np.where(sticks, still, 0.0)
+    b = np.sum(
+        norms.normal_force * (gap + mu * slip)
+        + norms.tangential_force * slip
+        + tension * (1 + mu * norms.slip)
+        + off * norms.slip
+    )
+    c = np.sum(tension * (gap + mu * slip) + off * slip)
+    room = 1 - kappa
+    return float((b + np.sqrt(b * b + 4 * room * c)) / (2 * room) + more)
+
+
+def _margin(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms) -> float:
+    """The least distance in the energy norm at which a contact can be in another state."""
+    status, mu = compared.status, _coefficient(problem, compared)
+    closed, rubs = status != OPEN, mu > 0
+    margins = [np.where(closed, np.inf, refined.gap), np.where(closed, refined.normal / norms.normal_force, np.inf)]
+    room = mu * refined.normal - lengths(refined.friction)
+    sticking = room / (mu * norms.normal_force + norms.tangential_force)
+    margins.append(np.where((status == STICK) & rubs, sticking, np.inf))
+    along = np.sum(status[:, None] * refined.slip, axis=1)  # in the plane
+    margins.append(np.where((abs(status) == 1) & rubs, along / norms.slip, np.inf))
+    return float(np.min(margins, initial=np.inf)) - refined.correction
+
+
+def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:
+    assert problem.friction is not None
+    return np.where(compared.rubs, problem.friction, 0.0)
+
+
+def _bounds(
+    problem: ContactProblem,
+    answer: Answer,
+    compared: Compared,
+    norms: _Norms,
+    compliance: ContactCompliance,
+    distance: float,
+) -> Bounds:
+    """The bounds of an answer, from that of the refined answer of its combination."""
+    found, m = compared.refined, problem.contacts
+    moved, pushed = compared.displacement + distance, compared.force + distance
+    strain, size = compared.strain - distance, compared.size - distance
+    larger = max(strain, size)
+    # Where nothing is strained, or no contact pushes, that error is absolute.
+    strain, size = (part if part > NEXT_TO_NOTHING * larger else 0.0 for part in (strain, size))
+    given = np.zeros(len(found.friction_force.hi)) if answer.friction_force is None else answer.friction_force.ravel()
+    rubbed = (extend(given) - found.friction_force).double().reshape(m, -1)
+    rubbed = np.where(compared.rubs[:, None], rubbed, 0.0)
+    apart = np.column_stack([(extend(answer.normal_force) - found.normal_force).double(), rubbed])
+    bound = lengths(apart) + distance * norms.force / compliance.scale
+    own = np.sqrt(own_compliance(problem, problem.normal))
+    return Bounds(
+        energy_error=moved / (strain or 1.0),
+        force_error=pushed / (size or 1.0),
+        force_bound=bound,
+        relative_force_bound=bound * own / (size or strain or 1.0),
+        energy_scale=strain and compared.strain,
+        force_scale=size and compared.size,
+        scope=GLOBALLY,
+    )

@@ -1,0 +1,228 @@
+"""Bounds with friction hold against exact rational equilibria, and claim nothing where several are."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.certificate import frictional_bounds
+from tests.examples import truss
+
+Rational = list[Fraction]
+# Of candidates: what each of their numbers is off by, relative.
+OFF = (0.0, 1e-14, 1e-11, 1e-8, 3e-7)
+STICK, SLIP = ("stick", "slip")
+DIRECTIONS = ((3, 4, 5), (-3, 4, 5), (5, -12, 13), (-4, -3, 5), (7, 24, 25))
+
+
+def energy(K: Any, v: Rational) -> float:
+    """|v|_K, of whole numbers K."""
+    product = [sum((int(k) * x for k, x in zip(row, v, strict=True) if k), Fraction()) for row in K]
+    return float(sum((a * b for a, b in zip(product, v, strict=True)), Fraction())) ** 0.5
+
+
+def off(rng: np.random.Generator, values: Any, part: float) -> Any:
+    return values * (1 + part * rng.normal(size=np.shape(values)))
+
+
+def plane_problem(rng: np.random.Generator) -> cq.ContactProblem:
+    """Whole numbers and quarters, up to four contacts: all equilibria are had as fractions."""
+    m = int(rng.integers(1, 4))
+    n = 2 * m + int(rng.integers(0, 3))
+    shape = rng.integers(-3, 4, (n, n))
+    rows = np.zeros((2 * m, n))
+    if rng.random() < 0.5:
+        rows = rng.integers(-2, 3, (2 * m, n)).astype(float)
+    rows[np.arange(2 * m), rng.permutation(n)[: 2 * m]] += 1.0
+    return cq.ContactProblem(
+        shape @ shape.T + np.diag(rng.integers(1, 4, n)),
+        rng.integers(-20, 21, n),
+        rows[:m],
+        rng.integers(-2, 3, m) / 4,
+        tangent=rows[m:],
+        friction=float(rng.choice([0.125, 0.25, 0.5, 1.0, 2.0])),
+        slip_origin=rng.integers(-2, 3, (m, 1)) / 4,
+    )
+
+
+def numbers(one: Any) -> tuple[Rational, list[Rational]]:
+    """Displacement, and (l_N, l_T) contact by contact."""
+    pairs = zip(one.normal_force, np.ravel(one.friction_force), strict=True)
+    return [Fraction(x) for x in one.displacement], [[Fraction(a), Fraction(b)] for a, b in pairs]
+
+
+def distances(problem: Any, K: Any, u: Any, force: Any, truth: tuple[Rational, list[Rational]]) -> tuple[float, Any]:
+    """|u - u*|_K over |u*|_K, and |l_i - l_i*|."""
+    displacement, forces = truth
+    apart = energy(K, [Fraction(float(a)) - b for a, b in zip(u, displacement, strict=True)])
+    own = [
+        float(sum((Fraction(float(a)) - b) ** 2 for a, b in zip(one, right, strict=True))) ** 0.5
+        for one, right in zip(force, forces, strict=True)
+    ]
+    del problem
+    return apart / energy(K, displacement), np.array(own)
+
+
+def test_no_bound_is_below_the_distance_to_the_exact_answer_in_the_plane() -> None:
+    rng = np.random.default_rng(20)
+    claimed = {"global": 0, "local": 0}
+    for _ in range(40):
+        problem = plane_problem(rng)
+        try:
+            solution, known = cq.solve(problem), cq.exact_equilibria(problem)
+        except cq.NoEquilibrium:
+            continue
+        K = np.asarray(problem.stiffness)
+        assert not any(one.continuum for one in known)
+        truths = [numbers(one) for one in known]
+        for part in OFF:
+            u, normal, friction = (
+                off(rng, x, part) for x in (solution.displacement, solution.normal_force, solution.friction_force)
+            )
+            found = cq.certify(problem, u, normal, friction, tolerance=1e-5, error_tolerance=1e-4)
+            if not found.proven:
+                continue
+            claimed[found.scope] += 1
+            assert found.scope == "local" or len(truths) == 1
+            force = np.column_stack([normal, friction])
+            apart = [distances(problem, K, u, force, truth) for truth in truths]
+            nearest, own = min(apart, key=lambda pair: pair[0])
+            assert found.energy_error >= nearest * (1 - 1e-9)
+            assert np.all(found.force_bound >= own * (1 - 1e-9))
+            if found.scope == "local":
+                size = found.energy_error / max(nearest, 1e-300) if part > 1e-12 else 1.0
+                assert size <= 1.1  # the distance to the answer of the combination is all of it
+                near = [a for (a, _), (v, _) in zip(apart, truths, strict=True) if a * energy(K, v) < found.radius]
+                assert len(near) == 1
+    assert min(claimed.values()) >= 30, claimed
+
+
+def space_problem(rng: np.random.Generator) -> tuple[cq.ContactProblem, Any, tuple[Rational, list[Rational]]]:
+    """A problem in space that is made around its answer, whose slips and forces have rational lengths."""
+    m, d = int(rng.integers(1, 5)), 3
+    n = d * m + int(rng.integers(0, 4))
+    shape = rng.integers(-1, 2, (n, n))
+    K = shape @ shape.T + np.diag(rng.integers(4, 12, n))
+    rows = np.zeros((d * m, n), dtype=int)
+    rows[np.arange(d * m), rng.permutation(n)[: d * m]] = rng.choice([-1, 1], d * m)
+    normal, tangent = rows[:m], rows[m:]
+    u = [Fraction(int(x), 4) for x in rng.integers(-12, 13, n)]
+    moved = [sum((int(a) * x for a, x in zip(row, u, strict=True)), Fraction()) for row in rows]
+    mu, gap, origin, forces = Fraction(1, 4), moved[:m], [], []
+    for i in range(m):
+        at, (a, b, c) = moved[m + 2 * i : m + 2 * i + 2], DIRECTIONS[rng.integers(len(DIRECTIONS))]
+        along = [Fraction(a, c), Fraction(b, c)]
+        state, push = rng.choice(["open", STICK, SLIP]), Fraction(int(rng.integers(1, 40)), 2)
+        part = Fraction(int(rng.integers(0, 8)), 8) if state == STICK else Fraction(1)
+        slip = Fraction(int(rng.integers(1, 9)), 2) if state == SLIP else Fraction()
+        forces.append([Fraction()] * 3 if state == "open" else [push, *(part * mu * push * x for x in along)])
+        gap[i] += Fraction(1, 4) if state == "open" else 0
+        origin.append([x - slip * y for x, y in zip(at, along, strict=True)])
+    flat = [one[0] for one in forces] + [x for one in forces for x in one[1:]]
+    load = [
+        sum((int(k) * x for k, x in zip(K[j], u, strict=True)), Fraction())
+        + sum((int(e) * x for e, x in zip(rows[:, j], flat, strict=True)), Fraction())
+        for j in range(n)
+    ]
+    problem = cq.ContactProblem(
+        K, [float(x) for x in load], normal, [float(x) for x in gap], tangent=tangent, friction=float(mu),
+        slip_origin=[[float(x) for x in one] for one in origin],
+    )  # fmt: skip
+    return problem, K, (u, forces)
+
+
+def test_no_bound_is_below_the_distance_to_the_answer_in_space() -> None:
+    """The problem's numbers are rounded, which moves its answer by some 1e-15."""
+    rng, proven = np.random.default_rng(21), 0
+    for _ in range(25):
+        problem, K, truth = space_problem(rng)
+        plain = np.array([float(x) for x in truth[0]]), np.array([[float(x) for x in one] for one in truth[1]])
+        for part in (1e-11, 1e-8, 3e-7):
+            u, force = (off(rng, x, part) for x in plain)
+            found = cq.certify(problem, u, force[:, 0], force[:, 1:], tolerance=1e-5, error_tolerance=1e-4)
+            assert found.passed
+            if found.scope != "global":
+                continue
+            proven += 1
+            apart, own = distances(problem, K, u, force, truth)
+            assert found.energy_error >= apart * (1 - 1e-3)
+            assert np.all(found.force_bound >= own * (1 - 1e-3))
+            assert found.energy_error <= 1.01 * apart + 1e-14
+    assert proven >= 40
+
+
+def test_a_bound_that_were_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frictional_bounds, "_distance", lambda *_: 0.0)
+    original = frictional_bounds._bounds
+
+    def smaller(*arguments: Any) -> Any:
+        found = original(*arguments)
+        return frictional_bounds.replace(found, energy_error=0.9 * found.energy_error)
+
+    monkeypatch.setattr(frictional_bounds, "_bounds", smaller)
+    with pytest.raises(AssertionError):
+        test_no_bound_is_below_the_distance_to_the_exact_answer_in_the_plane()
+
+
+KLARBRING = dict(
+    stiffness=[[5.0, -2.0], [-2.0, 1.0]], load=[-1.0, 0.65], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]]
+)
+
+
+def test_where_several_answers_exist_each_is_proven_nearby_alone() -> None:
+    problem = cq.ContactProblem(**KLARBRING, friction=0.8)
+    answers = cq.equilibria(problem)
+    assert len(answers) == 3
+    for one in answers:
+        found = cq.certify(problem, one.displacement, one.normal_force, one.friction_force)
+        assert (found.passed, found.scope) == (True, "local")
+        apart = [one.displacement - other.displacement for other in answers if other is not one]
+        assert min(np.sqrt(v @ np.array(KLARBRING["stiffness"]) @ v) for v in apart) >= found.radius > 0
+        assert "others further away are not excluded" in str(found)
+    below = cq.solve(cq.ContactProblem(**KLARBRING, friction=0.2))
+    assert below.certificate.scope == "global"
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
+def test_radius_and_bounds_have_the_units_of_the_problem(unit: float) -> None:
+    data = {name: np.asarray(value) for name, value in KLARBRING.items()}
+    scaled = cq.ContactProblem(
+        **(data | dict(stiffness=data["stiffness"] * unit, load=data["load"] * unit)), friction=0.8
+    )
+    plain = cq.certify(cq.ContactProblem(**KLARBRING, friction=0.8), *known_answer(1.0))
+    found = cq.certify(scaled, *known_answer(unit))
+    assert found.scope == plain.scope == "local"
+    assert found.radius == pytest.approx(plain.radius * np.sqrt(unit), rel=1e-9)
+
+
+def known_answer(unit: float) -> tuple[Any, Any, Any]:
+    solution = cq.solve(cq.ContactProblem(**KLARBRING, friction=0.8))
+    return solution.displacement, solution.normal_force * unit, solution.friction_force * unit
+
+
+def test_a_contact_at_the_border_of_two_states_is_proven_globally_or_not_at_all() -> None:
+    rough = truss().replace(tangent=[[1.0, 0.0]], friction=0.3)
+    assert cq.solve(rough).certificate.scope == "global"
+    border = cq.ContactProblem(  # kappa is above 1, and the contact sticks with all of its friction
+        stiffness=[[1.0, 0.0], [0.0, 1.0]],
+        load=[1.0, 3.0],
+        normal=[[1.0, 0.0]],
+        gap=[0.0],
+        tangent=[[0.0, 1.0]],
+        friction=3.0,
+    )
+    found = cq.solve(border).certificate
+    assert (found.passed, found.scope) == (True, None)
+    assert "a contact is within rounding of another state" in found.reasons[0]
+
+
+def test_wrong_answers_are_proven_by_nothing() -> None:
+    rough = truss().replace(tangent=[[1.0, 0.0]], friction=0.3)
+    right = cq.solve(rough)
+    for part in (1e-3, 1e-5):
+        found = cq.certify(rough, right.displacement, right.normal_force * (1 + part), right.friction_force)
+        assert (found.passed, found.proven, found.scope) == (False, False, None)
