@@ -5,7 +5,9 @@
 Seeded problems in the plane and in space (`friction_families`), every algorithm and the classical methods. Every answer
 is held against the law (`friction_law`, apart from the certificate), in the plane also against all equilibria in
 rational numbers. Exit code 1 if an answer breaks the law, is not among all equilibria, is called the only one where
-there are several, or if an equilibrium is denied, or missed by enumeration in floating point.
+there are several, or if an equilibrium is denied, or missed by enumeration in floating point. So are the bounds of the
+default's answer and of answers that are off by 1e-14 to 1e-7: none may be below the distance in rational numbers,
+"global" is claimed where there is one equilibrium, and where "local" is one is within the radius.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import os
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -31,6 +34,9 @@ BREAKS = 1e-9
 SAME = 1e-7
 # Rational enumeration of four contacts takes seconds.
 MOST_EXACT = 3
+# What candidates are off by, and what their bounds may be, where they are to pass.
+OFF = (0.0, 1e-14, 1e-12, 1e-9, 1e-7)
+LOOSE = dict(tolerance=1e-4, error_tolerance=1e-3)
 
 
 @dataclass
@@ -45,6 +51,8 @@ class Report:
     continuum: bool = False
     exists: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
+    bounds: Counter[str] = field(default_factory=Counter)  # candidates by the scope of what is proven of them
+    ratios: list[float] = field(default_factory=list)  # of a bound and the distance that it is of
 
 
 def _attempt(report: Report, name: str, problem: Any) -> Any:
@@ -92,7 +100,7 @@ def _judge_contact(report: Report, posed: Posed) -> None:
     report.exists = posed.solvable
     problem, flat = posed.problem, posed.plain.slip_origin.shape[1] == 1  # type: ignore[union-attr]
     known: list[np.ndarray] = []
-    project = seen(posed.plain)
+    project, exact = seen(posed.plain), None
     if flat:
         rational = problem.contacts <= MOST_EXACT and not posed.plain.rigid_change
         exact = cq.exact_equilibria(posed.plain) if rational else None
@@ -107,10 +115,55 @@ def _judge_contact(report: Report, posed: Posed) -> None:
             report.wrong.append(f"{name}: breaks the law by {worst:.2g}")
             continue
         report.exists = True
+        if name == "default" and flat and exact and not report.continuum:
+            _judge_bounds(report, posed, exact)
         if flat and not report.continuum and not _among(project @ plain_answer(posed, solution)[0], known):
             report.wrong.append(f"{name}: not among all {len(known)} equilibria")
         if len(known) > 1 and not _says_several(solution.certificate.uniqueness):
             report.wrong.append(f"{name}: called the only one of {len(known)}")
+
+
+def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
+    """Bounds of answers in plain numbers, beside the distances in rational ones."""
+    plain, rng = posed.plain, np.random.default_rng([report.seed, 7])
+    try:
+        answer = cq.solve(plain)
+    except cq.ContactQPError:
+        return
+    K = np.vectorize(Fraction, otypes=[object])(np.asarray(plain.stiffness_rows.toarray()))
+    truths = [
+        (_rational(one.displacement), np.column_stack([_rational(one.normal_force), _rational(one.friction_force)]))
+        for one in exact
+    ]
+    for part in OFF:
+        parts = (answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force)
+        u, normal, friction, tie = (x * (1 + part * rng.normal(size=np.shape(x))) for x in parts)
+        found = cq.certify(plain, u, normal, friction, tie, **LOOSE)
+        report.bounds[found.scope or "none"] += 1
+        if not found.proven:
+            continue
+        force = np.column_stack([normal, np.ravel(friction)])
+        apart = [(_energy(K, _rational(u) - v), _energy(K, v), forces) for v, forces in truths]
+        distance, size, forces = min(apart, key=lambda one: one[0])
+        error = found.energy_error * (size or 1.0)
+        own = [float(sum(row**2)) ** 0.5 for row in _rational(force) - forces]
+        if error < distance * (1 - 1e-6) or np.any(found.force_bound < np.array(own) * (1 - 1e-6)):
+            report.wrong.append(f"bounds: off by {part:g}, {error:.3g} below {distance:.3g}, or that of a force")
+        if found.scope == "global" and len(truths) != 1:
+            report.wrong.append(f"bounds: global beside {len(truths)} equilibria")
+        if found.scope == "local" and sum(one[0] < found.radius for one in apart) != 1:
+            report.wrong.append(f"bounds: not one equilibrium within {found.radius:.3g}")
+        if part > 1e-13 and distance > 0:
+            report.ratios.append(error / distance)
+
+
+def _rational(values: Any) -> np.ndarray:
+    flat = [Fraction(x if isinstance(x, Fraction) else float(x)) for x in np.ravel(values)]
+    return np.array(flat, dtype=object).reshape(np.shape(values))
+
+
+def _energy(K: np.ndarray, v: np.ndarray) -> float:
+    return float(v @ (K @ v)) ** 0.5
 
 
 def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> list[np.ndarray]:
@@ -212,6 +265,19 @@ def table(reports: list[Report]) -> list[str]:
     return lines
 
 
+def bounds_table(reports: list[Report]) -> list[str]:
+    """Of how many candidates bounds are proven, and how near they are to what they bound."""
+    counts = sum((r.bounds for r in reports), Counter())
+    ratios = np.array([x for r in reports for x in r.ratios])
+    if not counts:
+        return []
+    parts = ", ".join(f"{name} {counts[name]}" for name in ("global", "local", "none"))
+    line = f"bounds of {counts.total()} candidates in the plane: {parts}"
+    if ratios.size:
+        line += f"; over the distance: median {np.median(ratios):.3g}, 90 % {np.quantile(ratios, 0.9):.3g}"
+    return ["", line]
+
+
 def _task(task: tuple[str, int]) -> Report:
     return judge(*task)
 
@@ -232,7 +298,7 @@ def main(arguments: list[str] | None = None) -> int:
     started = time.perf_counter()
     reports = run(chosen.problems, tuple(chosen.family or FAMILIES), chosen.jobs)
     print(f"{len(reports)} problems, {time.perf_counter() - started:.0f} s")
-    print("\n".join(table(reports)))
+    print("\n".join([*table(reports), *bounds_table(reports)]))
     missed = [r for r in reports if r.exists and r.outcomes["default"] in ("refused", "denied")]
     if chosen.missed:
         print("\n".join(f"missed by default: {r.family!r} {r.seed}" for r in missed))
