@@ -27,9 +27,12 @@ equilibrium, in the plane and in space: `scope` is "global". It is applied to th
 combination of open, stick and slip, refined in twice double precision, for which b and c are rounding; the distance of
 the candidate to that answer is added.
 
-Where kappa is not below 1, and in the plane, the combination itself is looked at. If every sign holds by a margin, an
-equilibrium nearer than r, the least margin over its V_i or w_i, has the same combination, and the linear system of that
-has one answer: `scope` is "local", `radius` is r in the energy norm.
+Where kappa is not below 1 the combination itself is looked at. If every sign holds by a margin, an equilibrium nearer
+than r, the least margin over its V_i or w_i, has the same combination, and that has one answer: in the plane that of a
+linear system, in space where a smaller constant, in which slipping contacts alone count (`_kappa_nearby`), is below 1.
+Slips are then the only zero of a continuous, strongly monotone map on a ball, and one is there (Brouwer), since what
+the refined slips leave is less than the map grows by within the ball. `scope` is "local", `radius` is r in the energy
+norm.
 
 Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
 and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors. It is an a-posteriori
@@ -63,7 +66,6 @@ FLOATS = "a body is held by contacts alone"
 WITHOUT_STIFFNESS = "some unknowns have no stiffness"
 DEPENDENT = "contact rows depend on one another, or nearly: compliance has no inverse"
 NO_MARGIN = "a contact is within rounding of another state"
-TURNING = "slip directions turn in space"
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,14 +151,46 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     if kappa < 1:
         error = _distance(problem, compared, refined, norms, kappa)
         return _bounds(problem, answer, compared, norms, compliance, error)
-    if refined.friction.shape[1] > 1 and np.any(abs(compared.status) == 1):
-        return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {TURNING}"
-    error = 2 * compared.last + refined.correction
+    nearby = _kappa_nearby(compliance.W, compared, _coefficient(problem, compared)) * (1 + allowance)
+    if not nearby < 1:
+        return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({nearby:.3g})"
+    error = (2 * compared.last + refined.correction) / (1 - nearby)
     around = max(compared.displacement, compared.force) + error
     radius = _margin(problem, compared, refined, norms) - around
     if not radius > around:
         return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
+
+
+def _kappa_nearby(W: Array, compared: Compared, mu: Vector) -> float:
+    """A constant as kappa of two answers with the same states, 0 in the plane; infinite where W says nothing.
+
+    Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
+    slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
+    of -W_cc^-1 W_cl S^-1 e.
+    """
+    status, m = compared.status, len(mu)
+    d = len(W) // m
+    closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
+    if d == 2 or not np.any(slides):
+        return 0.0  # a linear system, whose refinement has settled
+    place = np.arange(len(W)).reshape(m, d)
+    kept = np.concatenate([place[closed, 0], place[(status == STICK) & (mu > 0), 1:].ravel()])
+    along = place[slides, 1:].ravel()
+    try:
+        drawn = np.linalg.solve(W[np.ix_(kept, kept)], W[np.ix_(kept, along)])
+        S = W[np.ix_(along, along)] - W[np.ix_(along, kept)] @ drawn
+        factor = np.linalg.cholesky((S + S.T) / 2)
+    except np.linalg.LinAlgError:
+        return np.inf
+    pushed = np.linalg.solve(factor, drawn[np.searchsorted(place[closed, 0], place[slides, 0])].T).T
+    slip = factor.reshape(len(pushed), d - 1, -1)
+    sizes = np.linalg.norm(slip, axis=(1, 2)), np.linalg.norm(pushed, axis=1)
+    weight = np.divide(*sizes, out=np.ones(len(pushed)), where=sizes[1] > 0)
+    own = mu[slides]
+    square = pushed.T @ ((own * weight)[:, None] * pushed)
+    square = square + np.einsum("i,iwp,iwq->pq", own / weight, slip, slip)
+    return float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2 if np.all(np.isfinite(square)) else np.inf
 
 
 def _rounding_of(compliance: ContactCompliance, condensation: Condensation) -> float:
