@@ -233,10 +233,12 @@ def summary_data(model: BodyModel, solution: Any) -> dict[str, Any]:
 
 def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
+    field = model.displacement(solution)
+    ranges = [model.ranges(body.name, field) for body in model.structure.bodies]
+    moved = max((float(np.max(np.abs(one))) for one in ranges), default=0.0)
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)
         smallest = float(gaps.min()) if len(gaps) else 0.0
-        size = max(float(np.max(abs(part), initial=0.0)) for part in (gaps, solution.displacement))
         rows.append(
             {
                 "contact": contact.name,
@@ -244,7 +246,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": smallest if abs(smallest) > ROUNDING * size else 0.0,
+                "smallest_gap": smallest if abs(smallest) > ROUNDING * moved else 0.0,
             }
         )
         if model.problem.frictional:
