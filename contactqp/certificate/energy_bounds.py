@@ -49,6 +49,8 @@ REACH = 1e3
 DOMINANT = 1e-12
 # An energy that lengths rounded to this part of themselves would have is none.
 ROUNDED = 1e-26
+# Rows whose forces take up a residual by dense systems, and so many times of that is allowed for.
+MOST_DENSE, CAUTION = 500, 4.0
 DECIDED = "what rounding of the data decides is not proven"
 # An answer that is so near to a solution up to such a conflict is believed.
 NEAR = 1e-6
@@ -113,11 +115,12 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
+    own = abs(change) + (_left_of_forces(problem, held) if unique.forces else 0.0)
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
-        force_bound=abs(change) * scaling.force / scaling.contacts if unique.forces else None,
-        relative_force_bound=abs(change) / largest if one_by_one else None,
+        force_bound=own * scaling.force / scaling.contacts if unique.forces else None,
+        relative_force_bound=own / largest if one_by_one else None,
         energy_scale=scale * root,
         force_scale=largest * root,
         energy_bounds=((energy - wide) * unit, (energy - wide + above) * unit),
@@ -131,6 +134,24 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
         return found
     near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
+
+
+def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
+    """(m,) what the forces of closed contacts change by that take up what a solution leaves out of balance.
+
+    Its residual is nothing beside the largest forces of the problem; beside those of contacts on unknowns that nothing
+    stiff reaches it may be more.
+    """
+    left, closed = np.zeros(problem.contacts), np.flatnonzero(held.closed)
+    if len(closed) + problem.ties > MOST_DENSE or not len(closed):
+        return left
+    rows = np.vstack([problem.normal[closed].toarray(), problem.tie.toarray()])
+    residual = held.left.force.double()
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(residual))):
+        return left
+    taken = abs(np.linalg.pinv(rows.T)) @ abs(residual)
+    left[closed] = CAUTION * taken[: len(closed)]
+    return left
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
