@@ -155,11 +155,13 @@ def _judge_units(judge: Judge, first: tuple[Any, Any]) -> None:
         text = f"{verdicts[1]} in units of {length:.0e} and {force:.0e}, where it is {verdicts[0]}: {other[1]}"
         judge.found("units", "solve in other units", text[:300])
     elif first[0] is not None and not first[0].certificate.uniqueness:
-        here = np.concatenate([first[0].displacement, first[0].normal_force])
-        there = np.concatenate([other[0].displacement / length, other[0].normal_force / force])
-        sizes = np.repeat([np.max(abs(one), initial=0.0) for one in (first[0].displacement, first[0].normal_force)],
-                          [plain.dimension, plain.contacts])  # fmt: skip
-        worst = float(np.max(abs(there - here)[sizes > 0] / sizes[sizes > 0], initial=0.0))
+        here, there = first[0].displacement, other[0].displacement / length
+        stiff = plain.diagonal > 0  # what loads would move, too: a displacement of zero has the rounding of that
+        size = max(np.max(abs(here)), np.max(abs(plain.load)[stiff] / plain.diagonal[stiff], initial=0.0))
+        worst = float(np.max(abs(there - here)) / size) if size > 0 else 0.0
+        forces = first[0].normal_force, other[0].normal_force / force
+        if np.any(forces[0]) and not any("redundant" in reason for reason in first[0].certificate.reasons):
+            worst = max(worst, float(np.max(abs(forces[1] - forces[0])) / np.max(abs(forces[0]))))
         if worst > SAME_DIGITS:
             text = f"other digits, by {worst:.2g} of the largest, in units of {length:.0e} and {force:.0e}"
             judge.found("units", "solve in other units", text)
@@ -357,13 +359,16 @@ def _outer(problem: cq.ContactProblem, force: Array, friction: Array) -> Array:
 def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
     """(n,) the forces that stand, at each unknown, for the size of problem and answer; beneath them is nothing.
 
-    Where nothing acts it is the smallest gap that gives a size.
+    Gaps that the answer closes give a size, too; where nothing acts it is the smallest gap that does.
     """
     root = np.sqrt(np.where(np.diag(problem.stiffness) > 0, np.diag(problem.stiffness), np.inf))
     outer = abs(problem.load) + abs(problem.normal).T @ abs(force)
     size = max(float(np.max(np.where(np.isfinite(root), root, 0.0) * abs(u))), float(np.max(outer / root)))
+    felt = np.linalg.norm(problem.normal.toarray() / root, axis=1)
+    limit = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
+    closed = abs(problem.gap - problem.normal @ u) <= 1e-9 * (abs(problem.normal) @ abs(u) + limit)
+    size = max(size, float(np.max(limit[closed & (felt > 0)] / felt[closed & (felt > 0)], initial=0.0)))
     if not np.any(problem.load) and not np.any(problem.tie_value):
-        felt = np.linalg.norm(problem.normal.toarray() / root, axis=1)
         gives = (problem.gap > 0) & np.isfinite(problem.gap) & (felt > 0)
         size = max(size, float(np.min(problem.gap[gives] / felt[gives]))) if np.any(gives) else size
     return size * np.where(np.isfinite(root), root, 0.0)

@@ -61,6 +61,8 @@ UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
     "system of that is singular to working precision"
 )
+# What rounding makes of a displacement, as of a body that has moved very far, may be more than all of its strain.
+HIDDEN = "state: the displacement is so large that its rounding hides the strain; contacts say nothing"
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11
@@ -159,6 +161,8 @@ def state_verdict(
     relative = distance.relative(nothing)
     largest = max(relative.values())
     failures = _failures(problem, distance, relative, tolerance)
+    if distance.forgiven[0] > distance.displacement[1] > nothing:
+        failures = (*failures, HIDDEN)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)

@@ -198,3 +198,30 @@ def test_forces_that_redundant_contacts_and_ties_exert_on_each_other_excuse_no_l
     assert not judged.passed
     assert judged.tie > 0.1
     assert judged.complementarity > 0.1
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6, 1e12, 1e13, 1e14, 1e15])
+def test_a_wrong_answer_far_away_hides_behind_no_rounding(far: float) -> None:
+    """Two masses on a spring whose contact presses with 0.85: an open one is refused, however far both have moved."""
+    problem = cq.ContactProblem(
+        [[66.0, -66.0], [-66.0, 66.0]], [-48.015625, 48.015625], [[1.0, -1.0]], [-0.75],
+        tangent=[[0.5, -0.5]], friction=1.5, slip_origin=[[-0.375]],
+    )  # fmt: skip
+    right = cq.solve(problem)
+    assert right.normal_force[0] > 0.8
+    stretched = 48.015625 / 66 / 2
+    wrong = np.array([far - stretched, far + stretched])
+    assert not cq.certify(problem, wrong, [0.0], [[0.0]]).passed
+    moved = right.displacement + far
+    assert cq.certify(problem, moved, right.normal_force, right.friction_force).passed == (far <= 1e6)
+
+
+@pytest.mark.parametrize(("off", "passes"), [(0.0, True), (1e-17, True), (-3e-17, True), (1e-6, False), (-1e-6, False)])
+def test_where_nothing_is_stiff_lengths_are_held_against_the_largest(off: float, passes: bool) -> None:
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)), [0.1875, 0.1240234375], [[-0.5, 0.0], [0.0, -0.5], [0.0, -0.5], [0.0, 0.5]],
+        [-0.3125, 0.1875, 0.0, 0.0], tie=[[0.75, 0.5], [-0.125, 0.5]], tie_value=[0.75, -0.125],
+    )  # fmt: skip
+    tie = np.linalg.solve(problem.tie.toarray().T, problem.load)
+    assert cq.certify(problem, [1.0, off], np.zeros(4), None, tie).passed is passes
+    assert cq.solve(problem).certificate.passed

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -229,10 +229,18 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
     rows = FrictionalRows(problem, condensation)
     found: list[Equilibrium] = []
     for status, start in _Systems(problem, condensation, rows).plausible():
-        answer = answer_in(problem, condensation, rows, status, start)
+        answer = answer_in(problem, condensation, rows, status, _least_ties(rows, start))
         if holds(problem, answer) and not any(_same(problem, answer, other.answer) for other in found):
             found.append(Equilibrium(status, answer))
     return tuple(found)
+
+
+def _least_ties(rows: FrictionalRows, start: Answer) -> Answer:
+    """The start with the least forces of ties that depend on one another: refinement keeps how they share theirs."""
+    if len(rows.tie) < 2:
+        return start
+    pulled = rows.tie.T @ (start.tie_force * rows.tie_length)
+    return replace(start, tie_force=np.linalg.lstsq(rows.tie.T, pulled, rcond=None)[0] / rows.tie_length)
 
 
 def _same(problem: ContactProblem, one: Answer, other: Answer) -> bool:
