@@ -13,7 +13,7 @@ from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
-from contactqp.model.solution import Solution
+from contactqp.model.solution import GLOBALLY, Solution
 from contactqp.solving.solve import solve
 
 # The rounding error of a chain of a few dozen additions, relative to the size of its terms.
@@ -188,12 +188,12 @@ def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Tru
 
 
 def proven_solution(problem: ContactProblem) -> Solution | None:
-    """Return the active-set solution if its certificate passes with both bounds proven, else None."""
+    """Return the active-set solution if its certificate passes with both bounds proven of every answer, else None."""
     try:
         solution = solve(problem)
     except ContactQPError:  # the method's own row says why
         return None
-    return solution if solution.certificate.passed and solution.certificate.proven else None
+    return solution if solution.certificate.passed and solution.certificate.scope == GLOBALLY else None
 
 
 def truth_of_solution(solution: Solution) -> Truth:
