@@ -80,7 +80,7 @@ ITERATED_NOTHING = 1e-10
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
-FRICTION_HAS_NONE = "Coulomb friction is no minimisation: its energy bounds nothing"
+FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
 

@@ -49,6 +49,7 @@ ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
+AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
 # Why answers have no bounds whose numbers cannot be computed with.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
@@ -64,6 +65,7 @@ def compute_certificate(
     tolerance: float = 1e-9,
     error_tolerance: float = 1e-6,
     factorization: Condensation | None = None,
+    prove_friction: bool = False,
 ) -> Certificate:
     """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
 
@@ -84,6 +86,8 @@ def compute_certificate(
         Largest bound on the relative error that passes.
     factorization : Condensation, optional
         Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
+    prove_friction : bool
+        Whether bounds are looked for with friction, too, which costs about a tenth of a solve.
 
     Raises
     ------
@@ -111,10 +115,11 @@ def compute_certificate(
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
-            judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
+            theirs = rows.answer(answer)
+            judged = _judged(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
             whole: Certificate = rows.certificate(judged, answer)
             return whole
-        return _judged(problem, answer, tolerance, error_tolerance, factorization)
+        return _judged(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +144,7 @@ def _judged(
     tolerance: float,
     error_tolerance: float,
     factorization: Condensation | None,
+    prove_friction: bool,
 ) -> Certificate:
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
@@ -146,9 +152,9 @@ def _judged(
         failures = [said_of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
         return not_finite(problem.frictional, failures, tolerance, error_tolerance, ABSURD_ANSWER)
     if near is None:
-        measured = _measured(problem, seen, tolerance, error_tolerance, factorization)
+        measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
     else:
-        measured = _measured(near.problem, seen, tolerance, error_tolerance, None)
+        measured = _measured(near.problem, seen, tolerance, error_tolerance, None, prove_friction)
         found, known = near.violations(measured.found), near.bounds(measured.known)
         gap = problem.gap - problem.normal @ answer.displacement
         measured = replace(measured, found=replace(found, gap=gap), known=known)
@@ -161,12 +167,14 @@ def _measured(
     tolerance: float,
     error_tolerance: float,
     factorization: Condensation | None,
+    prove_friction: bool,
 ) -> _Measured:
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
         candidates = _candidates(problem, answer, factorization)
         if candidates is not None and problem.frictional:
-            left, known, condensation = residuals(problem, answer), no_bounds(FRICTION_HAS_NONE), None
+            reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE
+            left, known, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:
             left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization, candidates)
@@ -176,7 +184,7 @@ def _measured(
             if state is None:
                 state = state_verdict(problem, answer, found, condensation, allowed)
                 remember_verdict(problem, answer, allowed, state)
-            if state.compared is not None and condensation is not None:
+            if state.compared is not None and condensation is not None and prove_friction:
                 known = frictional_bounds(problem, condensation, answer, state.compared)
             known = known if known.proven else replace(known, energy_scale=state.energy)
         state = state or StateVerdict(known.basis)

@@ -453,4 +453,8 @@ def test_a_reason_stands_once_for_all_bounds_that_it_is_a_reason_for() -> None:
     assert lines[1] == "  the equilibrium with its contacts open, sticking and slipping as here is 0 of its size away"
     bounds = [line for line in lines if line.startswith("  no bound: ")]
     assert len(bounds) == 1
-    assert bounds[0].startswith("  no bound: energy_error, force_error, force_bound: friction: contact rows depend on")
+    assert bounds[0].startswith(
+        "  no bound: energy_error, force_error, force_bound: Coulomb friction is no minimisation"
+    )
+    judged = str(cq.certify(problem, [0.0], [5.0], [[0.0]])).splitlines()
+    assert "  no bound: energy_error, force_error, force_bound: friction: contact rows depend on" in "\n".join(judged)

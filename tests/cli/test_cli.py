@@ -182,9 +182,7 @@ def test_a_verdict_that_does_not_hold_is_exit_1(capsys, tmp_path):
 
 def test_what_a_verdict_rests_on_is_printed_and_written(capsys):
     rough = str(CASES / "truss_friction.toml")
-    assert "certificate passed, error bounds proven" in " ".join(run(capsys, "run", rough)[1].split())
-    pad = str(CASES / "cattaneo_mindlin_cylinder.toml")
-    assert "certificate passed, not proven (friction)" in " ".join(run(capsys, "run", pad)[1].split())
+    assert "certificate passed, not proven (friction)" in " ".join(run(capsys, "run", rough)[1].split())
     written = [json.loads(run(capsys, "run", case, "--json")[1])[0] for case in (rough, WALL)]
     assert [one["certificate"]["basis"] for one in written] == ["state", "bounds"]
 

@@ -223,15 +223,3 @@ def test_a_solution_as_reference() -> None:
     table = cq.compare(two_bars(), methods=["active-set"], reference=reference)
     assert table.truth == "reference by lagrange-multiplier"
     assert table.rows[0].verdict == rows.RIGHT
-
-
-@pytest.mark.parametrize(("friction", "known"), [(0.2, True), (0.8, False)])
-def test_with_friction_the_only_answer_is_the_truth_and_one_of_several_is_not(friction: float, known: bool) -> None:
-    """Klarbring's node: at 0.8 three answers exist at this load, and each is proven nearby alone."""
-    node = cq.ContactProblem(
-        [[5.0, -2.0], [-2.0, 1.0]], [-1.0, 0.65], [[-1.0, 0.0]], [0.0], tangent=[[0.0, 1.0]], friction=friction
-    )
-    compared = cq.compare(node, methods=["active-set", "lagrange-multiplier"])
-    assert [row.verdict for row in compared] == ["right", "right"]
-    assert all((row.error_force is not None) is known for row in compared)
-    assert cq.solve(node).certificate.proven

@@ -37,7 +37,9 @@ def judge(
     for tried in recoveries(problem, given):
         answer = tried.answer
         forces = (answer.normal_force, answer.friction_force, answer.tie_force)
-        found = compute_certificate(problem, answer.displacement, *forces, tolerance, error_tolerance, factorization)
+        found = compute_certificate(
+            problem, answer.displacement, *forces, tolerance, error_tolerance, factorization, prove_friction=True
+        )
         if found.passed:
             return found, tried
         first = first or (found, tried)
