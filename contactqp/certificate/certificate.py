@@ -50,6 +50,8 @@ ROUNDING_OF_ANSWERS = 1e-3
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
 AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
+NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
+NOT_COMPARED = "friction: no answer of its own states is near"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
 # Why answers have no bounds whose numbers cannot be computed with.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
@@ -184,8 +186,10 @@ def _measured(
             if state is None:
                 state = state_verdict(problem, answer, found, condensation, allowed)
                 remember_verdict(problem, answer, allowed, state)
-            if state.compared is not None and condensation is not None and prove_friction:
+            if prove_friction and condensation is not None and state.compared is not None:
                 known = frictional_bounds(problem, condensation, answer, state.compared)
+            elif prove_friction and candidates is None:
+                known = no_bounds(NOT_CONDENSED if condensation is None else NOT_COMPARED)
             known = known if known.proven else replace(known, energy_scale=state.energy)
         state = state or StateVerdict(known.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size

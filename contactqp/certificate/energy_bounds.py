@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.energy_norm import energy_norm
@@ -145,8 +146,11 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
     left, closed = np.zeros(problem.contacts), np.flatnonzero(held.closed)
     if len(closed) + problem.ties > MOST_DENSE or not len(closed):
         return left
-    rows = np.vstack([problem.normal[closed].toarray(), problem.tie.toarray()])
-    residual = held.left.force.double()
+    held_rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
+    touched = np.unique(held_rows.indices)
+    if held_rows.shape[0] * len(touched) > MOST_DENSE**2:
+        return left
+    rows, residual = held_rows[:, touched].toarray(), held.left.force.double()[touched]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(residual))):
         return left
     taken = abs(np.linalg.pinv(rows.T)) @ abs(residual)

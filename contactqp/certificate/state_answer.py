@@ -62,7 +62,7 @@ UNSETTLED = (
     "system of that is singular to working precision"
 )
 # What rounding makes of a displacement, as of a body that has moved very far, may be more than all of its strain.
-HIDDEN = "state: the displacement is so large that its rounding hides the strain; contacts say nothing"
+HIDDEN = "state: the displacement is so large that its rounding is more than all of its strain"
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11

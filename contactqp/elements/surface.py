@@ -71,7 +71,7 @@ class Surface(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """Return d."""
+        """Return the number of dimensions of space, 2 or 3."""
         return int(self.points.shape[1])
 
     @property

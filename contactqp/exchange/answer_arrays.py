@@ -41,8 +41,11 @@ from contactqp.model.unknown_names import axis_called
 NAME = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")
 Held = dict[str, NDArray[np.float64]]
-# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...
-LIKE_FORCES = re.compile(r"force|frict|press|tract|lambda|multiplier|shear|norm|^f_?[nct]")
+# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...; reactions of
+# supports, and coefficients, are none.
+LIKE_FORCES = re.compile(
+    r"(?!react|.*coefficient$).*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|^f_?[nct]"
+)
 FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
 
 
@@ -99,8 +102,7 @@ def _refuse_forces(table: Table, column: str) -> None:
     InvalidProblem
         The column's name is one of forces, as far as names tell.
     """
-    plain = column.strip().lower()
-    if part_called(column) is None and (LIKE_FORCES.search(plain) is None or plain.endswith("coefficient")):
+    if part_called(column) is None and LIKE_FORCES.match(column.strip().lower()) is None:
         return
     of_contacts = table.columns[0] == "contact"
     expected = "normal_force or friction_force" if of_contacts else "forces in a table whose first column is contact"

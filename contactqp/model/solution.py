@@ -342,7 +342,8 @@ class Solution(ReadOnly):
         InvalidProblem
             No unknown is called that; the nearest names are given.
         """
-        if isinstance(unknown, str) and unknown in (self.problem.contact_names or ()):
+        names = self.problem.dof_names or ()
+        if isinstance(unknown, str) and unknown not in names and unknown in (self.problem.contact_names or ()):
             raise InvalidProblem(f"{unknown!r} is a contact: force_at, gap_at, friction_at and status_at take it")
         return float(self.displacement[place_of(unknown, self.problem.dimension, self.problem.dof_name, "unknown")])
 

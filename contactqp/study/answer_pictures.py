@@ -189,8 +189,9 @@ def draw(
     title : str
         The title of the picture.
     scale : float, optional
-        How many times displacements are magnified; by default as many as make them visible, and bodies that meet
-        across a gap overlap by no more than a five-hundredth of their size. The title states it. Gaps stay as they are.
+        How many times displacements of bodies and structures are magnified; by default as many as make them visible,
+        and bodies that meet across a gap overlap by no more than a five-hundredth of their size. The title states it.
+        Gaps stay as they are; membranes, histories and bars of forces have no scale.
     time_unit : str
         Unit of the times of a motion, for labels.
 

@@ -8,10 +8,10 @@ or the candidate's own names in the candidate's order, one a line; or a table "p
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -95,7 +95,7 @@ class Order:
 
 def is_written_out(told: str) -> bool:
     """Return whether what stands for the file of a map are the places themselves."""
-    return PLACES.fullmatch(told) is not None and not Path(told).exists()
+    return PLACES.fullmatch(told) is not None and not os.path.exists(told)  # also of what no file can be called
 
 
 def read_order(file: str | None, names: Sequence[str]) -> Order | None:

@@ -284,3 +284,17 @@ def test_a_brick_thrown_on_a_plane_comes_to_rest(friction: float, corners: int) 
     assert np.sum(history.normal_forces[-1]) == pytest.approx(10.0)
     assert history[-1].certificate.passed
     assert abs(history.energies[-1].drift) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("scheme", "said"), [("moreau-jean", True), ("modified-mass", False), ("modified-mass-central", False)]
+)
+def test_the_force_of_an_impact_is_said_to_be_an_impulse_over_a_step(scheme: str, said: bool) -> None:
+    """A rod is thrown at a wall; a contact without mass is stopped by no impulse."""
+    n = 20
+    stiffness = 2000.0 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    stiffness[0, 0] = stiffness[-1, -1] = 2000.0
+    rod = cq.ContactProblem(stiffness, np.zeros(n), -np.eye(1, n), [0.05])
+    moved = cq.impact(rod, np.ones(n), np.zeros(n), np.full(n, -1.0), 0.2, 2e-3, scheme)
+    assert np.max(moved.normal_forces) > 0
+    assert ("is an impulse over one step" in " ".join(str(moved).split())) is said

@@ -88,6 +88,8 @@ def test_numbers_are_had_by_name() -> None:
     solution = cq.solve(TRUSS)
     with pytest.raises(cq.InvalidProblem, match="'floor' is a contact: force_at, gap_at, friction_at and status_at"):
         solution.at("floor")
+    named_alike = cq.solve(TRUSS.replace(dof_names=["1.x", "floor"]))
+    assert named_alike.at("floor") == named_alike.displacement[1]
     assert solution.at("1.x") == solution.at(0) == solution.displacement[0]
     assert solution.force_at("floor") == solution.force_at(0) == solution.normal_force[0]
     assert solution.gap_at("floor") == solution.gap[0] == solution.gap_at(-1)

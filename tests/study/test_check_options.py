@@ -122,6 +122,8 @@ def test_columns_of_other_numbers_are_ignored_which_stands_at_the_top_and_in_the
     assert code == 0
     assert out.splitlines()[1] == "  ignored: column temperature"
     assert json.loads((folder / "r.json").read_text())["ignored"] == ["column temperature"]
+    (folder / "r.csv").write_text("node,ux,reaction_force\na,{},5\nb,{},5\nc,{},5\n".format(*map(repr, values)))
+    assert "ignored: column reaction_force" in run(capsys, "check", "p", "r.csv")[1]  # of supports
     code, _, err = run(capsys, "check", "p", "a.csv", "--compression", "negative")
     assert code == 2
     assert "normal_force: expected the forces whose sign --compression tells, got none" in err
@@ -138,6 +140,9 @@ def test_the_map_that_a_diagnosis_names_can_be_pasted(capsys, folder):
         code, _, _ = run(capsys, "check", "p", "turned.json", "--contact-map", told, "--receipt", "r.json")
         assert code == 0
         assert run(capsys, "check", "--verify", "r.json")[0] == 0
+    many = str(list(range(400)))  # longer than the name of a file may be
+    code, _, err = run(capsys, "check", "p", "turned.json", "--contact-map", many)
+    assert (code, "contact_map" in err, err.count("\n")) == (2, True, 1)
     (folder / "map.csv").write_text("problem,candidate\nleft,4\nright,7\n")
     (folder / "numbers.json").write_text(json.dumps(data | {"normal_force": {"4": left, "7": right}}))
     assert run(capsys, "check", "p", "numbers.json", "--contact-map", "map.csv")[0] == 0

@@ -27,8 +27,8 @@ from contactqp.model.summary import wrapped
 BLOCK = 256
 # Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
 SLIPS = PENETRATES = 1e-9
-# The scheme whose contacts have no mass, so that no impulse stops them.
-WITHOUT_MASS = "modified-mass"
+# Schemes whose contacts have no mass, so that no impulse stops them.
+WITHOUT_MASS = ("modified-mass", "modified-mass-central")
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ def said_of_penetration(motion: Motion) -> Iterator[str]:
 def _said_of_impulses(motion: Motion) -> Iterator[str]:
     """Yield what the largest contact force is, where a contact closes with it and the scheme has no contact springs."""
     forces = np.array([state.normal_force for state in motion.states])
-    if motion.scheme.springs is not None or motion.scheme.name == WITHOUT_MASS or not forces.size:
+    if motion.scheme.springs is not None or motion.scheme.name in WITHOUT_MASS or not forces.size:
         return
     step, contact = np.unravel_index(int(np.argmax(forces)), forces.shape)
     if step == 0 or not forces[step, contact] > 0 or forces[step - 1, contact] > 0:

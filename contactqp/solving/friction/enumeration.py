@@ -237,7 +237,7 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
 
 def _least_ties(rows: FrictionalRows, start: Answer) -> Answer:
     """The start with the least forces of ties that depend on one another: refinement keeps how they share theirs."""
-    if len(rows.tie) < 2:
+    if len(rows.tie) < 2 or not np.all(np.isfinite(start.tie_force)):
         return start
     pulled = rows.tie.T @ (start.tie_force * rows.tie_length)
     return replace(start, tie_force=np.linalg.lstsq(rows.tie.T, pulled, rcond=None)[0] / rows.tie_length)
