@@ -487,6 +487,8 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
     rows = abs(judge.posed.plain.normal.toarray())
     meeting = _meeting(judge.posed.plain, u, normal, friction) + abs(judge.posed.plain.tie).T @ abs(tie)
     floor = np.maximum(_intrinsic(judge.posed.plain, u, normal), meeting)
+    # Without stiffness what meets may be the rounding of the loads.
+    floor = np.maximum(floor, BREAKS * np.max(abs(judge.posed.plain.load), initial=0.0))
     sizes = np.where(floor > 0, rows / np.where(floor > 0, floor, 1.0), 0.0)
     pushing = np.max(sizes * normal[:, None], axis=1)
     at = int(np.argmax(pushing))

@@ -51,7 +51,7 @@ FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
 AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
-NOT_COMPARED = "friction: no answer of its own states is near"
+NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
 # Why answers have no bounds whose numbers cannot be computed with.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"

@@ -232,4 +232,4 @@ def test_wrong_answers_are_proven_by_nothing() -> None:
     for part in (1e-3, 1e-5):
         found = cq.certify(rough, right.displacement, right.normal_force * (1 + part), right.friction_force)
         assert (found.passed, found.proven, found.scope) == (False, False, None)
-        assert found.reasons[0] == "energy_error: friction: no answer of its own states is near"
+        assert found.reasons[0] == "energy_error: friction: no answer of its own states is near whose forces are unique"
