@@ -117,13 +117,16 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
 
 
 def _combination(problem: ContactProblem, answer: Answer) -> Status:
-    """(m,) open where nothing pushes; sticking where the slip is no more than rounding of the displacement."""
+    """(m,) open where nothing pushes; sticking where the slip is no more than rounding of the displacement, or where
+    friction drives it: such a slip is what the answer left over of none."""
     assert problem.tangent is not None
     assert problem.slip_origin is not None
+    assert answer.friction_force is not None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
     way = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)
-    closed = np.where(lengths(slip) <= rounding, STICK, way)
+    driven = np.sum(slip * answer.friction_force.reshape(slip.shape), axis=1) < 0
+    closed = np.where(driven | (lengths(slip) <= rounding), STICK, way)
     return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
 
 

@@ -61,7 +61,7 @@ SPARSE = "sparse"
 # the last first where there are more constraints than unknowns, among which pivots may go a long way.
 ROUTES = ("lemke", "lagrange-multiplier", "clarabel", SPARSE)
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
-FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "enumeration")
+FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "aclm", "enumeration")
 
 
 @overload
@@ -252,13 +252,17 @@ def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
     return run.expanded.normal_force, run.work(0)
 
 
-def _routes(problem: ContactProblem) -> tuple[str, ...]:
-    """The routes in their order."""
-    if problem.frictional:
-        return FRICTIONAL_ROUTES
+def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
+    """The routes in their order, each with the arguments of `begin` that take it."""
+    if problem.slip_origin is not None and problem.frictional:
+        routes: dict[str, dict[str, Any]] = {route: {"algorithm": route} for route in FRICTIONAL_ROUTES}
+        if problem.slip_origin.shape[1] > 1:
+            routes["aclm"]["method"] = "clarabel"  # it takes cones in space as they are
+        return routes
+    routes = {route: {"condense": False} if route == SPARSE else {"method": route} for route in ROUTES}
     if problem.contacts + problem.ties > problem.dimension:
-        return SPARSE, *(route for route in ROUTES if route != SPARSE)
-    return ROUTES
+        return {SPARSE: routes.pop(SPARSE), **routes}
+    return routes
 
 
 CERTIFIED = "its answer is certified"
@@ -285,11 +289,8 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     spent = first.work if isinstance(first, Solution) else Work()
     tried = [str(error)]
     seconds = first.seconds if isinstance(first, Solution) else 0.0
-    for route in _routes(problem):
-        if problem.frictional:
-            changed: dict[str, Any] = {"algorithm": route}
-        else:
-            changed = {"condense": False} if route == SPARSE else {"method": route}
+    routes = _routes(problem)
+    for route, changed in routes.items():
         try:
             found = begin(problem, **{**same, **changed}).finish()
         except (NotCertified, NotConverged, SeveralEquilibria, BackendFailed, BackendMissing, Unsupported) as other:
@@ -298,7 +299,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: {CERTIFIED}"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(_routes(problem))} were tried too, and no answer is certified",)
+    error.args = (f"{error}; {', '.join(routes)} were tried too, and no answer is certified",)
     raise error
 
 

@@ -28,6 +28,7 @@ def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer(every: int, 
     [
         ("more singular 2D", 4),  # a contact that rigid motions alone move: its compliance is rounding
         ("local unsymmetric 3D", 1),  # Gauss-Seidel stops where the certificate just passes
+        ("stack_free_to_slide 2D", 34),  # put to rest, a contact slips by rounding against its own friction
     ],
 )
 def test_what_the_campaign_found(family: str, seed: int) -> None:
@@ -52,6 +53,7 @@ def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> 
         ("pushed_rigidly 3D", 138),  # two answers meet in one, where Newton's corrections halve
         ("bedded 3D", 31),  # forces of 1e-8, and one of 1e-14 at its friction bound
         ("interference_removed 3D", 10),
+        ("printed_floating 3D", 156),  # a family of near answers along a turn that contacts hold by rounding alone
     ],
 )
 def test_the_default_finds_an_answer_of_bodies_that_hardly_deform(family: str, seed: int) -> None:
