@@ -5,8 +5,7 @@ Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Aba
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
 NAMES_IN_A_MESSAGE = 8
 # An unknown that moves by this part of the largest takes part in a motion.
 TAKES_PART = 1e-9
+# Bodies that move without turning have few steps; names are not read where there are more.
+MOST_STEPS = 100
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
     **{axis: axis for axis in AXES},
@@ -67,7 +68,7 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     """A motion in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
-    together = _moving_together([problem.dof_name(int(j)) for j in moving], motion[moving])
+    together = _moving_together((problem.dof_name(int(j)) for j in moving), motion[moving])
     if together:
         return listed(together)
     # Rounded, so that unknowns that move alike are named in their own order.
@@ -76,14 +77,17 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     return listed(named, len(order))
 
 
-def _moving_together(names: Sequence[str], motion: Vector) -> list[str]:
+def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
     """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
     nodes: dict[tuple[str, str, float], list[str]] = {}
-    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
-        found = re.fullmatch(r"(.+) node (\d+) (\w+)", name)
-        if found is None:
+    steps = np.round(motion, 6)
+    if len(np.unique(steps)) > MOST_STEPS:
+        return []
+    for name, step in zip(names, steps.tolist(), strict=True):
+        parts = name.rsplit(" ", 3)  # body, node, its number, axis
+        if len(parts) != 4 or parts[1] != "node" or not parts[2].isdecimal():
             return []
-        nodes.setdefault((found[1], found[3], step), []).append(found[2])
+        nodes.setdefault((parts[0], parts[3], step), []).append(parts[2])
     if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
         return []
     more = {key: f" and {len(moved) - 1} more" if len(moved) > 1 else "" for key, moved in nodes.items()}
