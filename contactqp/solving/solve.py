@@ -255,9 +255,13 @@ def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
 def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
     """The routes in their order, each with the arguments of `begin` that take it."""
     if problem.slip_origin is not None and problem.frictional:
+        from contactqp.solving.friction_runs import FEW_CONTACTS
+
         routes: dict[str, dict[str, Any]] = {route: {"algorithm": route} for route in FRICTIONAL_ROUTES}
         if problem.slip_origin.shape[1] > 1:
             routes["aclm"]["method"] = "clarabel"  # it takes cones in space as they are
+        elif problem.contacts <= FEW_CONTACTS:  # all combinations take less than thousands of iterations
+            return {name: routes.pop(name) for name in ("newton", "enumeration")} | routes
         return routes
     routes = {route: {"condense": False} if route == SPARSE else {"method": route} for route in ROUTES}
     if problem.contacts + problem.ties > problem.dimension:
@@ -289,17 +293,20 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     spent = first.work if isinstance(first, Solution) else Work()
     tried = [str(error)]
     seconds = first.seconds if isinstance(first, Solution) else 0.0
-    routes = _routes(problem)
-    for route, changed in routes.items():
+    names: list[str] = []
+    for route, changed in _routes(problem).items():
+        names.append(route)
         try:
             found = begin(problem, **{**same, **changed}).finish()
         except (NotCertified, NotConverged, SeveralEquilibria, BackendFailed, BackendMissing, Unsupported) as other:
             tried.append(str(other))
+            if route == "enumeration" and isinstance(other, NotCertified | NotConverged):
+                break  # it has tried every combination of open, stick and slip
             continue
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: {CERTIFIED}"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(routes)} were tried too, and no answer is certified",)
+    error.args = (f"{error}; {', '.join(names)} were tried too, and no answer is certified",)
     raise error
 
 
