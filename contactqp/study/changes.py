@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.errors import SceneError
+from contactqp.study.conclusion import MethodLine, conclude
 from contactqp.study.report_data import SCHEMA
 from contactqp.study.rows import Row, aligned
 
@@ -26,13 +27,42 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     """Return what changed between two reports as text, from the contents of their results.json.
 
     Times are compared in linear solves of the same bodies where both reports have them, else in seconds. They have
-    changed where they differ by more than the sum of their spreads, each at least 20 %.
+    changed where they differ by more than the sum of their spreads, each at least 20 %. Methods that change places in
+    the table of the conclusion are told, and whether their times lie within these spreads.
     """
     before, now = _rows(old), _rows(new)
     lines = [line for key in before if key in now for line in _of_row(before[key], now[key])]
     parts = [*_versions(old, new), *_counts(before, now)]
     parts.append(aligned([HEADINGS, *lines]) if lines else "no verdict, error or time has changed")
-    return "\n".join(parts)
+    return "\n".join([*parts, *_order(list(before.values()), list(now.values()))])
+
+
+def _order(before: list[Row], now: list[Row]) -> Iterator[str]:
+    """Return in words which methods have changed places by their times in linear solves."""
+    old, new = ({line.method: line for line in conclude(rows).lines if line.linear_solves} for rows in (before, now))
+    names = sorted(old.keys() & new.keys(), key=lambda name: old[name].linear_solves or 0.0)
+    swapped = [
+        (fast, slow)
+        for i, fast in enumerate(names)
+        for slow in names[i + 1 :]
+        if (new[fast].linear_solves or 0.0) > (new[slow].linear_solves or 0.0)
+    ]
+    beyond = [
+        pair for pair in swapped if not any(_within_spread(lines[pair[0]], lines[pair[1]]) for lines in (old, new))
+    ]
+    if len(names) > 1 and not beyond:
+        within = ", ".join(" and ".join(pair) for pair in swapped)
+        exception = f", but for {within}, whose times lie within their spreads" if swapped else ""
+        yield f"the {len(names)} methods have the same order by time{exception}"
+    for fast, slow in beyond:
+        first, second = (f"{lines[fast].linear_solves:.3g} and {lines[slow].linear_solves:.3g}" for lines in (old, new))
+        yield f"{slow} is faster than {fast} now: {first} linear solves before, {second} now"
+
+
+def _within_spread(one: MethodLine, other: MethodLine) -> bool:
+    times = [line.linear_solves or 0.0 for line in (one, other)]
+    rooms = [time * max(line.spread or 0.0, LEAST_SPREAD) for time, line in zip(times, (one, other), strict=True)]
+    return abs(times[0] - times[1]) <= sum(rooms)
 
 
 def read_report(file: str | Path) -> dict[str, Any]:

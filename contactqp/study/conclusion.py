@@ -36,12 +36,14 @@ class MethodLine:
     claimed: int  # raw answers that the method itself called solved
     wrong: int  # of these, that are wrong
     linear_solves: float | None  # shifted geometric mean of its time over that of one linear solve
+    spread: float | None  # mean distance of the quartiles of these times over their median, where they were repeated
     force_error: float | None  # the largest relative error of the contact forces
 
     def cells(self) -> tuple[str, ...]:
         """Return the cells of `HEADINGS`."""
         flags = f"{_percent(self.wrong, self.claimed)} of {self.claimed}" if self.claimed else "claims nothing"
         times = "" if self.linear_solves is None else f"{self.linear_solves:.3g}"
+        times += "" if not times or self.spread is None else f" ± {100 * self.spread:.0f} %"
         error = "" if self.force_error is None else f"{max(self.force_error, ROUNDING):.0e}"
         name = self.method if self.exact else f"{self.method}, best setting"
         return name, f"{_percent(self.right, self.cases)} of {self.cases}", flags, times, error
@@ -80,11 +82,13 @@ def conclude(all_rows: Sequence[Row]) -> Conclusion:
 
 def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
     best = [_best([row for row in mine if row.case == case]) for case in dict.fromkeys(row.case for row in mine)]
-    ratios = [
-        row.seconds / row.linear_solve_seconds
+    counted = [
+        row
         for row in best
         if row.case in timed and row.verdict in ANSWERED and row.seconds is not None and row.linear_solve_seconds
     ]
+    ratios = [row.seconds / row.linear_solve_seconds for row in counted if row.seconds and row.linear_solve_seconds]
+    spreads = [row.seconds_spread for row in counted if row.seconds_spread is not None]
     errors = [row.error_force for row in best if row.error_force is not None and row.error_measure == "relative"]
     own = own_answers(mine)
     return MethodLine(
@@ -95,6 +99,7 @@ def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
         claimed=sum(row.claimed is True for row in own),
         wrong=sum(row.flag_wrong is True for row in own),
         linear_solves=float(np.exp(np.mean(np.log(np.array(ratios) + SHIFT))) - SHIFT) if ratios else None,
+        spread=float(np.mean(spreads)) if spreads else None,
         force_error=max(errors, default=None),
     )
 

@@ -105,3 +105,20 @@ def test_the_command_prints_them_at_the_end(
     monkeypatch.setattr(report, "write_report", lambda *_, **__: empty)
     report.report([], str(tmp_path), compare=str(old))
     assert capsys.readouterr().out.rstrip().endswith(changes(read_report(old), read_report(new)))
+
+
+def _timed(**linear_solves: float) -> dict[str, Any]:
+    """A report in which each method has been timed on one body, with a spread of 30 %."""
+    body: dict[str, Any] = dict(unknowns=1000, seconds_spread=0.3, **UNIT)
+    return _report(*(right("a", method, 1e-3 * time, **body) for method, time in linear_solves.items()))
+
+
+def test_methods_that_change_places_are_told_beyond_their_spreads() -> None:
+    before = _timed(osqp=2.0, clarabel=3.0, piqp=9.0)
+    assert changes(before, before).endswith("the 3 methods have the same order by time")
+    neighbours = changes(before, _timed(osqp=3.1, clarabel=3.0, piqp=9.0))
+    assert neighbours.endswith("same order by time, but for osqp and clarabel, whose times lie within their spreads")
+    text = changes(before, _timed(osqp=9.0, clarabel=3.0, piqp=2.0))
+    assert "piqp is faster than osqp now: 2 and 9 linear solves before, 9 and 2 now" in text
+    assert "piqp is faster than clarabel now: 3 and 9 linear solves before, 3 and 2 now" not in text  # within, now
+    assert "same order" not in text

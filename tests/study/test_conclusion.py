@@ -82,6 +82,15 @@ def test_a_default_that_misses_a_case_is_not_called_right_in_all() -> None:
     assert found.lines[1].cells()[:2] == ("active-set", "67 % of 3")
 
 
+def test_times_have_the_mean_of_their_spreads_beside() -> None:
+    body: dict[str, Any] = dict(unknowns=1000, linear_solve_seconds=1e-3)
+    found = conclude(
+        [right(case, "osqp", 2e-3, seconds_spread=spread, **body) for case, spread in (("a", 0.1), ("b", 0.3))]
+    )
+    assert found.lines[0].spread == pytest.approx(0.2)
+    assert found.lines[0].cells()[3] == "2 ± 20 %"
+
+
 def test_where_no_answer_is_known_nobody_is_wrong() -> None:
     motion = right("motion", "active-set", 1.0, kind="active set", error_judged=None, error_force=None)
     assert conclude([*_study(), motion]) == conclude(_study())
