@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -109,12 +112,15 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     SceneError
         The file cannot be read, is no TOML, or is no scene: one line with file, key, what was expected and what came.
     """
-    file = Path(path) if str(path) == STANDARD_INPUT else case_path(Path(path))
+    file, text = Path(path) if str(path) == STANDARD_INPUT else case_path(Path(path)), ""
     try:
         with stage(READ):
-            scene = Scene(**_tables(_standard_input() if str(path) == STANDARD_INPUT else _text(file)))
+            text = _standard_input() if str(path) == STANDARD_INPUT else _text(file)
+            scene = Scene(**_tables(text))
     except SceneError as error:
-        raise SceneError(f"{'standard input' if str(path) == STANDARD_INPUT else path}: {error}") from None
+        place = "standard input" if str(path) == STANDARD_INPUT else path
+        line = _line_of(text, str(error))
+        raise SceneError(f"{place}: {'' if line is None else f'line {line}: '}{error}") from None
     scene._file = file
     return scene
 
@@ -159,6 +165,53 @@ def _decoded(data: bytes) -> str:
         raise SceneError(
             f"expected text in UTF-8, got the byte 0x{data[error.start]:02x} at place {error.start}"
         ) from None
+
+
+# The path of a key with which a message begins, as in ``bars[1].area``, and its parts.
+_KEY_PATH, _KEY_PART = re.compile(r"[A-Za-z_][\w-]*(?:\[\d+\]|\.[\w-]+)*"), re.compile(r"\[\d+\]|[\w-]+")
+# What closes a list that a file goes on with on its next line.
+_CLOSING = ("", "]", "]]")
+
+
+def _line_of(text: str, message: str) -> int | None:
+    """Return the number of the line where the key stands that a message begins with; None where the text has none.
+
+    A missing key has the line of its table. TOML is read line by line: the key stands in the first lines that have it.
+    """
+    path, lines = _KEY_PATH.match(message), text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
+    whole = _read(lines)
+    if path is None or whole is None:
+        return None
+    parts = [int(part[1:-1]) if part.startswith("[") else part for part in _KEY_PART.findall(path[0])]
+    while parts and not _has(whole, parts):
+        parts.pop()
+    if not parts:
+        return None
+    first, last = 1, len(lines)
+    while first < last:
+        middle = (first + last) // 2
+        readable = next(n for n in range(middle, len(lines) + 1) if _read(lines[:n]) is not None)
+        first, last = (first, middle) if _has(_read(lines[:readable]), parts) else (readable + 1, last)
+    # Lines that cannot be read without this one belong to it.
+    while first > 1 and _read(lines[: first - 1]) is None:
+        first -= 1
+    return first
+
+
+def _read(lines: Sequence[str]) -> dict[str, Any] | None:
+    for closing in _CLOSING:
+        with suppress(ValueError, RecursionError, ArithmeticError):
+            return tomllib.loads("\n".join(lines) + closing)
+    return None
+
+
+def _has(data: Any, parts: Sequence[int | str]) -> bool:
+    for part in parts:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
 
 
 def _tables(text: str) -> dict[str, Any]:

@@ -383,3 +383,46 @@ def test_the_next_mistake_of_a_file_is_told_too(changes, words, tmp_path, capsys
         text = mutated(text, old, new)
     file.write_text(text)
     assert words in complaint(capsys, "run", str(file))
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('title = "Everything', 'titel = "Everything', "titel"),
+        ('{ name = "foot", at = ["3 m"', '{ name = "foot", at = ["3 kg"', "nodes[3].at[0]"),
+        ('obstacle = "floor" }', 'obstacle = "flor" }', "contacts[0].obstacle"),
+        ('"5 kN" }]', '"5 kX" }]', "strings[0].tension"),
+        ('[[ties]]\nname = "together"\n', '[[ties]]\nnaem = "together"\n', "ties[0].naem"),
+        ("path = { steps = 4", "path = { stps = 4", "path.stps"),
+    ],
+)
+def test_a_wrong_key_has_the_number_of_its_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, old: str, new: str, key: str, ends: str
+) -> None:
+    text = mutated(GOOD, old, new)
+    file = tmp_path / "case.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", ends).encode())
+    changed = text.index(new) + next((i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), 0)
+    refuse(capsys, str(file), f"case.toml: line {text[:changed].count(chr(10)) + 1}: {key}")
+
+
+def test_a_missing_key_has_the_line_of_its_table_and_none_where_the_file_has_none(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "case.toml"
+    lines = mutated(GOOD, 'method = "penalty"\n', "").split("\n")
+    file.write_text("\n".join(lines))
+    refuse(capsys, str(file), f"case.toml: line {lines.index('[[study]]') + 1}: study[0].method")
+    file.write_text(mutated(GOOD, 'axes = ["x", "z"]\n', ""))
+    refuse(capsys, str(file), "case.toml: axes: expected")
+
+
+def test_a_list_over_many_lines_has_the_line_where_it_begins(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    text = mutated(GOOD, 'axes = ["x", "z"]', 'axes = [\n    "x",\n    "q",\n]')
+    file = tmp_path / "case.toml"
+    file.write_text(text)
+    begins = text[: text.index("axes")].count("\n") + 1
+    assert any(f"line {line}: axes" in complaint(capsys, "run", str(file)) for line in (begins, begins + 2))
