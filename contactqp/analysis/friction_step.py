@@ -282,7 +282,7 @@ class PlaneStepper:
         lengths = (step.lengths.free[: 2 * m], step.lengths.target[: 2 * m], found.gap, found.slip)
         rounding = TOUCHING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
         position = origin[:, 0] + found.slip * rows.tangent_length
-        pushes = found.normal > TOUCHING * step.lengths.size
+        pushes = found.normal > TOUCHING * step.lengths.felt(status)
         return State(
             fraction=fraction,
             gap=gap,

@@ -58,13 +58,21 @@ from contactqp.certificate.energy_norm import (
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
-from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows, residuals
+from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
+from contactqp.linalg.factorization import RIGID_ENERGY
 from contactqp.linalg.iteration import Iteration
-from contactqp.linalg.measures import lengths_that_meet, own_compliance, parts, rigid_part
+from contactqp.linalg.measures import (
+    forces_that_meet,
+    lengths_that_meet,
+    outer_forces,
+    own_compliance,
+    parts,
+    rigid_part,
+)
 from contactqp.linalg.refinement import WITHIN_ROUNDING
-from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.linalg.saddle import delassus, free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
@@ -103,6 +111,9 @@ class Bounds:
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
+    undecided: float = (
+        0.0  # the part of the distance that touching contacts leave open, which gaps as doubles do not tell
+    )
     estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer
@@ -241,8 +252,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # A displacement without strain has none in extended precision, but for that of its rigid part, which K's rounding
     # makes.
     rigid = rigid_rounding(problem, condensation, answer.displacement)
-    if condensation.rigid.count and energy_scale <= rigid:
-        uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, answer.displacement)
+    # A solution that is known has its own rigid part, however far away the answer is.
+    moved = (extend(answer.displacement) + pair.to_middle).double() if pair.exact else answer.displacement
+    if condensation.rigid.count and energy_scale <= rigid_rounding(problem, condensation, moved):
+        uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     size = force_size(problem, pair.force.double())
@@ -256,6 +269,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         force_rounding=force_rounding,
         free_distance=_free_distance(problem, condensation, pair),
         cleared=pair.cleared,
+        undecided=pair.undecided,
     )
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     error, scale = _force_error(problem, answer, condensation, pair, known)
@@ -319,7 +333,9 @@ def _free_distance(problem: ContactProblem, condensation: Condensation, pair: Ad
         return 0.0
     resisted, _ = energy_norm(problem, without_part_along(motions, pair.to_middle))
     counted = max(sum(energy_norm(problem, pair.to_middle)) - resisted, 0.0)
-    return min(counted, rigid_rounding(problem, condensation, pair.to_middle.double()))
+    size = abs(motions @ (motions.T @ pair.to_middle.double()))
+    # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
+    return min(counted, float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size)))))
 
 
 def _force_error(
@@ -373,4 +389,30 @@ def _force_bound(
         motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
         stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
         bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+        bound[active] += _out_of_balance(problem, answer, condensation, pair, active)
     return bound + abs((extend(answer.normal_force) - pair.force).double()), None
+
+
+def _out_of_balance(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: NDArray[np.intp]
+) -> Vector:
+    """(q,) what rounding leaves of the balance of the pair's forces on rigid motions, as forces of active contacts.
+
+    Such forces have no part in (4) where bodies float: no gap changes them. Refined forces are balanced to EPS of all
+    that meet, |K||u| of a large motion in it, those of a repair to eps of the outer forces.
+    """
+    motions = condensation.rigid.motions
+    if not motions.shape[1]:
+        return np.zeros(len(active))
+    solution = (extend(answer.displacement) + pair.to_middle).double()
+    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
+    if pair.exact:
+        left = EPS * forces_that_meet(problem, forces)
+    else:
+        left = np.finfo(float).eps * outer_forces(problem, forces)
+    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    weight = np.concatenate([weight[active], weight[problem.contacts :]])
+    rows = np.vstack([problem.normal[active] @ motions, problem.tie @ motions]) * weight[:, None]
+    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
+    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ left)
+    return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])

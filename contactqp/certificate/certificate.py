@@ -148,6 +148,7 @@ def _judged(
     factorization: Condensation | None,
     prove_friction: bool,
 ) -> Certificate:
+    problem.refuse_exchanged_arrays()
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(absurd_parts(seen)):

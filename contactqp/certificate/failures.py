@@ -122,14 +122,16 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     if known.suspicious is not None:
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
-    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none,
-    # in the truth as in the error, unless the contact forces say how little that is.
+    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none, in
+    # the truth as in the error, unless the contact forces say how little that is.
     beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
     strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
+    # What touching contacts leave open is no strain of a body that only moves; it is in the bound and its uncertainty.
+    forgiven_strain = known.free_distance + (0.0 if known.energy_scale > beside_forces else 2 * known.undecided)
     # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
     rigidly = 4 * known.force_rounding
     pairs = (
-        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, known.free_distance),
+        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, forgiven_strain),
         ("force_error", "contact forces", known.force_scale, 0.0, pushed, rigidly),
     )
     for name, what, scale, none, absolute, forgiven in pairs:
@@ -192,6 +194,11 @@ def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) ->
         said.append(
             f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
             f"{known.cleared:.2g} of the forces there"
+        )
+    if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
+        said.append(
+            f"{known.free_distance / known.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
+            "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
         )
     if problem.rigid_change > 0:
         said.append(said_of_printing(problem))

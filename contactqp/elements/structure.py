@@ -30,6 +30,9 @@ ROUNDING = 1e-12
 EVERYTHING_HELD = "structure: the supports hold every unknown; expected some that are free"
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
+# Of the coordinates that a gap is a difference of, what their rounding may leave of it.
+GAPS_ROUND = 16 * float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Support:
@@ -361,8 +364,9 @@ def free_contacts(
     called = [f"contact {i}" for i in range(len(gap))] if names is None else names
     if len(called) != len(gap):
         raise InvalidProblem(f"names: expected one for each of {len(gap)} rows, got {len(called)}")
-    if held.size and gap[held].min() < 0:
-        i = held[np.argmin(gap[held])]
+    rounding = GAPS_ROUND * (_distances(pairings) + abs(normal) @ abs(given))
+    if held.size and np.min((gap + rounding)[held]) < 0:
+        i = held[np.argmin((gap + rounding)[held])]
         raise InvalidProblem(
             f"{called[i]}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
         )
@@ -377,6 +381,12 @@ def free_contacts(
             "slip_origin": -(tangent @ given)[rows],
         }
     return FreeContacts(kept, sp.csr_array(normal[kept][:, free]), gap[kept], [called[i] for i in kept], **tangential)
+
+
+def _distances(pairings: Sequence[Pairing]) -> Vector:
+    """Return how far from the origin the nodes of each contact lie (p,), which its gap is a difference of [length]."""
+    far = [np.full(len(pairing.gap), np.max(abs(pairing.points), initial=0.0)) for pairing in pairings]
+    return np.concatenate([np.zeros(0), *far])
 
 
 def kept_contacts(normal: Any, prescribed: Vector) -> Index:

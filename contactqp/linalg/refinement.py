@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation
 from contactqp.linalg.extended import (
+    EPS,
     Extended,
     ExtendedAnswer,
     ExtendedRows,
@@ -24,7 +25,13 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import orthonormal
-from contactqp.linalg.measures import force_measure, forces_that_meet, imbalance, lengths_that_meet
+from contactqp.linalg.measures import (
+    force_measure,
+    forces_that_meet,
+    imbalance,
+    lengths_that_meet,
+    without_rigid_part,
+)
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
@@ -140,13 +147,12 @@ def _refined(
     saddle = saddle_point(condensation, closed)
     size_of = _CorrectionSize(problem, condensation, closed)
     if start is None:
-        answer, left, whole = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem), 0.0
+        answer, left = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
     else:
         kept = np.isin(np.arange(problem.contacts), closed)
         left = None if np.any(start.normal_force[~kept]) else left
         begun = Answer(start.displacement, np.where(kept, start.normal_force, 0.0), None, start.tie_force)
         answer = ExtendedAnswer.of(begun)
-        whole = size_of(begun.displacement, begun.normal_force[closed], begun.tie_force)
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:
@@ -157,13 +163,14 @@ def _refined(
         if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
             shift, _ = shift_to_least_norm(problem, condensation, answer.double(), closed)
             answer = replace(answer, displacement=answer.displacement + shift)
-        size = size_of(du, dl, dn)
-        whole = max(whole, size)
+        size, whole = size_of(du, dl, dn), size_of.answer(answer)
         if sweep == 1 and q is None:
             rounding = ROUNDED_AWAY * whole
             q = max(size / max(last, rounding) if last > 0 else 0.0, LEAST_CONTRACTION)
             saddle.contraction = q if last > rounding else None
-        if (q is not None and size * min(q * caution, 1.0) <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
+        if sweep > 1 and size > 0.5 * last:
+            break
+        if q is not None and size_of.is_negligible(size * min(q * caution, 1.0), answer, whole):
             break
         last = size
     nothing = INVISIBLE * whole * size_of.row_sizes
@@ -186,12 +193,29 @@ class _CorrectionSize:
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
         self.row_sizes = np.sqrt(delassus(condensation).compliance)  # (m + k,) of a unit force in the root of energy
-        self._unknown = 1.0 / condensation.unknown_scale
+        self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
+        self._closed = closed
         self._row = np.concatenate([self.row_sizes[closed], self.row_sizes[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
         moved = np.max(self._unknown * abs(du), initial=0.0)
         return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
+
+    def answer(self, answer: ExtendedAnswer) -> float:
+        """The same of an answer."""
+        found = answer.double()
+        return self(found.displacement, found.normal_force[self._closed], found.tie_force)
+
+    def is_negligible(self, size: float, answer: ExtendedAnswer, whole: float) -> bool:
+        """Whether a correction is far below what doubles hold of an answer of size `whole`, or what two doubles hold.
+
+        The rigid part of a displacement strains nothing and counts for the latter alone.
+        """
+        if size <= EPS * whole or not (size <= NEGLIGIBLE * whole and self._rigid.count):
+            return size <= NEGLIGIBLE * whole
+        found = answer.double()
+        moved = without_rigid_part(self._problem, found.displacement, self._rigid)
+        return size <= NEGLIGIBLE * self(moved, found.normal_force[self._closed], found.tie_force)
 
 
 def correction(

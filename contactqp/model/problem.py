@@ -248,6 +248,28 @@ class ContactProblem:
         for name, value in (dict(load_sum=None, tie_numbers=None) | dict(values)).items():
             object.__setattr__(self, name, read_only(value))
         object.__setattr__(self, "_computed", computed)
+        object.__setattr__(self, "_arrays", self._arrays_held())
+
+    def _arrays_held(self) -> tuple[Any, ...]:
+        """Return the arrays that the matrices hold, by the names of the fields."""
+        matrices: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
+        return tuple(part for matrix in matrices if sp.issparse(matrix) for part in (matrix.data, matrix.indices))
+
+    def refuse_exchanged_arrays(self) -> None:
+        """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
+
+        Raises
+        ------
+        InvalidProblem
+            A matrix no longer holds the arrays that it was made with.
+        """
+        kept: tuple[Any, ...] = vars(self)["_arrays"]
+        if all(mine is other for mine, other in zip(kept, self._arrays_held(), strict=True)):
+            return
+        raise InvalidProblem(
+            "stiffness, normal, tangent or tie holds other arrays than the problem was made with: a problem does not "
+            "change; make another one, or use problem.replace(stiffness=...)"
+        )
 
     @classmethod
     def _of_checked(cls, values: Mapping[str, Any], computed: Computed) -> ContactProblem:
@@ -258,6 +280,7 @@ class ContactProblem:
 
     def _values(self) -> dict[str, Any]:
         """Return all data of the problem by the names of the fields; not what was computed from it."""
+        self.refuse_exchanged_arrays()
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_computed"}
 
     def transformed(

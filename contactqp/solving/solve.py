@@ -186,6 +186,7 @@ def _solve_any(
         return solve_local(problem, method, warm_start=warm_start, **same)
     if type(problem) is not ContactProblem:
         refuse_other("solve", problem, ContactProblem, LocalProblem)
+    problem.refuse_exchanged_arrays()
     refuse_arguments(same["tolerance"], condense, same["polish"], same["time_limit"], same["max_iter"])
     with within_time(same["time_limit"]):
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))

@@ -341,3 +341,35 @@ def test_what_is_not_examined_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(friction_path, "contacts_are_many", lambda _: True)
     (note,) = cq.follow_path(problem, loads, steps=2).notes
     assert note.endswith("too many contacts")
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-10, 1e-14])
+def test_a_path_that_begins_small_is_not_measured_by_a_far_seat(size: float) -> None:
+    """A tower on springs, its upper half on stiff ones, 1 mm over rough seats and touching rough ones above: what a far
+    gap calls rounding is all that the contacts above feel of a small load."""
+    height = 16
+    points = np.array([(i, j) for j in range(height) for i in (0, 1)], float)
+    n, K = 2 * len(points), np.diag(np.where(np.repeat(points_above(points, height / 2), 2), 3e6, 1e3))
+    for a in range(len(points)):
+        for b in range(a):
+            apart = points[a] - points[b]
+            if np.hypot(*apart) < 1.5:
+                row = np.zeros(n)
+                row[2 * a : 2 * a + 2] = apart / np.hypot(*apart)
+                row[2 * b : 2 * b + 2] = -row[2 * a : 2 * a + 2]
+                K += 1e6 * np.outer(row, row)
+    nodes = [0, 1, 2 * height - 2, 2 * height - 1]
+    normal, tangent, load = np.zeros((4, n)), np.zeros((4, n)), np.zeros(n)
+    normal[[0, 1], [1, 3]], normal[[2, 3], [2 * k + 1 for k in nodes[2:]]] = -1.0, 1.0
+    tangent[range(4), [2 * k for k in nodes]] = 1.0
+    load[:2] = 2e3, -1e4
+    problem = cq.ContactProblem(K, load, normal, [1e-3, 1e-3, 0, 0], tangent=tangent, friction=0.3)
+    last = cq.follow_path(problem, [size * load], steps=3)[-1]
+    alone = cq.solve(problem.replace(load=size * load))
+    assert last.certificate.passed
+    assert list(last.contact_status) == list(alone.contact_status)
+    assert last.displacement == pytest.approx(alone.displacement, rel=1e-9, abs=1e-12 * np.max(abs(alone.displacement)))
+
+
+def points_above(points: np.ndarray, height: float) -> np.ndarray:
+    return points[:, 1] >= height

@@ -55,6 +55,54 @@ def test_a_large_free_motion_does_not_hide_a_small_strain():
     assert certificate.passed
 
 
+def braced_square(stiffness: float) -> np.ndarray:
+    """Four nodes, every two joined by a bar: rigid motions cost no energy but that of rounded numbers."""
+    points, K = np.array([[0, 0], [1, 0], [0, 1], [1, 1.0]]), np.zeros((8, 8))
+    for a in range(4):
+        for b in range(a):
+            along = (points[a] - points[b]) / np.hypot(*(points[a] - points[b]))
+            row = np.zeros(8)
+            row[2 * a : 2 * a + 2], row[2 * b : 2 * b + 2] = along, -along
+            K += stiffness * np.outer(row, row)
+    return K
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
+@pytest.mark.parametrize("strained", [True, False])
+def test_a_right_answer_elsewhere_along_a_free_motion_is_right(strained: bool, unit: float) -> None:
+    """Two seats carry the body and let it slide: the energy that rounding gives a shift is no error; a strain is."""
+    load, seats = np.zeros(8), np.zeros((2, 8))
+    load[[1, 3, 5, 7] if strained else [1, 3]] = -500.0 * unit
+    seats[0, 1] = seats[1, 3] = -1.0
+    problem = cq.ContactProblem(braced_square(2.1e8 * unit), load, seats, [1e-3, 1e-3])
+    found = cq.solve(problem)
+    for shift in (1e-6, 1e-3, 1.0):
+        moved = found.displacement.copy()
+        moved[::2] += shift
+        assert cq.certify(problem, moved, found.normal_force).passed
+        moved[4] += 1e-6 * np.max(abs(found.displacement[1::2]))  # 1e-6 of the fall, as a strain
+        assert not cq.certify(problem, moved, found.normal_force).passed
+        moved[4] = found.displacement[4] + shift
+        assert not cq.certify(problem, moved, found.normal_force * [1 + 2e-6, 1 - 2e-6]).passed
+    note = cq.certify(problem, found.displacement + np.tile([1.0, 0.0], 4), found.normal_force).notes
+    assert any("motions that nothing resists" in line for line in note) == strained  # nothing to be relative to
+
+
+def test_a_candidate_far_away_does_not_make_the_truth_small() -> None:
+    """A candidate that has moved by 1e6 rounds away the strain of the truth; the truth's own is known all the same."""
+    problem = cq.ContactProblem(braced_square(1e2), np.tile([0.0, -1e-9], 4), np.eye(8)[[1, 3]] * -1.0, [1e-5, 1e-5])
+    truth = cq.solve(problem)
+    far = truth.displacement + 5e6 * np.tile([0.3, 1.0], 4)
+    far[4] += 1e-6
+    apart = far - truth.displacement
+    strain = np.sqrt(apart @ problem.stiffness @ apart)
+    size = np.sqrt(truth.displacement @ problem.stiffness @ truth.displacement)
+    found = cq.certify(problem, far, truth.normal_force)
+    assert size > 0
+    assert found.energy_error >= 0.5 * strain / size > 1e3
+    assert not found.passed
+
+
 def test_what_is_open_or_closed_by_rounding_is_in_the_bounds():
     """Penetrated by one unit in the last place: the force that closes it, 2 * 2^-53, is the error of none."""
     problem = cq.ContactProblem([[2.0]], [2.0], [[1.0]], [1.0 - 2.0**-53])

@@ -173,3 +173,25 @@ def test_forces_that_cancel_excuse_no_load_of_an_elastic_body_either(squeeze: fl
     u = [1.0, 1 / 3]
     assert cq.certify(problem, u, [2 + squeeze, squeeze], np.zeros((2, 1))).passed
     assert not cq.certify(problem, u, [2.01 + squeeze, squeeze], np.zeros((2, 1))).passed
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "master-slave"])
+def test_a_body_that_only_moves_onto_skew_seats_is_right_however_they_share(method: str) -> None:
+    """Gaps as doubles round them leave open which of the seats carry; the body is not strained by that."""
+    points, K = np.array([[0, 0], [1, 0], [0, 1.0]]), np.zeros((6, 6))
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        along = (points[a] - points[b]) / np.hypot(*(points[a] - points[b]))
+        row = np.zeros(6)
+        row[2 * a : 2 * a + 2], row[2 * b : 2 * b + 2] = along, -along
+        K += 1e6 * np.outer(row, row)
+    seats = np.array(
+        [[0, 0, 0, 0, 1, 0], [0, 0, 0.866025, 0.5, 0, 0], [0, 0, 0.866025, -0.5, 0, 0], [0, 0, 1, 0, 0, 0]]
+    )
+    fall, push = np.array([-0.0074, 0, -0.0074, 0.002, -0.0094, 0]), np.array([200.0, 0, 400, 600])
+    problem = cq.ContactProblem(K, seats.T @ push, seats, seats @ fall)
+    found = cq.solve(problem, method)
+    assert found.displacement == pytest.approx(fall, abs=1e-15)
+    strained = found.displacement + np.array([0, 1e-8, 0, 0, 0, 0])  # 1e-6 of the fall
+    assert not cq.certify(problem, strained, found.normal_force).passed
+    pulled = found.normal_force + np.array([0, 0, 0, -1e-3]) @ np.diag([0, 0, 0, 1.0])
+    assert not cq.certify(problem, found.displacement, pulled).passed

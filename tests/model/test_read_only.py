@@ -330,3 +330,19 @@ def test_rows_of_different_lengths_are_refused(name: str) -> None:
     with pytest.raises(cq.InvalidProblem, match=f"^{name}: expected real numbers, got list") as caught:
         cq.ContactProblem(**PLANE | {name: [[1.0, 0.0], [1.0]]})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["data", "indices"])
+def test_arrays_of_a_matrix_that_are_exchanged_are_refused(name: str) -> None:
+    """What is read-only can be exchanged as a whole: what was computed for the old arrays would answer for the new."""
+    problem = cq.ContactProblem(sp.csr_array([[2.0, -1], [-1, 2.0]]), [1.0, 3.0], [[0, 1.0]], [0.1])
+    found = cq.solve(problem)
+    setattr(problem.stiffness, name, getattr(problem.stiffness, name)[::-1].copy())
+    asked: list[Callable[[], Any]] = [
+        lambda: cq.solve(problem),
+        lambda: problem.replace(load=[1.0, 1.0]),
+        lambda: cq.certify(problem, found.displacement, found.normal_force),
+    ]
+    for question in asked:
+        with pytest.raises(cq.InvalidProblem, match="other arrays than the problem was made with"):
+            question()

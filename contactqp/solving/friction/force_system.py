@@ -42,6 +42,13 @@ class Lengths:
     load: Vector  # (p,) f
     size: float  # the largest of them
 
+    def felt(self, status: Status) -> float:
+        """The largest of them without gaps and origins of open contacts: a far obstacle is no size of the others."""
+        felt, m = np.ones(len(self.target), dtype=bool), len(status)
+        felt[:m] = felt[m : 2 * m] = status != OPEN
+        parts = (self.free, self.target[felt], self.drive)
+        return max(float(np.max(abs(part), initial=0.0)) for part in parts) or self.size
+
 
 @dataclass(frozen=True, eq=False)
 class CombinationAnswer:

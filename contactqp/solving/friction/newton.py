@@ -126,7 +126,7 @@ def search(
         wrong = found.worst(system.coefficient)
         if held_open is not None:
             wrong = np.where(held_open, -np.inf, wrong)
-        size = max(lengths.size, float(np.max(found.normal, initial=0.0)))
+        size = max(lengths.felt(status), float(np.max(found.normal, initial=0.0)))
         # A combination that has no answer may be passed through, and is none.
         worst = max(float(np.max(wrong, initial=0.0)), found.left if found.left > DOUBTFUL * size else 0.0)
         if worst <= ROUNDING * size:
