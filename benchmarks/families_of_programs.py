@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from benchmarks.bricks import Generator
 from benchmarks.family_register import member
@@ -56,8 +55,8 @@ def optimal_control(rng: Generator) -> ContactProblem:
     steps, states = int(rng.integers(3, 9)), int(rng.integers(1, 4))
     A, B = np.eye(states) + eighths(rng, states, states, most=4), eighths(rng, states, 1) + 1.0
     n = steps * (states + 1)  # x_1, ..., x_T and the controls before them
-    move = sp.kron(np.eye(steps), np.eye(states)) - sp.kron(np.eye(steps, k=-1), A)
-    tie = np.hstack([move.toarray(), -np.kron(np.eye(steps), B)])
+    move = np.kron(np.eye(steps), np.eye(states)) - np.kron(np.eye(steps, k=-1), A)
+    tie = np.hstack([move, -np.kron(np.eye(steps), B)])
     value = np.concatenate([A @ (4.0 * eighths(rng, states)), np.zeros((steps - 1) * states)])
     K = np.diag(np.concatenate([rng.integers(1, 9, steps * states) / 4.0, rng.integers(1, 5, steps) / 16.0]))
     control = np.eye(n)[steps * states :]

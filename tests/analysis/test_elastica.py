@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 from scipy.optimize import root
 
 import contactqp as cq
@@ -60,9 +61,9 @@ class Elastica:
         blocks = self.axial / self.h * along[:, :, None] * along[:, None, :]
         blocks = blocks + (self._pull(length) / length)[:, None, None] * across[:, :, None] * across[:, None, :]
         blocks = blocks - moment[:, None, None] * shear
-        angles = sp.csr_array(sp.block_diag([row[None] / size for row, size in zip(across, length, strict=True)]))
+        angles = sp.csr_array(block_diag(*(row[None] / size for row, size in zip(across, length, strict=True))))
         angles = angles.T @ (self.turn.T @ sp.diags(self.spring) @ self.turn) @ angles
-        return sp.csc_array(self.difference.T @ (sp.block_diag(list(blocks)) + angles) @ self.difference)
+        return sp.csc_array(self.difference.T @ (sp.csr_array(block_diag(*blocks)) + angles) @ self.difference)
 
 
 def pushed(links: int, axial: float, steps: int, moves: bool = True, **options: int) -> cq.LargeHistory:

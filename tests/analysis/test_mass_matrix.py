@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.linalg import block_diag
 
 import contactqp as cq
 from tests.analysis.motions import rod_at_wall
@@ -47,7 +48,7 @@ def test_each_body_keeps_its_own_and_a_held_one_too() -> None:
     free, M = rod_at_wall(6)
     K = free.stiffness.toarray()
     held = K[1:, 1:]  # its first node is a support
-    both, masses = sp.block_diag([K, held]), sp.block_diag([M, M.toarray()[1:, 1:]])
+    both, masses = block_diag(K, held), sp.block_diag([M, M.toarray()[1:, 1:]])
     rows = np.zeros((1, 13))
     rows[0, [6, 12]] = 1.0, -1.0
     problem = cq.ContactProblem(both, np.zeros(13), rows, [1.0])
