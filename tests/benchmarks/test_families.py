@@ -209,6 +209,21 @@ def test_a_wrong_answer_that_passes_fails_the_count() -> None:
         assert failure in said
 
 
+@pytest.mark.parametrize(("method", "fails"), [("active-set", True), ("osqp", False), ("clarabel", True)])
+def test_right_answers_that_are_refused_fail_the_count(method: str, fails: bool) -> None:
+    """One refusal of two hundred is too many for the default, half a per cent is not for a backend, and two are."""
+    refused = {"active-set": 1, "osqp": 2, "clarabel": 3}[method]
+    outcomes = [("refused", True)] * refused + [("right", False)] * (200 - refused)
+    reports = [
+        judging.Report(
+            "chain_walls", i, "exact", outcomes=(judging.Outcome(method, verdict, 0.0, False, needlessly, 0.0),)
+        )
+        for i, (verdict, needlessly) in enumerate(outcomes)
+    ]
+    said = "\n".join(counting.failures(reports, [method]))
+    assert ("right answers refused" in said) == fails
+
+
 def test_rounding_of_a_bound_is_no_violation_and_more_is() -> None:
     assert not judging.Bounded("force_error", "", 1.0, 1.0 + 1e-15, 1.0 + 1e-15).below
     assert judging.Bounded("force_error", "", 1.0, 1.0 + 1e-13, 1.0 + 1e-13).below
