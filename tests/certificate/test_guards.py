@@ -1,0 +1,58 @@
+"""What a floor excuses is a millionth of what is planted here: a force, a tension, a penetration and a residual of 1e-6
+of the intrinsic size, at every contact of problems whose answers lie beside those floors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from benchmarks.friction_families import contact_problem
+from benchmarks.problem_families import family
+from contactqp.model.solution import Solution
+
+KINDS = (
+    "bedded",
+    "decaying_path",
+    "pushed_rigidly",
+    "unstrained",
+    "interference_removed",
+    "stack_free_to_slide",
+    "printed_floating",
+    "far_gap",
+    "scaled_contact",
+)
+Parts = tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]
+
+
+def planted(problem: cq.ContactProblem, found: Solution) -> Iterator[tuple[str, Parts]]:
+    """Wrong answers: 1e6 times what counts as nothing there."""
+    nothing = found.certificate.violations.nothing
+    u, normal, friction, tie = found.displacement, found.normal_force, found.friction_force, found.tie_force
+    for i, row in enumerate(problem.normal.toarray()):
+        acts = np.flatnonzero(row)
+        force = 1e6 * np.min(nothing.force[acts] / abs(row[acts]))
+        for sign in (1.0, -1.0):
+            changed = normal + sign * force * (np.arange(len(normal)) == i)
+            what = "force" if changed[i] >= 0 else "tension"
+            yield f"{what} at {problem.contact_name(i)}", (u, changed, friction, tie)
+        if normal[i] > 0:
+            sunk = u + row * (1e6 * nothing.normal[i] / (row @ row))
+            yield f"penetration of {problem.contact_name(i)}", (sunk, normal, friction, tie)
+    for j in np.flatnonzero(problem.diagonal > 0)[:: max(1, problem.dimension // 8)]:
+        moved = u + (1e6 * nothing.force[j] / problem.diagonal[j]) * (np.arange(len(u)) == j)
+        yield f"residual at {problem.dof_name(int(j))}", (moved, normal, friction, tie)
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", [*KINDS, *(f"{kind} {d}D" for d in (2, 3) for kind in KINDS)])
+def test_a_millionth_of_what_counts_is_refused_beside_every_floor(kind: str, seed: int) -> None:
+    problem = contact_problem(kind, seed).problem if " " in kind else family(kind, seed)
+    found = cq.solve(problem)
+    forgeries = list(planted(problem, found))
+    assert len(forgeries) >= 4
+    passed = [name for name, parts in forgeries if cq.certify(problem, *parts).passed]
+    assert passed == []
