@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 COMBINATIONS = 10
 # Signs that fail by this part of the limit of the distance leave the combination as it is.
 HARDLY = 0.1
+# Friction that misses its bound by this part of it is at its bound.
+AT_BOUND = 1e-9
 # Refinement whose last correction is this part of the limit of the distance has settled.
 SETTLED = 1e-3
 # Why an answer is compared with none.
@@ -250,8 +252,32 @@ class _Comparison:
         self.compared: Compared | None = None
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
-        """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
-        status, seen = self._believed(), set()
+        """The distance to the first combination that holds, or None; or the reason why none could be looked at.
+
+        Contacts at their friction's bound that hardly move stick first; where that leads far away they slip.
+        """
+        believed = self._believed()
+        found, reason = self._nearest_from(believed, tolerance, nothing)
+        slides = (believed == STICK) & self._at_bound()
+        if not np.any(slides) or (found is not None and max(found.relative(nothing).values()) <= tolerance):
+            return found, reason
+        kept = self.redundant, self.displacement, self.compared
+        slip = self.slip(extend(self._answer.displacement))
+        sliding = np.where(slides, self._sliding(slip, self.friction), believed).astype(np.int8)
+        other, _ = self._nearest_from(sliding, tolerance, nothing)
+        if other is not None and max(other.relative(nothing).values()) <= tolerance:
+            return other, None
+        self.redundant, self.displacement, self.compared = kept
+        return found, reason
+
+    def _at_bound(self) -> Mask:
+        """(m,) contacts that push and have all the friction that they can have."""
+        most = self.coefficient * np.maximum(self._answer.normal_force, 0.0)
+        return np.asarray((most > 0) & (lengths(self.friction) >= (1 - AT_BOUND) * most))
+
+    def _nearest_from(self, status: Status, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
+        """`nearest` from one combination, which failing signs change."""
+        seen: set[bytes] = set()
         for _ in range(COMBINATIONS):
             seen.add(status.tobytes())
             refined = self._bodies.refined(status, self._answer)

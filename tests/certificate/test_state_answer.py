@@ -225,3 +225,17 @@ def test_where_nothing_is_stiff_lengths_are_held_against_the_largest(off: float,
     tie = np.linalg.solve(problem.tie.toarray().T, problem.load)
     assert cq.certify(problem, [1.0, off], np.zeros(4), None, tie).passed is passes
     assert cq.solve(problem).certificate.passed
+
+
+def test_a_contact_at_its_bound_that_hardly_slips_is_taken_to_slip_where_that_is_near() -> None:
+    """A slip just below what counts as one, all of the friction, and forces just above nothing: to stick there would
+    take other forces."""
+    stiffness = np.array([[1.0, 1e-3, 0.0], [1e-3, 1.0, 0.2], [0.0, 0.2, 1.0]])
+    moved, push = np.array([1.0, 0.0, 0.8e-12]), 3e-12
+    friction = 0.3 * push
+    load = stiffness @ moved + [0.0, push, friction]
+    problem = cq.ContactProblem(stiffness, load, [[0.0, 1, 0]], [0.0], tangent=[[0.0, 0, 1]], friction=0.3)
+    assert cq.certify(problem, moved, [push], [friction]).passed
+    assert not cq.certify(problem, moved, [10 * push], [10 * friction]).passed
+    assert not cq.certify(problem, moved + [0, 0, 1e-6], [push], [friction]).passed
+    assert not cq.certify(problem, moved, [push + 1e-6], [friction]).passed
