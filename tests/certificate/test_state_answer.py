@@ -237,5 +237,5 @@ def test_a_contact_at_its_bound_that_hardly_slips_is_taken_to_slip_where_that_is
     problem = cq.ContactProblem(stiffness, load, [[0.0, 1, 0]], [0.0], tangent=[[0.0, 0, 1]], friction=0.3)
     assert cq.certify(problem, moved, [push], [friction]).passed
     assert not cq.certify(problem, moved, [10 * push], [10 * friction]).passed
-    assert not cq.certify(problem, moved + [0, 0, 1e-6], [push], [friction]).passed
+    assert not cq.certify(problem, moved + np.array([0, 0, 1e-6]), [push], [friction]).passed
     assert not cq.certify(problem, moved, [push + 1e-6], [friction]).passed
