@@ -463,6 +463,9 @@ def shift_to_least_norm(
     if not np.any(stays):
         return free @ shift, free
     gap = problem.gap - problem.normal @ answer.displacement
+    # Contacts on both sides that touch leave no room; beyond rounding they would be penetrated already.
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    gap[abs(gap) <= WITHIN_ROUNDING * length] = 0.0
     moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
     return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
 
