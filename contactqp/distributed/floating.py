@@ -25,7 +25,7 @@ from contactqp.linalg.condensation import UNRESISTED
 from contactqp.linalg.contact_iteration import ConstrainedRows
 from contactqp.linalg.iteration import FLOATING
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
-from contactqp.linalg.refinement import shift_within_gaps
+from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Mask, Vector
 
 

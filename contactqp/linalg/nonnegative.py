@@ -15,6 +15,8 @@ from contactqp.model.arrays import Array, Vector
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11
+# A shift within gaps may overshoot them by this part of its lengths: a few roundings.
+SHIFT_SLACK = 1e-15
 
 
 class Infeasible(Exception):
@@ -88,3 +90,20 @@ def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
         if W[i, i] - W[i, chosen] @ drag > DEPENDENT:
             chosen.append(int(i))
     return chosen
+
+
+def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
+    """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap.
+
+    Where there is none, as between contacts that touch on both sides and are penetrated by rounding, those that are
+    penetrated stay so.
+    """
+    length = np.linalg.norm(rows, axis=1)
+    unit, room = rows / length[:, None], gap / length
+    none = np.zeros(len(room), dtype=bool)
+    slack = SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
+    try:
+        force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
+    except Infeasible:
+        return shift_within_gaps(rows, np.maximum(gap, 0.0), wanted) if np.any(gap < 0) else np.zeros(len(wanted))
+    return np.asarray(wanted - unit.T @ force)

@@ -32,7 +32,7 @@ from contactqp.linalg.measures import (
     lengths_that_meet,
     without_rigid_part,
 )
-from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -59,8 +59,6 @@ CARRIED, NO_SHARE = 1e-9, 1e-12
 # A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
 # it, which no refinement would see.
 SLIGHT = 2**10 * float(np.finfo(float).eps)
-# A shift within the gaps may overshoot them by this part of its lengths: a few roundings.
-SHIFT_SLACK = 1e-15
 # Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
 SHIFT_CORRECTIONS = 3
 
@@ -463,9 +461,6 @@ def shift_to_least_norm(
     if not np.any(stays):
         return free @ shift, free
     gap = problem.gap - problem.normal @ answer.displacement
-    # Contacts on both sides that touch leave no room; beyond rounding they would be penetrated already.
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    gap[abs(gap) <= WITHIN_ROUNDING * length] = 0.0
     moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
     return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
 
@@ -498,16 +493,3 @@ def _push(problem: ContactProblem, answer: Answer) -> Vector:
     """Every contact force in its measure, negative in tension."""
     force = answer.normal_force
     return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)
-
-
-def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
-    """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap."""
-    length = np.linalg.norm(rows, axis=1)
-    unit, room = rows / length[:, None], gap / length
-    none = np.zeros(len(room), dtype=bool)
-    slack = SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
-    try:
-        force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
-    except Infeasible:  # no shift frees every contact: the set is wrong, as the penetration that is left will show
-        return wanted
-    return np.asarray(wanted - unit.T @ force)
