@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 NAMES_IN_A_MESSAGE = 8
 # An unknown that moves by this part of the largest takes part in a motion.
 TAKES_PART = 1e-9
-# Bodies that move without turning have few steps; names are not read where there are more.
-MOST_STEPS = 100
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
     **{axis: axis for axis in AXES},
@@ -79,19 +77,18 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
 
 def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
     """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
-    nodes: dict[tuple[str, str, float], list[str]] = {}
-    steps = np.round(motion, 6)
-    if len(np.unique(steps)) > MOST_STEPS:
-        return []
-    for name, step in zip(names, steps.tolist(), strict=True):
+    moved: dict[tuple[str, str], list[str]] = {}
+    step_of: dict[tuple[str, str], float] = {}
+    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
         parts = name.rsplit(" ", 3)  # body, node, its number, axis
         if len(parts) != 4 or parts[1] != "node" or not parts[2].isdecimal():
             return []
-        nodes.setdefault((parts[0], parts[3], step), []).append(parts[2])
-    if len(nodes) > len({(body, axis) for body, axis, _ in nodes}):
-        return []
-    more = {key: f" and {len(moved) - 1} more" if len(moved) > 1 else "" for key, moved in nodes.items()}
-    return [f"{key[0]} along {key[1]} by {key[2]:+.3g} (node {moved[0]}{more[key]})" for key, moved in nodes.items()]
+        key = parts[0], parts[3]
+        if step_of.setdefault(key, step) != step:
+            return []
+        moved.setdefault(key, []).append(parts[2])
+    more = {key: f" and {len(nodes) - 1} more" if len(nodes) > 1 else "" for key, nodes in moved.items()}
+    return [f"{key[0]} along {key[1]} by {step_of[key]:+.3g} (node {moved[key][0]}{more[key]})" for key in moved]
 
 
 def listed(names: list[str], count: int | None = None) -> str:
