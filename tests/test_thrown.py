@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
+from contactqp.cli import main
 
 # Examples of each function in the slow share of the tests.
 MANY = int(os.environ.get("CONTACTQP_EXAMPLES", "40"))
@@ -355,3 +356,118 @@ def test_only_errors_of_this_package_leave(name: str, data: st.DataObject) -> No
 @given(data=st.data())
 def test_only_errors_of_this_package_leave_many_times(name: str, data: st.DataObject) -> None:
     only_errors_of_this_package_leave(name, data.draw)
+
+
+def crushed() -> Any:
+    mesh = cq.rectangle(1, 1, (1, 1))
+    solid = cq.NonlinearSolid(cq.Body(mesh, cq.Material(1.0, 0.0), "plane-strain"))
+    return cq.large_deformation(cq.Supported(solid, [0, 1, 2, 3]), [[0, -5e4, -5e4, -1e5]], steps=2)
+
+
+BARE = cq.ContactProblem([[0.0]], [-1.0], [[-2.0]], [1.0], tangent=[[0.0]], friction=0.0)
+NEVER = cq.ContactProblem([[1.0]], [2.0], [[1.0]], [np.inf])
+THROWN: dict[str, Callable[[], Any]] = {
+    "tangents without friction, nothing stiff": lambda: cq.solve(BARE),
+    "a force at a contact that never closes": lambda: cq.certify(NEVER, [2.0], [-1.0]).findings,
+    "friction on what is not stiff": lambda: (
+        cq.certify(
+            cq.ContactProblem([[0.0]], [0.0], [[-0.002], [2.0]], [0.0, 2.0], tangent=[[1.0], [1.0]], friction=1.0),
+            [1.0],
+            [0.0, 1.0],
+        ).findings
+    ),
+    "a gap beside one of 1e20": lambda: cq.solve(
+        cq.ContactProblem(
+            [[9.0, -7, 2], [-7, 6, -2], [2, -2, 1]], [4.5, 2.5, 4.5], [[-1.5, 3, 2.5], [1.5, -3, -2.5]], [1e20, -5e-324]
+        ),
+        "cvxpy",
+    ),
+    "a crushed element": crushed,
+    "a modulus below all": lambda: cq.Material(5e-324, 0.3),
+    "a modulus above all": lambda: cq.Material(1e300, 0.3),
+    "a limit of time beyond doubles": lambda: cq.solve(NEVER, time_limit=10**400),
+    "the other kind of problem": lambda: cq.acary_bremond_huber_error(BARE, [0.0, 0.0]),  # type: ignore[arg-type]
+    "rows as words": lambda: cq.ContactProblem.from_qp(np.eye(2), [1.0, 1.0], G=[["a", "b"]], h=[1.0]),
+    "rows of three sides": lambda: cq.ContactProblem.from_qp(np.eye(2), [1.0, 1.0], G=np.ones((1, 1, 2)), h=[1.0]),
+    "a picture of the largest double": lambda: cq.draw(
+        cq.solve(cq.ContactProblem([[1.0]], [0.0], [[1.0]], [1.7976931348623157e308]))
+    ),
+}
+
+
+@pytest.mark.parametrize("what", THROWN)
+def test_what_was_thrown_at_it_from_outside(what: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            THROWN[what]()
+        except cq.ContactQPError as error:
+            said = str(error)
+        else:
+            said = ""
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0, 3.0, 128.0, 1e-12])
+def test_unknowns_without_stiffness_have_the_same_answer_in_every_unit_of_a_contact(unit: float) -> None:
+    tied = cq.ContactProblem(
+        np.zeros((2, 2)), [2.0, 2.0], [[unit, 0.0]], [unit], tangent=[[-unit, 2 * unit]], friction=1.0,
+        tie=[[1.0, 1.0], [1.0, 0.0]], tie_value=[-1.0, 1.0],
+    )  # fmt: skip
+    assert cq.solve(tied).certificate.passed
+    assert cq.certify(tied, [1.0, -2.0], [0.0], [[0.0]], [2.0, 0.0]).passed
+    assert not cq.certify(tied, [1.0, -2.0], [1e-3 / unit], [[0.0]], [2.0, 0.0]).passed
+    pressed = cq.ContactProblem([[0.0]], [-1.0], [[-0.001 * unit]], [0.001 * unit], tangent=[[0.0]], friction=0.5)
+    assert cq.solve(pressed).normal_force == pytest.approx([1e3 / unit], rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e13, 1e15, 1e18])
+def test_absence_is_not_claimed_where_tangents_alone_touch_an_unknown(unit: float) -> None:
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)), [0.0, 3e4], [[0.0, unit]], [0.0], tangent=[[-unit, 0.0]], friction=0.3
+    )
+    assert cq.solve(problem).normal_force == pytest.approx([3e4 / unit], rel=1e-12)
+
+
+def test_absence_is_not_claimed_of_rows_in_far_apart_units() -> None:
+    for unit in (1.0, 1e8, 1e12, 1e15):
+        problem = cq.ContactProblem(
+            [[8.0, 0], [0, 0]], [0, -2.0], [[0, 1000 * unit], [0, -1], [-1, 2]], [0.001 * unit, 0.003, 0.001],
+            tangent=[[2 * unit, unit], [1, 2], [0, 1]], friction=0.3,
+        )  # fmt: skip
+        if unit < 1e9:
+            assert cq.solve(problem).displacement == pytest.approx([0.006, -0.003], rel=1e-9)
+        else:  # not found, and not denied
+            with pytest.raises(cq.NotConverged):
+                cq.solve(problem)
+
+
+def test_a_tangent_of_zeros_has_no_unit() -> None:
+    problem = cq.ContactProblem([[0.0]], [0.0], [[-1e-100], [2.0]], [1e-100, 1.0], tangent=[[0.0], [1.0]], friction=0.5)
+    assert cq.solve(problem).certificate.passed
+
+
+def test_answers_with_gaps_that_never_close_and_diverged_ones_are_written(tmp_path: Path) -> None:
+    problem = cq.ContactProblem(np.eye(2), [-1.0, 0.0], np.eye(2), [np.inf, 2.0])
+    cq.write_problem(tmp_path / "right", problem, cq.solve(problem))
+    assert _checked(tmp_path / "right") == 0
+    cq.write_problem(tmp_path / "diverged", problem, {"displacement": [np.nan, 1.0]})
+    assert _checked(tmp_path / "diverged") == 1
+    (tmp_path / "file").write_text("")
+    with pytest.raises(cq.InvalidProblem, match="expected a folder"):
+        cq.write_problem(tmp_path / "file", problem)
+
+
+def _checked(folder: Path) -> int:
+    """The exit code of `contactqp check`."""
+    with pytest.raises(SystemExit) as ended:
+        main(["check", str(folder), str(folder / "answer.json")])
+    return int(ended.value.code or 0)
+
+
+def test_a_motion_with_a_row_of_zeros_is_drawn() -> None:
+    problem = cq.ContactProblem([[1.0]], [-1.0], [[0.0], [1.0]], [0.0, 2.0])
+    motion = cq.impact(problem, [[1.0]], [0.0], [0.0], 0.3, 0.1)
+    assert motion.problem is not None
+    assert motion.problem.contacts == motion.normal_forces.shape[1] == 2
+    motion.plot()

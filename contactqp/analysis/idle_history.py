@@ -14,6 +14,7 @@ from contactqp.analysis.history import Event, History, LazySolutions
 from contactqp.analysis.motion.motion_history import MotionHistory, Moving
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import NotCertified
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
 
@@ -95,6 +96,11 @@ class MotionOfAllRows(MotionHistory):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, motion=state["_history"].motion)
+
+    @property
+    def problem(self) -> ContactProblem:
+        """Return the problem of the bodies that move with all its rows."""
+        return self._rows.whole
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:

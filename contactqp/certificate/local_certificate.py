@@ -159,6 +159,7 @@ def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_for
     InvalidProblem
         Wrong shapes, or q = 0.
     """
+    refuse_other("acary_bremond_huber_error", problem, LocalProblem)
     size = float(np.linalg.norm(problem.offset))
     if size == 0:
         raise InvalidProblem("offset: the error is relative to |q|, and q is zero")
@@ -209,6 +210,7 @@ def siconos_global_error(
     Unsupported
         The problem has ties, which Siconos's form has not.
     """
+    refuse_other("siconos_global_error", problem, ContactProblem)
     if problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         raise InvalidProblem("siconos_global_error: expected a problem with tangential rows and friction")
     if problem.ties:

@@ -326,7 +326,8 @@ def _rescaled(
     normal, tie = sizes[:m], sizes[m : m + k]
     width = (len(sizes) - m - k) // m if m else 0
     across = sizes[m + k :].reshape(m, width).max(axis=1) if width else normal
-    across = np.where(abs(across - normal) <= OWN_UNIT, normal, across)
+    felt = np.diff(problem.tangent.indptr).reshape(m, width).any(axis=1) if problem.tangent is not None else False
+    across = np.where(felt & (abs(across - normal) > OWN_UNIT), across, normal)  # a row of zeros has no unit
     K = sp.coo_array(problem.stiffness_rows)
     stiffness = sp.csc_array((np.ldexp(K.data, unknowns[K.row] + unknowns[K.col]), (K.row, K.col)), shape=K.shape)
     values = problem._values() | dict(

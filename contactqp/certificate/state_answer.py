@@ -23,7 +23,7 @@ are proven.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -361,6 +361,10 @@ class _Comparison:
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))
         own_normal, own_tangent = self._own
+        if not np.any(problem.diagonal):  # nothing is elastic: forces are compared as they act
+            own_normal, own_tangent = (_squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
+            given = abs(answer.normal_force) * np.sqrt(own_normal)
+            whole = max(float(np.max(given, initial=0.0)), float(np.max(problem.load_size, initial=0.0)))
         of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(rubbed) * np.sqrt(own_tangent))
         if refined.redundant:
             of_contact = np.zeros_like(of_contact)
@@ -423,6 +427,12 @@ def _own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> 
     normal = row_sizes(problem, problem.normal).compliance
     tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
     return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
+
+
+def _squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
+    """(m,) |E_i|^2 of rows, the largest of those of a contact."""
+    squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
+    return np.asarray(np.max(squared, axis=1, initial=0.0))
 
 
 def _over_root(length: Vector, compliance: Vector) -> Vector:

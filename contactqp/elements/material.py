@@ -42,6 +42,10 @@ _DERIVATIVES = {
 HOOP = 2
 
 
+# Moduli whose products and quotients doubles hold.
+LEAST_MODULUS = 1e-120
+
+
 @dataclass(frozen=True)
 class Material:
     """An isotropic linear elastic material.
@@ -70,7 +74,12 @@ class Material:
     name: str = "material"
 
     def __post_init__(self) -> None:
-        positive_number(self.name, self.modulus, "modulus")
+        modulus = positive_number(self.name, self.modulus, "modulus")
+        if not LEAST_MODULUS <= modulus <= 1 / LEAST_MODULUS:
+            raise InvalidProblem(
+                f"{self.name}: expected a modulus from {LEAST_MODULUS:g} to {1 / LEAST_MODULUS:g}, got {modulus:g}; "
+                "state it in another unit"
+            )
         real_number(f"{self.name}: Poisson's ratio", self.poisson)
         if not -1 < self.poisson < 0.5:
             raise InvalidProblem(f"{self.name}: expected Poisson's ratio between -1 and 0.5, got {self.poisson}")

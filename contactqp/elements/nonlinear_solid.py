@@ -97,6 +97,14 @@ class SaintVenantKirchhoff:
         return np.broadcast_to(constant, (*at.gradient.shape[:-2], d, d, d, d))
 
 
+def _inverse(matrices: Array) -> Array:
+    """Return the inverses of matrices (..., d, d), NaN where an element has been crushed: such a step is refused."""
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        return np.full_like(matrices, np.nan)
+
+
 @dataclass(frozen=True)
 class NeoHookean:
     """The law w = mu (tr C - 3) / 2 - mu log J + lambda (log J)^2 / 2 (Bonet and Wood 2008, 6.27); it resists J ->
@@ -114,14 +122,14 @@ class NeoHookean:
     def stress(self, at: Kinematics) -> Array:
         """Return mu (1 - C^-1) + lambda log J C^-1, the first as 2 mu C^-1 G."""
         G = at.strain
-        inverse = np.linalg.inv(np.eye(G.shape[-1]) + 2 * G)
+        inverse = _inverse(np.eye(G.shape[-1]) + 2 * G)
         found = 2 * self.lame_mu * inverse @ G + self.lame_lambda * np.log1p(at.dilation)[..., None, None] * inverse
         return np.asarray((found + np.swapaxes(found, -1, -2)) / 2)
 
     def tangent(self, at: Kinematics) -> Array:
         """Return lambda C^-1 x C^-1 + 2 (mu - lambda log J) C^-1 symmetric."""
         G = at.strain
-        inverse = np.linalg.inv(np.eye(G.shape[-1]) + 2 * G)
+        inverse = _inverse(np.eye(G.shape[-1]) + 2 * G)
         inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2
         shear = self.lame_mu - self.lame_lambda * np.log1p(at.dilation)
         return _two_pairs(self.lame_lambda, shear[..., None, None, None, None], inverse, inverse)

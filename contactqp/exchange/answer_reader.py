@@ -184,9 +184,15 @@ def real_array(path: Path, part: str, values: Any) -> NDArray[np.float64]:
     return array
 
 
+# What JSON has no numbers for, as programs print it and as problems are written here.
+NOT_FINITE = ("nan", "inf", "-inf")
+
+
 def _number(value: Any) -> float:
     if value is None:
         return float("nan")
+    if isinstance(value, str) and value.lower() in NOT_FINITE:
+        return float(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{value!r:.40}")
     return float(value)

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.io
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.exchange.refusal import Ledger, Path, naming, wrong
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
@@ -138,7 +138,10 @@ def write_problem(
     InvalidProblem
         An answer with another key, or something in `about` that is said by the problem itself.
     """
+    refuse_other("write_problem", problem, ContactProblem)
     root, m = FilePath(folder), problem.contacts
+    if root.exists() and not root.is_dir():
+        raise InvalidProblem(f"write_problem: expected a folder, and {root} is a file")
     root.mkdir(parents=True, exist_ok=True)
     values = {part: getattr(problem, part) for part in SYMBOLS}
     if not problem.ties:
@@ -214,4 +217,5 @@ def _text(value: Any) -> str:
 def _listed(values: Any, convert: Any) -> Any:
     if np.ndim(values):
         return [_listed(one, convert) for one in values]
-    return convert(values)
+    found = convert(values)
+    return str(found) if isinstance(found, float) and not np.isfinite(found) else found  # JSON has no such numbers

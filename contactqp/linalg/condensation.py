@@ -406,6 +406,8 @@ def unknown_scale(problem: ContactProblem) -> Array:
             along = _largest_entries(problem.tangent)
             stiff = (along * D)[~bare & (along > 0)]
         size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
+        if problem.tangent is not None:  # what tangents alone touch has their unit
+            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
         D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
     return D
 

@@ -188,7 +188,8 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Not
     stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
     acting = float(np.max(meeting * scaling.unknowns, initial=0.0))
     force = part * acting if acting > stiffest * length else stiffest * length
-    return Nothing(force / scaling.unknowns, length * scaling.contacts, np.zeros(0), length * scaling.ties)
+    tangent = np.zeros(0 if problem.tangent is None else problem.tangent.shape[0])  # which do not act here
+    return Nothing(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
 
 
 def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:

@@ -24,6 +24,7 @@ from contactqp.linalg.condensation import Condensation, unknown_scale
 from contactqp.linalg.equilibration import Scaling, equilibrated
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.measures import scale_of_unknowns
 from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -110,7 +111,7 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
         return None
-    resisting, still = resisting_rows(problem), _still(Z, unknown_scale(problem))
+    resisting, still = resisting_rows(problem), _still(Z, _own_scale(problem))
     coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
@@ -165,7 +166,7 @@ def _proven_drive(
     problem: ContactProblem, condensation: Condensation, resisting: Any, z: Vector
 ) -> DrivenMotion | None:
     """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
-    uncertainty, scale = _uncertainty(problem, condensation), unknown_scale(problem)
+    uncertainty, scale = _uncertainty(problem, condensation), _own_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()
@@ -180,6 +181,12 @@ def _proven_drive(
         max(IDLE, uncertainty) * float(np.linalg.norm(scale * size) * np.linalg.norm(z / scale)),
     )
     return DrivenMotion(z, work, rounding) if work > rounding else None
+
+
+def _own_scale(problem: ContactProblem) -> Vector:
+    """D (n,), that of unknowns without stiffness from rows that join them to stiff ones, whatever unit a row has."""
+    joined = scale_of_unknowns(problem)
+    return np.where(joined > 0, joined, unknown_scale(problem))
 
 
 def _still(motions: Array, scale: Vector) -> Array:
@@ -287,6 +294,8 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
         if np.all(missing <= ROUNDING * (sizes @ abs(u) + abs(limit))):
             return None
         size = float(np.max(missing / length))
+        if size == 0:  # less than doubles hold, beside rows so long
+            return None
         step, remaining, weight = _least_excess(sp.diags(1.0 / length) @ scaled, left / length / size, m)
         if step is None:
             return None

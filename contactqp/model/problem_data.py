@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import sys
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
@@ -109,8 +110,9 @@ def is_number(value: Any) -> bool:
 
 def refuse_not_positive(name: str, value: Any) -> None:
     """Raise InvalidProblem unless a number is positive and finite."""
-    if not is_number(value) or not 0 < value < np.inf:
-        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
+    if not is_number(value) or not 0 < value <= sys.float_info.max:
+        said = f"{value!r}" if not isinstance(value, int) or abs(value) <= sys.float_info.max else "one beyond 1.8e308"
+        raise InvalidProblem(f"{name}: expected a positive number, got {said}")
 
 
 def is_whole(value: Any) -> TypeGuard[int]:

@@ -87,7 +87,7 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
     if rows is None or limit is None:
         missing, there = (matrix, vector) if rows is None else (vector, matrix)
         raise InvalidProblem(f"{missing}: expected beside {there}, got None")
-    read, values = sp.csr_matrix(rows if sp.issparse(rows) else np.atleast_2d(rows)), read_array(vector, limit).ravel()
+    read, values = _matrix(matrix, rows), read_array(vector, limit).ravel()
     if read.shape[1] != n:
         raise InvalidProblem(f"{matrix}: expected {n} columns, one for each entry of q, got {read.shape[1]}")
     if len(values) != read.shape[0]:
@@ -95,6 +95,17 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
             f"{vector}: expected {read.shape[0]} entries, one for each row of {matrix}, got {len(values)}"
         )
     return read, values
+
+
+def _matrix(name: str, rows: Any) -> Any:
+    """Rows of real numbers of any kind as a CSR matrix; one row may come as a vector."""
+    if sp.issparse(rows):
+        found = sp.csr_matrix(rows) if rows.ndim == 2 else sp.csr_matrix(rows.toarray()[None, :])
+        return sp.csr_matrix((read_array(name, found.data), found.indices, found.indptr), shape=found.shape)
+    dense = np.atleast_2d(read_array(name, rows))
+    if dense.ndim > 2:
+        raise InvalidProblem(f"{name}: expected a matrix, got an array of shape {dense.shape}")
+    return sp.csr_matrix(dense)
 
 
 def _sides(lower: str, least: Any, upper: str, most: Any, count: int) -> tuple[Vector, Vector]:

@@ -120,7 +120,7 @@ def history_fields(history: History) -> HistoryFields:
 
 
 def _motion_fields(history: MotionHistory) -> HistoryFields:
-    problem, u = history.motion.scheme.body.problem, history.displacements
+    problem, u = history.problem, history.displacements
     with np.errstate(over="ignore", invalid="ignore"):  # a motion that failed may overflow
         energies = _energies(history.energies, ENERGIES)
         gap = problem.gap - np.asarray(problem.normal @ u.T).T

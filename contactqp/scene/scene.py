@@ -130,10 +130,23 @@ STANDARD_INPUT = "-"
 
 
 def _standard_input() -> str:
-    data = sys.stdin.buffer.read(LARGEST + 1)
+    return _decoded(read_standard_input("a case"))
+
+
+def read_standard_input(what: str) -> bytes:
+    """Return all that comes in on standard input, which is to be `what`.
+
+    Raises
+    ------
+    SceneError
+        It is closed, or holds more than a file may.
+    """
+    if sys.stdin is None or sys.stdin.closed:
+        raise SceneError(f"standard input: expected {what}, and it is closed")
+    data: bytes = sys.stdin.buffer.read(LARGEST + 1)
     if len(data) > LARGEST:
-        raise SceneError(f"expected a case of at most {LARGEST >> 20} MiB, got more")
-    return _decoded(data)
+        raise SceneError(f"standard input: expected {what} of at most {LARGEST >> 20} MiB, got more")
+    return data
 
 
 def _text(file: Path) -> str:

@@ -15,7 +15,7 @@ from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import System
-from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.whole_file import check_installed
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
@@ -220,12 +220,18 @@ def draw(
     path = None if file is None else check_picture(file)
     if not isinstance(answer, Solution | History):
         raise InvalidProblem(f"draw: expected a Solution or a History, got {type(answer).__name__}")
-    if scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
-        drawn = history_figure(answer, title=title, time_unit=time_unit)
-    else:
-        drawn = _drawn(answer, scene, system, contacts, title, scale)
-    if path is not None:
-        save(drawn, path)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            if scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
+                drawn = history_figure(answer, title=title, time_unit=time_unit)
+            else:
+                drawn = _drawn(answer, scene, system, contacts, title, scale)
+            if path is not None:
+                save(drawn, path)
+    except (ValueError, ArithmeticError) as error:
+        if isinstance(error, ContactQPError):
+            raise
+        raise Unsupported(f"draw: numbers so large or so far apart have no axes ({error}); state other units") from None
     return drawn
 
 

@@ -517,3 +517,14 @@ def test_options_of_no_method_are_not_dropped(capsys):
         code, _, err = run(capsys, "run", WALL, *option)
         assert code == 2
         assert "belong to a method; state it by --method" in err
+
+
+@pytest.mark.parametrize("arguments", [("run", "-"), ("explain", "-"), ("oracle", "-")])
+def test_a_standard_input_that_is_closed_is_said(
+    arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("standard input: expected a case, and it is closed") == 1

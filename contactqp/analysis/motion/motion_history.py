@@ -111,6 +111,11 @@ class MotionHistory(History):
         return read_only(np.array([state.velocity for state in self.motion.states]))
 
     @property
+    def problem(self) -> ContactProblem:
+        """Return the problem of the bodies that move, without their inertia."""
+        return self.motion.scheme.body.problem
+
+    @property
     def normal_forces(self) -> NDArray[np.float64]:
         """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([state.normal_force for state in self.motion.states]))

@@ -63,7 +63,7 @@ def other_rows(problem: ContactProblem, question: Question) -> bool:
 
 # Operations that a question takes however small it is, for each entry of the stiffness, for each cube of the condensed
 # rows, and where friction finds no answer: 1e9 take about a second.
-CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 3e8
+CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 6e8
 
 
 def predicted_operations(problem: ContactProblem, factorised: bool) -> float:

@@ -53,7 +53,7 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     problem, force = evidence.problem, evidence.answer.normal_force
     limit = evidence.certificate.tolerance
     pushed = found.force_measure > limit
-    off = found.gap_measure > 1e-12
+    off = (found.gap_measure > 1e-12) & np.isfinite(found.gap)
     sprung = pushed & off & (force * found.gap < 0)
     if (
         not np.any(sprung)

@@ -284,7 +284,7 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     residual = residual - rows.friction_force(known.friction_force)
     everything = _Unknowns(problem, missing, np.arange(problem.contacts))
     pulls = np.arange(everything.rows.shape[0]) >= everything.normals
-    ahead = None if problem.frictional else everything.left(known.displacement)
+    ahead = None if problem.tangent is not None else everything.left(known.displacement)
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(known, found), how
