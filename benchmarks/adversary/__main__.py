@@ -211,8 +211,7 @@ def main(arguments: list[str] | None = None) -> int:
         for number, _, _, finding in tally.findings:
             if number >= 0 and (finding.kind, finding.what) not in seen and len(seen) < 10:
                 seen.add((finding.kind, finding.what))
-                if (written := write_smallest(options.seed, number, kinds, finding, options.output)) is not None:
-                    print(f"written: {written}")
+                print(f"written: {write_smallest(options.seed, number, kinds, finding, options.output)}")
     return 1 if tally.findings else 0
 
 

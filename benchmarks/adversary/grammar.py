@@ -95,6 +95,8 @@ HELD = ("ground", "ground", "ground", "one spring", "ties", "contact")
 CONTACTS = ("nodes", "nodes", "between", "skew", "opposite")
 REPEATS = ("", "", "", "contact", "multiple", "tie", "zero row", "infinite gap")
 LOADS = ("everywhere", "everywhere", "one", "tiny", "huge", "none")
+# Problems without friction that have tangents all the same, as those of a body do.
+SLIPPERY = 0.1
 SIZES = ("one", "one", "one", "rows", "unknowns", "energy", "all", "extreme", "extreme rows")
 
 
@@ -154,13 +156,14 @@ def _touch(draft: Draft, touching: str, law: str) -> None:
     else:
         normal = rng.integers(-4, 5, (m, n)) / 4 + units(n, rng.integers(0, n, m))
     draft.normal = normal
-    if law == "frictionless":
+    slippery = law == "frictionless" and rng.random() < SLIPPERY
+    if law == "frictionless" and not slippery:
         return
-    draft.width = 1 if law == "plane" else 2
+    draft.width = 2 if law == "space" else 1
     rows = [_across(rng, row, draft.width) for row in normal]
     draft.tangent = np.vstack(rows)
-    draft.friction = rng.choice(COEFFICIENTS, len(normal))
-    draft.friction[0] = draft.friction[0] or 0.5
+    draft.friction = np.zeros(len(normal)) if slippery else rng.choice(COEFFICIENTS, len(normal))
+    draft.friction[0] = draft.friction[0] or (0.0 if slippery else 0.5)
 
 
 def _across(rng: Generator, normal: Array, width: int) -> Array:

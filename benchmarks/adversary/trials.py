@@ -85,11 +85,23 @@ def _options(rng: Generator, method: str) -> dict[str, Any]:
     return options
 
 
-def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Finding, folder: Path) -> Path | None:
-    """Shrink the problem of a trial to the smallest that shows a finding of its kind; write it with its command."""
+# A question that has ended a process, or hung, would do so again.
+NOT_ASKED_AGAIN = ("hang", "memory")
+
+
+def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Finding, folder: Path) -> Path:
+    """Shrink the problem of a trial to the smallest that shows a finding of its kind; write it with its command.
+
+    Of wild numbers, of files and of what hangs the command alone is written, which shows the finding again.
+    """
     rng, kind = _begin(seed, number, kinds)
-    if kind in ("wild", "files"):
-        return None
+    target = folder / f"{finding.kind}-{seed}-{number}"
+    command = f"python -m benchmarks.adversary --seed {seed} --trial {number}"
+    command += "".join(f" --kind {one}" for one in kinds if kinds != tuple(KINDS))
+    if kind in ("wild", "files") or finding.kind in NOT_ASKED_AGAIN:
+        target.mkdir(parents=True, exist_ok=True)
+        (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{kind}\n{command}\n")
+        return target
     sentence, ask = _question(rng, kind)
 
     def still(posed: Posed) -> bool:
@@ -104,10 +116,7 @@ def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Find
             return False
 
     smallest = shrunk(sentence.posed, safely)
-    target = folder / f"{finding.kind}-{seed}-{number}"
     cq.write_problem(target, smallest.problem)
-    command = f"python -m benchmarks.adversary --seed {seed} --trial {number}"
-    command += "".join(f" --kind {one}" for one in kinds if kinds != tuple(KINDS))
     words = " ".join(word for word in sentence.words if word)
     (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{words}\n{command}\ncontactqp run {target}\n")
     return target

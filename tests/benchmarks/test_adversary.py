@@ -105,7 +105,6 @@ def test_a_finding_is_written_with_the_command_that_shows_it(
         number = next(n for n in range(20) if trial(0, n, tuple(KINDS)).kind == "frictionless" and trial(0, n).findings)
         finding = trial(0, number).findings[0]
         folder = write_smallest(0, number, tuple(KINDS), finding, tmp_path)
-    assert folder is not None
     assert finding.kind == "bound"
     text = (folder / "finding.txt").read_text()
     assert f"python -m benchmarks.adversary --seed 0 --trial {number}" in text
@@ -113,6 +112,22 @@ def test_a_finding_is_written_with_the_command_that_shows_it(
     assert main(["--seed", "0", "--trial", str(number)]) == 0  # without the fault
     assert main(["--seed", "0", "--trial", str(number), "--plant", "bound"]) == 1
     assert "bound: " in capsys.readouterr().out
+
+
+def test_of_what_hangs_and_of_wild_numbers_the_command_is_written(tmp_path: Path) -> None:
+    wild = next(n for n in range(40) if trial(0, n, ("wild",)).kind == "wild")
+    for number, kinds, finding in (
+        (wild, ("wild",), Finding("crashed", "solve", "ValueError")),
+        (0, ("frictionless",), Finding("hang", "process", "ended with -9")),
+    ):
+        folder = write_smallest(0, number, kinds, finding, tmp_path)
+        text = (folder / "finding.txt").read_text()
+        assert text.endswith(f"python -m benchmarks.adversary --seed 0 --trial {number} --kind {kinds[0]}\n")
+
+
+def test_problems_without_friction_may_have_tangents() -> None:
+    sentences = [draw(np.random.default_rng(seed), "frictionless") for seed in range(80)]
+    assert any(one.posed.plain.tangent is not None and not one.posed.plain.frictional for one in sentences)
 
 
 def test_findings_are_equal_by_what_they_say() -> None:
