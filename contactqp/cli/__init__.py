@@ -83,6 +83,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     With --json it is an object on the standard output as well: `error`, the line; `code`, its kind; `exit`.
     """
+    if sys.stderr is None:  # closed by whoever started this process
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  for as long as the process lives
+    if sys.stdout is None:
+        print("contactqp: the standard output is closed", file=sys.stderr)
+        sys.exit(2)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
             stream.reconfigure(errors="replace")

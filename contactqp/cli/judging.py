@@ -13,7 +13,7 @@ from typing import NoReturn
 import click
 
 from contactqp.cli.output import NOT_MET, console, print_json, strict_option
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, SceneError
 
 
 @click.command("check")
@@ -131,9 +131,13 @@ def _answer_file(candidate: str) -> Iterator[str]:
         return
     from contactqp.scene.scene import read_standard_input
 
+    try:
+        given = read_standard_input("an answer")
+    except SceneError as error:
+        raise SceneError(f"{STANDARD_INPUT}: {error}") from None
     with TemporaryDirectory() as folder:
         file = FilePath(folder, "standard-input.json")
-        file.write_bytes(read_standard_input("an answer"))
+        file.write_bytes(given)
         yield str(file)
 
 

@@ -142,10 +142,10 @@ def read_standard_input(what: str) -> bytes:
         It is closed, or holds more than a file may.
     """
     if sys.stdin is None or sys.stdin.closed:
-        raise SceneError(f"standard input: expected {what}, and it is closed")
+        raise SceneError(f"expected {what}, and it is closed")
     data: bytes = sys.stdin.buffer.read(LARGEST + 1)
     if len(data) > LARGEST:
-        raise SceneError(f"standard input: expected {what} of at most {LARGEST >> 20} MiB, got more")
+        raise SceneError(f"expected {what} of at most {LARGEST >> 20} MiB, got more")
     return data
 
 

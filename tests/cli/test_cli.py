@@ -528,3 +528,22 @@ def test_a_standard_input_that_is_closed_is_said(
         main(arguments)
     assert ended.value.code == 2
     assert capsys.readouterr().err.count("standard input: expected a case, and it is closed") == 1
+
+
+@pytest.mark.parametrize(
+    ("closed", "arguments", "code", "said"),
+    [
+        (">&-", "run CASE --json", 2, "the standard output is closed"),
+        ("2>&-", "run nowhere.toml", 2, ""),
+        ("<&-", "run -", 2, "standard input: expected a case, and it is closed"),
+        ("<&-", "check CASE -", 2, "standard input: expected an answer, and it is closed"),
+    ],
+)
+def test_streams_that_are_closed_are_no_traceback(closed: str, arguments: str, code: int, said: str) -> None:
+    words = arguments.replace("CASE", str(Path(__file__).parents[2] / "cases" / "bar_wall.toml"))
+    done = subprocess.run(
+        f"{sys.executable} -m contactqp {words} {closed}", shell=True, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
