@@ -176,8 +176,13 @@ def mostly_bare(problem: ContactProblem) -> bool:
     return int(np.sum(bare & acting)) > MOST_BARE
 
 
-def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Nothing:
-    """What is nothing where K gives no scale: this part of the largest force and length, in equilibrated units."""
+def nothing_in_rows(
+    problem: ContactProblem, answer: Answer, part: float, connected: NDArray[np.intp], beside: float
+) -> Nothing:
+    """What is nothing where K gives no scale: this part of the largest force and length, in equilibrated units.
+
+    Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest.
+    """
     twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)
     meeting = problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
@@ -186,8 +191,11 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float) -> Not
     length = part * max(least_length(twin) * scaling.length, *(_size(sizes) for sizes in lengths))
     # Where no force acts, those that would move the largest length.
     stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
-    acting = float(np.max(meeting * scaling.unknowns, initial=0.0))
-    force = part * acting if acting > stiffest * length else stiffest * length
+    acting = np.zeros(int(connected.max(initial=-1)) + 1)
+    np.maximum.at(acting, connected, meeting * scaling.unknowns)
+    largest = _size(acting)
+    acting = np.where(acting > 0, np.maximum(acting, beside * largest), largest)[connected]
+    force = part * acting if largest > stiffest * length else np.full(len(acting), stiffest * length)
     tangent = np.zeros(0 if problem.tangent is None else problem.tangent.shape[0])  # which do not act here
     return Nothing(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
 

@@ -56,3 +56,19 @@ def test_a_millionth_of_what_counts_is_refused_beside_every_floor(kind: str, see
     assert len(forgeries) >= 4
     passed = [name for name, parts in forgeries if cq.certify(problem, *parts).passed]
     assert passed == []
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**-30, 2.0**40])
+def test_parts_without_stiffness_have_forces_of_their_own(unit: float) -> None:
+    """A load of 8e-12 between two stops, beside one of 5e-4 that nothing joins it to: a tension of 1e-6 of the small
+    one, which its other stop balances, is no rounding of the large one."""
+    small, large = 8e-12 * unit, 5e-4 * unit
+    rows = np.array([[0.0, 8192.0], [4.0, 0.0], [-(2.0**-29), 0.0]])
+    problem = cq.ContactProblem(np.zeros((2, 2)), [-small, large], rows, [448.0, 2.0**32, -1.25])
+    found = cq.solve(problem)
+    assert found.normal_force == pytest.approx([large / 8192, 0.0, small * 2.0**29], rel=1e-12)
+    for part in (1e-6, 1e-4):
+        torn = found.normal_force + part * small * np.array([0.0, -1 / 4, -(2.0**29)])
+        assert not cq.certify(problem, found.displacement, torn).passed
+    rounded = found.normal_force * (1 + 1e-16 * np.array([1, -1, 1]))
+    assert cq.certify(problem, found.displacement, rounded).passed
