@@ -193,3 +193,17 @@ def test_structures_that_do_not_fit_are_refused():
     structure = Structure([block()])
     with pytest.raises(InvalidProblem, match=r"pairing 0: expected rows over all 18 unknowns, got 4"):
         structure.assemble().problem([cq.pair([[0.0, 0.0], [1.0, 0.0]], FLOOR)])
+
+
+@pytest.mark.parametrize(("height", "fits"), [(0.3, True), (0.1 + 0.2, True), (0.3 + 1e-9, False)])
+def test_supported_nodes_that_touch_by_the_rounding_of_coordinates_do_not_overlap(height: float, fits: bool) -> None:
+    mesh = cq.rectangle(1.0, 0.5, (4, 2), "quad4", corner=(0.0, 0.3))
+    structure = cq.Structure([cq.Body(mesh, cq.Material(2.1e11, 0.3), "plane-strain", name="block")])
+    held = [cq.Support("block", "left", axis) for axis in (0, 1)]
+    system = structure.assemble(held, [cq.Pressure("block", "top", 1e6)])
+    pairing = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, height], [0.0, 1.0]))
+    if fits:
+        assert cq.solve(system.problem([pairing])).normal_force.sum() > 0
+    else:
+        with pytest.raises(cq.InvalidProblem, match="overlap by 1e-09; nothing can part them"):
+            system.problem([pairing])
