@@ -162,8 +162,10 @@ def _touch(draft: Draft, touching: str, law: str) -> None:
     draft.width = 2 if law == "space" else 1
     rows = [_across(rng, row, draft.width) for row in normal]
     draft.tangent = np.vstack(rows)
-    draft.friction = np.zeros(len(normal)) if slippery else rng.choice(COEFFICIENTS, len(normal))
-    draft.friction[0] = draft.friction[0] or (0.0 if slippery else 0.5)
+    draft.friction = np.zeros(len(normal))
+    if not slippery:
+        draft.friction = rng.choice(COEFFICIENTS, len(normal))
+        draft.friction[0] = draft.friction[0] or 0.5
 
 
 def _across(rng: Generator, normal: Array, width: int) -> Array:

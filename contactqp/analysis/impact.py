@@ -124,6 +124,7 @@ def impact(
     12.0
     """
     refuse_other("impact", problem, ContactProblem)
+    problem.refuse_exchanged_arrays()
     entry = find(scheme)
     settings = _settings(entry, theta, restitution, penalty)
     method = registered_name(method)

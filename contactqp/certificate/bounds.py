@@ -111,9 +111,7 @@ class Bounds:
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
-    undecided: float = (
-        0.0  # the part of the distance that touching contacts leave open, which gaps as doubles do not tell
-    )
+    undecided: float = 0.0  # the part of the distance that touching contacts leave open: gaps as doubles do not tell
     estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer

@@ -53,7 +53,7 @@ class Material:
     Parameters
     ----------
     modulus : float
-        Young's modulus E > 0 [force / length^2].
+        Young's modulus E from 1e-120 to 1e120 [force / length^2].
     poisson : float
         Poisson's ratio [-], -1 < nu < 1/2. Close to 1/2 linear elements lock (far too stiff, because every quadrature
         point then asks for a constant volume): with nu > 0.45 use quadratic ones. No mixed formulation is offered.

@@ -432,6 +432,7 @@ def _largest_entries(rows: Any) -> Array:
 
 def condense(problem: ContactProblem) -> Condensation:
     """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
+    problem.refuse_exchanged_arrays()
     if problem.has_idle_rows:
         raise Unsupported(
             "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "

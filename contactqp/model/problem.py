@@ -251,9 +251,9 @@ class ContactProblem:
         object.__setattr__(self, "_arrays", self._arrays_held())
 
     def _arrays_held(self) -> tuple[Any, ...]:
-        """Return the arrays that the matrices hold, by the names of the fields."""
+        """Return the arrays that the sparse matrices hold, matrix by matrix."""
         matrices: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
-        return tuple(part for matrix in matrices if sp.issparse(matrix) for part in (matrix.data, matrix.indices))
+        return tuple(part for one in matrices if sp.issparse(one) for part in (one.data, one.indices, one.indptr))
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.

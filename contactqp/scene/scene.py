@@ -182,8 +182,10 @@ def _decoded(data: bytes) -> str:
 
 # The path of a key with which a message begins, as in ``bars[1].area``, and its parts.
 _KEY_PATH, _KEY_PART = re.compile(r"[A-Za-z_][\w-]*(?:\[\d+\]|\.[\w-]+)*"), re.compile(r"\[\d+\]|[\w-]+")
-# What closes a list that a file goes on with on its next line.
-_CLOSING = ("", "]", "]]")
+# What closes a list or a text that a file goes on with on its next line.
+_CLOSING = ("", "]", "]]", '"""', "'''")
+# Of longer files, and where more lines than this cannot be read without the next, no line is told: it takes seconds.
+_LONGEST, _MOST_LINES = 2**20, 20
 
 
 def _line_of(text: str, message: str) -> int | None:
@@ -192,7 +194,7 @@ def _line_of(text: str, message: str) -> int | None:
     A missing key has the line of its table. TOML is read line by line: the key stands in the first lines that have it.
     """
     path, lines = _KEY_PATH.match(message), text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
-    whole = _read(lines)
+    whole = _read(lines) if path is not None and len(text) <= _LONGEST else None
     if path is None or whole is None:
         return None
     parts = [int(part[1:-1]) if part.startswith("[") else part for part in _KEY_PART.findall(path[0])]
@@ -203,8 +205,11 @@ def _line_of(text: str, message: str) -> int | None:
     first, last = 1, len(lines)
     while first < last:
         middle = (first + last) // 2
-        readable = next(n for n in range(middle, len(lines) + 1) if _read(lines[:n]) is not None)
-        first, last = (first, middle) if _has(_read(lines[:readable]), parts) else (readable + 1, last)
+        ahead = range(middle, min(middle + _MOST_LINES, len(lines)) + 1)
+        readable, data = next(((n, found) for n in ahead if (found := _read(lines[:n])) is not None), (0, None))
+        if data is None:
+            return None
+        first, last = (first, middle) if _has(data, parts) else (readable + 1, last)
     # Lines that cannot be read without this one belong to it.
     while first > 1 and _read(lines[: first - 1]) is None:
         first -= 1

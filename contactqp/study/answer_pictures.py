@@ -205,6 +205,8 @@ def draw(
     InvalidProblem
         The suffix is unknown, the folder does not exist, the answer is neither a Solution nor a History, or it is not
         one of this system or this scene.
+    Unsupported
+        Numbers so large or so far apart that matplotlib has no axes for them.
     BackendMissing
         matplotlib is not installed.
 
@@ -229,7 +231,8 @@ def draw(
             if path is not None:
                 save(drawn, path)
     except (ValueError, ArithmeticError) as error:
-        if isinstance(error, ContactQPError):
+        beyond = isinstance(error, np.linalg.LinAlgError | ArithmeticError) or "NaN or Inf" in str(error)
+        if isinstance(error, ContactQPError) or not beyond:
             raise
         raise Unsupported(f"draw: numbers so large or so far apart have no axes ({error}); state other units") from None
     return drawn

@@ -11,9 +11,7 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.errors import BackendMissing
-
-CASES = Path(__file__).parents[2] / "cases"
-WALL = str(CASES / "bar_wall.toml")
+from tests.cli.commands import CASES, WALL
 
 
 def interrupt(*_, **__):

@@ -14,6 +14,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg.condensation import condense
 from contactqp.model.problem_data import read_only
 from tests.examples import truss
 from tests.public_objects import solid
@@ -332,16 +333,21 @@ def test_rows_of_different_lengths_are_refused(name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["data", "indices"])
+@pytest.mark.parametrize("name", ["data", "indices", "indptr"])
 def test_arrays_of_a_matrix_that_are_exchanged_are_refused(name: str) -> None:
     """What is read-only can be exchanged as a whole: what was computed for the old arrays would answer for the new."""
-    problem = cq.ContactProblem(sp.csr_array([[2.0, -1], [-1, 2.0]]), [1.0, 3.0], [[0, 1.0]], [0.1])
+    stiffness = sp.csr_array([[2.0, -1], [-1, 2.0]])
+    problem = cq.ContactProblem(stiffness, [1.0, 3.0], [[0, 1.0]], [0.1], tangent=[[1.0, 0]], friction=0.3)
     found = cq.solve(problem)
-    setattr(problem.stiffness, name, getattr(problem.stiffness, name)[::-1].copy())
+    setattr(problem.stiffness, name, getattr(problem.stiffness, name).copy())
     asked: list[Callable[[], Any]] = [
         lambda: cq.solve(problem),
         lambda: problem.replace(load=[1.0, 1.0]),
-        lambda: cq.certify(problem, found.displacement, found.normal_force),
+        lambda: cq.certify(problem, found.displacement, found.normal_force, found.friction_force),
+        lambda: cq.impact(problem, [1.0, 1.0], [0.0, 0.0], [0.0, 0.0], 0.1, 0.1),
+        lambda: cq.follow_path(problem, [problem.load]),
+        lambda: cq.equilibria(problem),
+        lambda: condense(problem),
     ]
     for question in asked:
         with pytest.raises(cq.InvalidProblem, match="other arrays than the problem was made with"):

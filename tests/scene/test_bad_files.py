@@ -1,6 +1,7 @@
 """Every wrong case file is refused by the command line: exit code 2, one line, the file, the key, what was expected."""
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -405,6 +406,17 @@ def test_a_wrong_key_has_the_number_of_its_line(
     file.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", ends).encode())
     changed = text.index(new) + next((i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), 0)
     refuse(capsys, str(file), f"case.toml: line {text[:changed].count(chr(10)) + 1}: {key}")
+
+
+def test_a_line_is_told_at_once_in_long_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    about = 'about = """\n' + "word\n" * 4000 + '"""\n'
+    text = mutated(GOOD, "units = {", about + "units = {").replace('"5 kN" }]', '"5 kX" }]')
+    file = tmp_path / "case.toml"
+    file.write_text(text)
+    started = time.process_time()
+    message = complaint(capsys, "run", str(file))
+    assert time.process_time() - started < 5
+    assert f"line {text[: text.index('5 kX')].count(chr(10)) + 1}: strings[0].tension" in message
 
 
 def test_a_missing_key_has_the_line_of_its_table_and_none_where_the_file_has_none(
