@@ -207,7 +207,10 @@ class LocalCertificate(ReadOnly, Printed):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One method's answer to one ContactProblem, in that problem's own unknowns, believed by nobody yet."""
+    """The answer of one method to one `ContactProblem`, in that problem's own unknowns, neither polished nor certified.
+
+    Displacements, forces and ties have the problem's units; contact forces are positive in compression.
+    """
 
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,) l_N, positive in compression

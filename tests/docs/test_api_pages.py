@@ -22,7 +22,9 @@ def test_every_public_name_is_documented_once() -> None:
     found = documented()
     assert public - set(found) == set()
     assert set(found) - public == {
+        "contactqp.model.solution.Candidate",
         "contactqp.solving.methods.Method",
+        "contactqp.solving.methods.backends.Backend",
         "contactqp.solving.methods.Settings",
         "contactqp.solving.methods.register",
     }

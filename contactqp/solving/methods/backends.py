@@ -36,7 +36,10 @@ from contactqp.solving.methods.method import Method, Settings
 
 @dataclass(frozen=True)
 class Backend:
-    """What one backend of qpsolvers takes and gives. Every keyword here is the backend's own."""
+    """Describe one backend of qpsolvers: the keywords that it takes, in its own words, and which matrices it accepts.
+
+    `method_of(backend)` makes a `Method` of it, which `register` adds to the methods of `solve`.
+    """
 
     name: str  # qpsolvers' name, and ours
     package: str  # the module that has to be importable
