@@ -39,6 +39,7 @@ class Errors:
     readings: dict[str, tuple[float, ...]]  # "energy_error", "force_error": what a bound of it may mean
     contact: np.ndarray | None  # (m,) |l_i - l_i*|, None where the forces are not unique
     blurred: float = 0.0  # what the rounding of K along rigid motions makes of an error, relative
+    rounding: float = 0.0  # one rounding of every displacement, in the energy norm, relative to |u*|_K
 
     @property
     def worst(self) -> float:
@@ -63,10 +64,11 @@ class Truth:
     projected: bool  # K is singular to rounding, and was made so exactly
     condition: float  # kappa(K), see `condition`
 
-    def _blurred(self, displacement: np.ndarray) -> float:
-        """What the rounding of K along rigid motions makes of an error, relative; zero where K is as it stands."""
-        if not self.projected:
-            return 0.0
+    def _rounding(self, displacement: np.ndarray) -> float:
+        """One rounding of every displacement, in the energy norm, relative to |u*|_K; eps where nothing is strained.
+
+        It is far above eps where a body moves much and strains little.
+        """
         data = self.reduced.data
         diagonal = floats(column(data.K[j, j] for j in range(data.unknowns)))
         moved = abs(floats(self.displacement)) + abs(displacement)
@@ -120,6 +122,7 @@ class Truth:
         """The errors of floats, relative; against the size of the problem where the truth is tiny."""
         if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(force))):
             return Errors(np.inf, np.inf, {"energy_error": (np.inf,), "force_error": (np.inf,)}, None)
+        rounding = self._rounding(displacement)
         du = column(displacement) - self.displacement
         dl = column(force) - self.force
         energy, pushed = _norm(self.stiffness, du), _norm(self.compliance, dl)
@@ -136,7 +139,8 @@ class Truth:
             "force_error": self._readings(pushed, 1, loose),
         }
         sizes = _ratio(energy, scales[0]), _ratio(pushed, scales[1])
-        return Errors(*sizes, readings, contact, self._blurred(displacement))
+        # The rounding of K along rigid motions has the same size.
+        return Errors(*sizes, readings, contact, rounding if self.projected else 0.0, rounding)
 
     def _readings(self, error: float, which: int, others: list[float]) -> tuple[float, ...]:
         """The least that a bound must exceed, and the largest that it may be compared with.

@@ -56,6 +56,7 @@ class Bounded:
     error: float  # what it must exceed
     largest: float  # the largest error that it may mean, where the truth is next to nothing
     slack: float = SLACK  # what rounding may take from it
+    rounding: float = EPS  # what one rounding of the candidate makes of the error
 
     @property
     def kind(self) -> str:
@@ -207,7 +208,8 @@ def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterato
         if figure == "energy_error" and certificate.determined == "energy" and truth.tiny[0]:
             readings = (*readings, readings[-1] / truth.work) if truth.work > 0 else ()
         if readings and (bound := getattr(certificate, figure)) is not None:
-            yield Bounded(figure, source, float(bound), min(readings), max(readings), slack)
+            rounding = errors.rounding if figure == "energy_error" else EPS
+            yield Bounded(figure, source, float(bound), min(readings), max(readings), slack, rounding)
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
         scale = truth.force_size
         worst = int(np.argmax(errors.contact - certificate.force_bound))

@@ -230,6 +230,26 @@ def test_rounding_of_a_bound_is_no_violation_and_more_is() -> None:
     assert judging.Bounded("force_error", "", 1e-12, 1.1e-12, 1.1e-12).below
 
 
+@pytest.mark.parametrize(("rounding", "compared"), [(judging.EPS, 1), (1e3 * judging.EPS, 1), (1e6 * judging.EPS, 0)])
+def test_bounds_are_compared_where_the_error_is_above_the_rounding_of_the_displacement(
+    rounding: float, compared: int
+) -> None:
+    bound = judging.Bounded("energy_error", "osqp", 1e-7, 1.5e-11, 1.5e-11, rounding=rounding)
+    report = judging.Report("chain_walls", 0, "exact", bounds=(bound,))
+    assert sum(map(len, counting.ratios([report]).values())) == compared
+    assert any("energy_error" in line for line in counting.failures([report], [])) == bool(compared)
+
+
+def test_a_displacement_that_hardly_strains_has_a_large_rounding() -> None:
+    """One rounding of a motion of 1e6 that brings a spring of 1 to its stop, stretched by 1e-3."""
+    K = [[1.0, -1.0], [-1.0, 1.0]]
+    problem = cq.ContactProblem(K, [2.0**-10, 0.0], [[0.0, 1.0]], [2.0**20])
+    truth = find_truth(problem)
+    errors = truth.errors(*truth.rounded())
+    assert errors.energy == 0
+    assert errors.rounding == pytest.approx(judging.EPS * 2 * np.sqrt(2) * 2.0**30, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))
