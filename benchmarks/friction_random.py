@@ -26,6 +26,7 @@ import contactqp as cq
 from benchmarks.friction_families import CONTACT_FAMILIES, FAMILIES, Posed, contact_problem, local_problem
 from benchmarks.friction_law import broken, broken_locally, driven, plain_answer, seen, size_of_offsets
 from benchmarks.processes import reports_of
+from contactqp.linalg.extended import images
 
 ALGORITHMS = ("default", "tresca", "aclm", "newton", "nsgs", "admm")
 CLASSICAL = ("lagrange-multiplier", "augmented-lagrangian", "master-slave")
@@ -34,6 +35,8 @@ BREAKS = 1e-9
 SAME = 1e-7
 # Rational enumeration of four contacts takes seconds.
 MOST_EXACT = 3
+# Forces of rigid motions, of those that meet there, that are rounding of doubles.
+ROUNDED = 1e-14
 # What candidates are off by, and what their bounds may be, where they are to pass.
 OFF = (0.0, 1e-14, 1e-12, 1e-9, 1e-7)
 LOOSE = dict(tolerance=1e-4, error_tolerance=1e-3)
@@ -167,6 +170,16 @@ def _energy(K: np.ndarray, v: np.ndarray) -> float:
     return float(v @ (K @ v)) ** 0.5
 
 
+def _singular_to_rounding(problem: cq.ContactProblem) -> bool:
+    """Whether stated motions meet forces that are nothing but rounding, and not zero."""
+    if problem.near_null_space is None:
+        return False
+    forces = abs(images(problem.stiffness, problem.near_null_space))
+    size = abs(problem.stiffness) @ abs(problem.near_null_space)
+    met = np.max(forces, axis=0) / np.max(size, axis=0)
+    return bool(np.any((met > 0) & (met <= ROUNDED)))
+
+
 def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> list[np.ndarray]:
     """All equilibria, and what enumeration in floating point makes of them."""
     try:
@@ -177,7 +190,8 @@ def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> li
     for solution in found:
         if (worst := broken(posed, solution)) > BREAKS:
             report.wrong.append(f"enumeration: breaks the law by {worst:.2g}")
-    if posed.plain.rigid_change:  # turns known to the printed digits have equilibria of their own, far away
+    # Turns that printed digits or their rounding resist, by 1e-16 of K, have equilibria of their own far away.
+    if posed.plain.rigid_change or _singular_to_rounding(posed.plain):
         report.continuum, report.exists = True, True
         return []
     floats = [project @ plain_answer(posed, solution)[0] for solution in found]

@@ -101,15 +101,15 @@ class Combinations:
             rounding = ROUNDING * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
             solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
             for b in np.flatnonzero(solved & (rank <= most)):
-                free = rotation[b, rank[b] :] * column[b]
-                if (found := self._with_signs(status[b], y[b], free)) is not None:
+                free = rotation[b, rank[b] :]
+                if (found := self._with_signs(status[b], y[b], free, column[b])) is not None:
                     yield status[b], found
 
-    def _with_signs(self, status: Status, y: Vector, free: Array) -> Vector | None:
-        """Return one of the solutions y + free'c whose signs may hold, or None."""
+    def _with_signs(self, status: Status, y: Vector, free: Array, scale: Vector) -> Vector | None:
+        """Return one of the solutions y + scale free'c whose signs may hold, or None."""
         room, change, size = self._signs(status)
         if not _hold(room, change, size, y) and len(free):
-            y = _within(room, change, size, y, free)
+            y = _within(room, change, size, y, free, scale)
         return y if _hold(room, change, size, y) else None
 
     def _assembled(self, status: Status) -> tuple[Array, Array]:
@@ -152,11 +152,15 @@ def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
     return bool(np.all(room + change @ y >= -DOUBTFUL * size - rounding))
 
 
-def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array) -> Vector:
-    """Return the solution start + free'c whose signs hold best, no room counting beyond its size."""
+def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array, scale: Vector) -> Vector:
+    """Return the solution start + scale free'c whose signs hold best, no room counting beyond its size.
+
+    What the rounding of orthonormal directions (c, q) makes of room is none: to use it, bodies would move without end.
+    """
     from scipy.optimize import linprog
 
-    count, slope = len(free), change @ free.T
+    count, slope = len(free), change @ (scale * free).T
+    slope[abs(slope) <= ROUNDING * (abs(change) @ scale)[:, None]] = 0.0
     moving = np.any(abs(slope) > ROUNDING * np.max(abs(slope), initial=0.0), axis=1)
     step = float(np.median(size[moving])) if np.any(moving) else 1.0
     rows, rest = np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]), (room + change @ start) / size
@@ -169,7 +173,7 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
         bounds=[(None, None)] * count + [(None, 1.0)],
         method="highs",
     )
-    return start if answer.x is None else np.asarray(start + step * free.T @ answer.x[:-1])
+    return start if answer.x is None else np.asarray(start + step * scale * (free.T @ answer.x[:-1]))
 
 
 def _filled(size: Vector, other: float) -> Vector:
