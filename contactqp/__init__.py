@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from contactqp.certificate.local_certificate import fclib_merit_1 as fclib_merit_1
     from contactqp.certificate.local_certificate import siconos_global_error as siconos_global_error
     from contactqp.certificate.local_certificate import siconos_local_error as siconos_local_error
+    from contactqp.elements.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
+    from contactqp.elements.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
+    from contactqp.elements.constrained_energy import PartState as PartState
     from contactqp.elements.deformable import Supported as Supported
-    from contactqp.elements.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
-    from contactqp.elements.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
-    from contactqp.elements.energies.constrained_energy import PartState as PartState
-    from contactqp.elements.energies.limits import AtLeast as AtLeast
-    from contactqp.elements.energies.limits import AtMost as AtMost
-    from contactqp.elements.energies.limits import Equal as Equal
-    from contactqp.elements.energies.limits import Obstacle as Obstacle
-    from contactqp.elements.energies.springs import Cable as Cable
-    from contactqp.elements.energies.springs import PlasticHinge as PlasticHinge
-    from contactqp.elements.energies.springs import Spring as Spring
-    from contactqp.elements.energies.springs import Strut as Strut
+    from contactqp.elements.energy_parts import AtLeast as AtLeast
+    from contactqp.elements.energy_parts import AtMost as AtMost
+    from contactqp.elements.energy_parts import Cable as Cable
+    from contactqp.elements.energy_parts import Equal as Equal
+    from contactqp.elements.energy_parts import Obstacle as Obstacle
+    from contactqp.elements.energy_parts import PlasticHinge as PlasticHinge
+    from contactqp.elements.energy_parts import Spring as Spring
+    from contactqp.elements.energy_parts import Strut as Strut
     from contactqp.elements.loads import Gravity as Gravity
     from contactqp.elements.loads import PointLoad as PointLoad
     from contactqp.elements.loads import Pressure as Pressure
@@ -115,22 +115,22 @@ if TYPE_CHECKING:
 
 _HOME = {
     "AssociatedDifference": "solving.equilibria",
-    "AtLeast": "elements.energies.limits",
-    "AtMost": "elements.energies.limits",
+    "AtLeast": "elements.energy_parts",
+    "AtMost": "elements.energy_parts",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
     "Body": "elements.solid",
-    "Cable": "elements.energies.springs",
+    "Cable": "elements.energy_parts",
     "Certificate": "model.solution",
     "Circle": "elements.round_obstacle",
-    "ConstrainedEnergy": "elements.energies.constrained_energy",
-    "ConstrainedMinimum": "elements.energies.constrained_energy",
+    "ConstrainedEnergy": "elements.constrained_energy",
+    "ConstrainedMinimum": "elements.constrained_energy",
     "ContactGroup": "elements.obstacle_contact",
     "ContactProblem": "model.problem",
     "ContactQPError": "errors",
     "CriticalFriction": "certificate.critical_friction",
     "Cylinder": "elements.round_obstacle",
-    "Equal": "elements.energies.limits",
+    "Equal": "elements.energy_parts",
     "ExactEquilibrium": "solving.friction.exact_enumeration",
     "ExactSolution": "oracle.exact.exact_solution",
     "Finding": "oracle.diagnosis.evidence",
@@ -150,13 +150,13 @@ _HOME = {
     "NonlinearTruss": "elements.nonlinear_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
-    "Obstacle": "elements.energies.limits",
+    "Obstacle": "elements.energy_parts",
     "ObstacleContact": "elements.obstacle_contact",
     "Pairing": "elements.pairing",
     "Paraboloid": "elements.round_obstacle",
-    "PartState": "elements.energies.constrained_energy",
+    "PartState": "elements.constrained_energy",
     "Plane": "elements.obstacle",
-    "PlasticHinge": "elements.energies.springs",
+    "PlasticHinge": "elements.energy_parts",
     "PointLoad": "elements.loads",
     "Pressure": "elements.loads",
     "Scene": "scene.scene",
@@ -165,10 +165,10 @@ _HOME = {
     "SignedDistance": "elements.obstacle",
     "Solution": "model.solution",
     "Sphere": "elements.round_obstacle",
-    "Spring": "elements.energies.springs",
+    "Spring": "elements.energy_parts",
     "StartWarning": "errors",
     "Structure": "elements.structure",
-    "Strut": "elements.energies.springs",
+    "Strut": "elements.energy_parts",
     "Support": "elements.structure",
     "Supported": "elements.deformable",
     "Surface": "elements.surface",

@@ -13,8 +13,8 @@ from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, Lo
 from contactqp.analysis.large.load_control import LoadControl, Program
 from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_following import PathControl
-from contactqp.elements.checked_arrays import positive_number, real_number
 from contactqp.elements.deformable import ContactGeometry, Deformable
+from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector

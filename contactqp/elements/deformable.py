@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.checked_arrays import real_array, real_number
+from contactqp.elements.scalars import real_array, real_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector, computes
 from contactqp.model.problem_data import ReadOnly, is_whole, read_only

@@ -19,8 +19,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.checked_arrays import positive_number, real_number
 from contactqp.elements.geometry import Geometry
+from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem
 
 Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]

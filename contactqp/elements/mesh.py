@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.geometry import Block, Geometry, at_rule, batches, boundary, facet_keys, find
 from contactqp.elements.reference_elements import KINDS, REFERENCES, Reference
+from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole

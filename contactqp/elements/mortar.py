@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
-from contactqp.elements.nodal_pressure import from_areas
+from contactqp.elements.nodal_pressure import faceting_notes, from_areas, tributary_areas
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.surface import (
@@ -20,7 +20,6 @@ from contactqp.elements.surface import (
     kind_of,
     middle_normals,
 )
-from contactqp.elements.tributary import faceting_notes, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, own_floating_point
 

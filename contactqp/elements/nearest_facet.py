@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from contactqp.elements.nodal_pressure import kinks
 from contactqp.elements.surface import (
     FacetKind,
     Surface,
@@ -23,7 +24,6 @@ from contactqp.elements.surface import (
     solve_small,
     tangent_vectors,
 )
-from contactqp.elements.tributary import kinks
 from contactqp.model.arrays import Array
 
 Places = NDArray[np.int64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.nearest_facet import Partners, nearest_facets
-from contactqp.elements.nodal_pressure import nodal_pressure
+from contactqp.elements.nodal_pressure import faceting_notes, nodal_pressure, node_normals, same_facets, tributary_areas
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.surface import (
@@ -18,7 +18,6 @@ from contactqp.elements.surface import (
     kind_of,
     middle_normals,
 )
-from contactqp.elements.tributary import faceting_notes, node_normals, same_facets, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 

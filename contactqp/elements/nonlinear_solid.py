@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.geometry import Block, batches, sum_at_nodes
+from contactqp.elements.scalars import real_array
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes

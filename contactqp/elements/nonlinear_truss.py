@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.checked_arrays import real_array
+from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole

@@ -13,12 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import paired
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
-from contactqp.elements.scalars import unit_vector
+from contactqp.elements.scalars import real_array, unit_vector
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Vector, computes

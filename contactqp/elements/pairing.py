@@ -15,15 +15,62 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.checked_arrays import real_array
-from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
+from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tributary_areas
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
-from contactqp.elements.start import doubt_of_side
-from contactqp.elements.surface import Surface, check_surface
-from contactqp.elements.tributary import tributary_areas
+from contactqp.elements.scalars import real_array
+from contactqp.elements.surface import Surface, check_surface, middle_normals
 from contactqp.errors import InvalidProblem, StartWarning
 from contactqp.model.arrays import Array, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
+
+# The part of the size of a body that no interference fit overlaps by.
+DEEP = 0.25
+# Cosine of the angle between the outward normals of a side and of an obstacle, from which they agree.
+AGREE = 0.5
+CURE = "the normal of an obstacle points out of it, to where the body is"
+
+
+def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> str:
+    """Return in words that a contact starts deep inside of what is called so; empty where it does not.
+
+    `size` [length] is that of the body: its longest side, and in axial symmetry its diameter where that is longer.
+    """
+    if not depth > DEEP * size > 0:
+        return ""
+    part = f"{100 * depth / size:.2g} % of the size of its body"
+    cure = f"move it or the obstacle, or turn that round; {CURE}"
+    return f"it starts {depth:.6g}{unit and f' {unit}'} inside {called}, {part}, and will be dragged out: {cure}"
+
+
+def doubt_of_side(surface: Surface, gap: Array, normals: Array, called: str, unit: str = "") -> str:
+    """Return in words what is doubtful of the start of a side beside an obstacle; empty where nothing is.
+
+    Where a side comes nearest to an obstacle, it faces it, but for an edge.
+
+    Parameters
+    ----------
+    surface : Surface
+    gap : (p,) array
+        Distances of its nodes to the obstacle [length].
+    normals : (p, d) array
+        The obstacle's normals there.
+    called : str
+        What messages call the obstacle.
+    unit : str
+        The unit of lengths in messages.
+    """
+    if not len(gap):
+        return ""
+    nearest = int(np.argmin(gap))
+    facets = np.any(surface.facets == surface.nodes[nearest], axis=1)
+    outward = middle_normals(surface)[facets].mean(axis=0)
+    if float(outward @ normals[nearest]) > AGREE:
+        return f"the side and {called} face the same way: {CURE}; turn it round?"
+    size = float(np.ptp(surface.points, axis=0).max())
+    if surface.revolved:
+        size = max(size, 2 * float(abs(surface.points[:, 0]).max()))
+    return doubt_of_depth(-float(gap[nearest]), size, called, unit)
+
 
 Side = Literal["above", "below"]
 Places = NDArray[np.int64]
@@ -135,7 +182,7 @@ def pair(
     -------
     Pairing
         Unpacks as ``E_N, g, E_T``. The tangents of a point are orthonormal. With a surface `area` is the tributary area
-        of each node (contactqp.elements.tributary).
+        of each node (contactqp.elements.nodal_pressure).
 
     Raises
     ------

@@ -12,8 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.checked_arrays import positive_number, real_array
-from contactqp.elements.scalars import lengths, unit_vector
+from contactqp.elements.scalars import lengths, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import computes
 

@@ -1,4 +1,4 @@
-"""Lengths and directions in floats or in exact numbers, which stay exact as long as they are rational."""
+"""Numbers of elements: checked as a user gives them, and lengths that stay exact while they are rational."""
 
 from __future__ import annotations
 
@@ -14,6 +14,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.problem_data import read_array
+
+
+def real_array(what: str, value: Any) -> NDArray[np.float64]:
+    """Return a copy of real numbers as an array of floats; fractions become floats.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows of different lengths, masked arrays, or entries that are no real numbers; `what` is what they belong to.
+
+    >>> real_array("points", [[0, 1], [2, 3]]).tolist()
+    [[0.0, 1.0], [2.0, 3.0]]
+    """
+    return read_array(what, value)
+
+
+def real_number(what: str, value: Any) -> float:
+    """Return one finite float.
+
+    Raises
+    ------
+    InvalidProblem
+        Anything else; `what` is what it belongs to.
+
+    >>> real_number("radius", 2)
+    2.0
+    """
+    number = real_array(what, np.nan if value is None else value)
+    if number.ndim or not math.isfinite(number):
+        raise InvalidProblem(f"{what}: expected one finite number, got {value}")
+    return float(number)
+
+
+def positive_number(what: str, value: Any, kind: str) -> float:
+    """Return one finite float above zero; `kind` is what it measures: ``"length"``.
+
+    Raises
+    ------
+    InvalidProblem
+
+    >>> positive_number("circle radius", 0.5, "length")
+    0.5
+    """
+    number = real_array(what, np.nan if value is None else value)
+    if number.ndim or not (math.isfinite(number) and number > 0):
+        raise InvalidProblem(f"{what}: expected a positive {kind}, got {value}")
+    return float(number)
+
 
 Number = Fraction | float
 # Object arrays hold Fractions, float arrays hold floats; NumPy's types cannot tell the two apart.

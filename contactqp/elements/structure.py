@@ -14,10 +14,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.scalars import real_array
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.checked_arrays import positive_number
+from contactqp.elements.scalars import positive_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole

@@ -25,9 +25,8 @@ from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, pair_scalar, paired
+from contactqp.elements.pairing import Pairing, doubt_of_side, pair_scalar, paired
 from contactqp.elements.solid import stress_at_nodes
-from contactqp.elements.start import doubt_of_side
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface, diameters

@@ -23,8 +23,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import node_contact, spring
-from contactqp.elements.obstacle import Plane
+from contactqp.elements.members import weight
+from contactqp.elements.obstacle import ContactRows, Plane, against_plane, against_surface, between_nodes
 from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
 from contactqp.linalg.exact_algebra import reduced
@@ -154,7 +154,7 @@ def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
     else:
         first, second = (scene.point(node) for node in contact.touched)
         direction = second - first if contact.direction is None else np.array(contact.direction)
-        rows = node_contact.between_nodes(first, second, direction)
+        rows = between_nodes(first, second, direction)
     names = scene.displacements(*contact.touched)
     along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
     origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
@@ -172,13 +172,13 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
     return {name: value for name, value in zip(names, values, strict=True) if value}
 
 
-def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
+def _against(scene: SceneData, where: Numbers, name: str) -> ContactRows:
     """Return a node's row against an obstacle, exact for planes; round ones occur at large deformations alone."""
     item = scene.obstacle(name)
     if item.kind == "plane":
         plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
-        return node_contact.against_plane(where, plane)
-    return node_contact.against_surface(where, obstacle(scene, name))
+        return against_plane(where, plane)
+    return against_surface(where, obstacle(scene, name))
 
 
 def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
@@ -202,7 +202,7 @@ def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
     gravity = np.array([scene.value(g) for g in scene.gravity])
     for _, element in scene.elements:
         for node, mass in element.weights(scene):
-            yield from zip(scene.displacements(node), spring.weight(mass, gravity), strict=True)
+            yield from zip(scene.displacements(node), weight(mass, gravity), strict=True)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:

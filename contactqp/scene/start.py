@@ -32,7 +32,7 @@ def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
     """Warn of contacts of nodes, whose initial gaps are these [length]."""
     if not len(gaps) or np.min(gaps) > 0:
         return
-    from contactqp.elements.start import CURE, doubt_of_depth
+    from contactqp.elements.pairing import CURE, doubt_of_depth
 
     points = {node: np.array(scene.point(node), dtype=float) for node in scene.every_node}
     size = float(np.ptp(np.array(list(points.values())), axis=0).max())

@@ -20,7 +20,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.elements import bar, beam, spring, string, truss
+from contactqp.elements.members import (
+    bar_axial_force,
+    bar_stiffness,
+    beam_stiffness,
+    spring_force,
+    spring_stiffness,
+    spring_to_ground,
+    string_load,
+    string_stiffness,
+    truss_axial_force,
+    truss_stiffness,
+)
 from contactqp.elements.scalars import square_root, unit_vector
 from contactqp.errors import InvalidProblem
 
@@ -30,20 +41,20 @@ COORDINATE = st.fractions(min_value=-10, max_value=10, max_denominator=100)
 
 
 def test_the_bar_of_example_2_5_is_exact():
-    assert bar.stiffness(*EA, F(2)).tolist() == [[157500, -157500], [-157500, 157500]]
-    assert isinstance(bar.stiffness(*EA, F(2))[0, 0], F)
-    assert bar.axial_force(*EA, F(2), F(1, 1000)) == F(315, 2)
+    assert bar_stiffness(*EA, F(2)).tolist() == [[157500, -157500], [-157500, 157500]]
+    assert isinstance(bar_stiffness(*EA, F(2))[0, 0], F)
+    assert bar_axial_force(*EA, F(2), F(1, 1000)) == F(315, 2)
 
 
 def test_a_truss_on_one_axis_is_the_bar():
-    K = truss.stiffness(*EA, np.array([F(1)]), np.array([F(3)]))
-    assert K.tolist() == bar.stiffness(*EA, F(2)).tolist()
+    K = truss_stiffness(*EA, np.array([F(1)]), np.array([F(3)]))
+    assert K.tolist() == bar_stiffness(*EA, F(2)).tolist()
 
 
 def test_the_truss_of_example_2_10():
-    left = truss.stiffness(*EA, ORIGIN, np.array([F(-3), F(4)]))[:2, :2]
+    left = truss_stiffness(*EA, ORIGIN, np.array([F(-3), F(4)]))[:2, :2]
     assert left.tolist() == [[22680, -30240], [-30240, 40320]]  # a 3-4-5 triangle is rational
-    right = truss.stiffness(*EA, ORIGIN, np.array([F(3), F(3)]))[:2, :2]
+    right = truss_stiffness(*EA, ORIGIN, np.array([F(3), F(3)]))[:2, :2]
     assert all(isinstance(k, float) for k in right.ravel())
     K = (left + right).astype(float)
     exact = np.array([[22680 + 26250 * np.sqrt(2), 26250 * np.sqrt(2) - 30240], [0, 40320 + 26250 * np.sqrt(2)]])
@@ -51,11 +62,11 @@ def test_the_truss_of_example_2_10():
 
 
 def test_a_truss_in_space_is_exact_where_its_length_is():
-    K = truss.stiffness(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]))
+    K = truss_stiffness(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]))
     assert K[0, 0] == 1
     assert K[1, 5] == -4
     u = np.array([0, 0, 0, 1, 0, 0])
-    assert truss.axial_force(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]), u) == F(3)
+    assert truss_axial_force(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]), u) == F(3)
 
 
 @given(st.lists(COORDINATE, min_size=2, max_size=2), st.lists(COORDINATE, min_size=2, max_size=2))
@@ -63,7 +74,7 @@ def test_a_truss_resists_no_rigid_motion_and_balances(start, end):
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
     if np.linalg.norm(b - a) < 0.01:
         return
-    K = truss.stiffness(2.0, 3.0, a, b)
+    K = truss_stiffness(2.0, 3.0, a, b)
     turn = np.array([-a[1], a[0], -b[1], b[0]])
     for motion in ([1, 0, 1, 0], [0, 1, 0, 1], turn):
         assert np.abs(K @ np.asarray(motion, dtype=float)).max() <= 1e-13 * np.abs(K).max() * np.abs(motion).max()
@@ -72,22 +83,22 @@ def test_a_truss_resists_no_rigid_motion_and_balances(start, end):
 
 def test_the_axial_force_is_the_stiffness_times_the_displacement():
     a, b, u = np.array([0.0, 0.0]), np.array([2.0, 1.0]), np.array([0.1, -0.2, 0.3, 0.4])
-    force = truss.stiffness(5.0, 2.0, a, b) @ u
+    force = truss_stiffness(5.0, 2.0, a, b) @ u
     n = (b - a) / np.linalg.norm(b - a)
-    assert np.isclose(force[2:] @ n, truss.axial_force(5.0, 2.0, a, b, u))
-    assert truss.axial_force(5.0, 2.0, a, b, np.array([0.0, 0.0, *n])) > 0  # pulled apart: tension
+    assert np.isclose(force[2:] @ n, truss_axial_force(5.0, 2.0, a, b, u))
+    assert truss_axial_force(5.0, 2.0, a, b, np.array([0.0, 0.0, *n])) > 0  # pulled apart: tension
 
 
 def test_springs_are_exact_along_any_rational_direction():
-    K = spring.to_ground(F(10), [F(1), F(1)])
+    K = spring_to_ground(F(10), [F(1), F(1)])
     assert K.tolist() == [[5, 5], [5, 5]]
-    assert spring.stiffness(F(10), [F(2)]).tolist() == [[10, -10], [-10, 10]]
-    assert spring.force(F(10), [F(3), F(4)], [F(1), F(0)]) == 6
+    assert spring_stiffness(F(10), [F(2)]).tolist() == [[10, -10], [-10, 10]]
+    assert spring_force(F(10), [F(3), F(4)], [F(1), F(0)]) == 6
 
 
 def test_no_direction_is_refused():
     with pytest.raises(InvalidProblem, match="spring direction: expected a vector of positive length"):
-        spring.to_ground(1.0, [0.0, 0.0])
+        spring_to_ground(1.0, [0.0, 0.0])
     with pytest.raises(InvalidProblem):
         unit_vector([float("nan"), 1.0], "direction")
 
@@ -103,7 +114,7 @@ def test_a_cantilever_bends_by_the_textbook(angle):
     """Tip load: w = F L^3 / (3 E I), theta = F L^2 / (2 E I); axial: F L / (E A)."""
     E, A, inertia, L, force = 7.0, 2.0, 0.3, 1.7, 0.9
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    K = beam.stiffness(E, A, inertia, np.zeros(2), L * along)[3:, 3:]
+    K = beam_stiffness(E, A, inertia, np.zeros(2), L * along)[3:, 3:]
     bent = np.linalg.solve(K, [*(force * across), 0.0])
     np.testing.assert_allclose(bent[:2], force * L**3 / (3 * E * inertia) * across, atol=1e-14)
     assert np.isclose(bent[2], force * L**2 / (2 * E * inertia))
@@ -112,20 +123,20 @@ def test_a_cantilever_bends_by_the_textbook(angle):
 
 
 def test_a_positive_rotation_turns_the_first_axis_towards_the_second():
-    K = beam.stiffness(1.0, 1.0, 1.0, np.zeros(2), np.array([1.0, 0.0]))[3:, 3:]
+    K = beam_stiffness(1.0, 1.0, 1.0, np.zeros(2), np.array([1.0, 0.0]))[3:, 3:]
     assert np.linalg.solve(K, [0.0, 1.0, 0.0])[2] > 0
 
 
 def test_rigid_motions_cost_nothing():
     a, b = np.array([0.5, -0.2]), np.array([1.3, 0.9])
-    K = beam.stiffness(3.0, 2.0, 0.1, a, b)
+    K = beam_stiffness(3.0, 2.0, 0.1, a, b)
     turn = np.array([-a[1], a[0], 1, -b[1], b[0], 1])
     for motion in ([1, 0, 0, 1, 0, 0], [0, 1, 0, 0, 1, 0], turn):
         assert np.abs(K @ np.asarray(motion, dtype=float)).max() < 1e-13 * np.abs(K).max()
 
 
 def test_a_beam_of_rational_length_is_exact():
-    K = beam.stiffness(F(5), F(1), F(1), np.array([F(0), F(0)]), np.array([F(3), F(4)]))
+    K = beam_stiffness(F(5), F(1), F(1), np.array([F(0), F(0)]), np.array([F(3), F(4)]))
     assert all(isinstance(entry, F | int) for entry in K.ravel())
     assert K[2, 2] == 4  # 4 E I / L
     assert (K == K.T).all()
@@ -167,8 +178,8 @@ class Wire:
         """Deflections of the inner nodes, each of which may touch."""
         h = self.length / elements
         ends = np.array([F(0), F(0)]), np.array([h, F(0)])
-        K_e = string.stiffness(self.tension, *ends)[1::2, 1::2].astype(float)
-        f_e = string.uniform_load([F(0), -self.load], *ends)[1::2].astype(float)
+        K_e = string_stiffness(self.tension, *ends)[1::2, 1::2].astype(float)
+        f_e = string_load([F(0), -self.load], *ends)[1::2].astype(float)
         K, f = np.zeros((elements + 1, elements + 1)), np.zeros(elements + 1)
         for e in range(elements):
             K[e : e + 2, e : e + 2] += K_e
@@ -206,23 +217,23 @@ def first_contact(wire, solution):
 
 
 def test_across_itself_the_string_is_a_spring_of_t_over_h():
-    K = string.stiffness(F(3), [F(0), F(0)], [F(1, 4), F(0)])
+    K = string_stiffness(F(3), [F(0), F(0)], [F(1, 4), F(0)])
     assert K[1::2, 1::2].tolist() == [[12, -12], [-12, 12]]
     assert not K[0::2].any()
     assert isinstance(K[1, 1], F)
-    assert string.uniform_load([F(0), F(-3)], [F(0), F(0)], [F(1, 4), F(0)]).tolist() == [0, F(-3, 8), 0, F(-3, 8)]
+    assert string_load([F(0), F(-3)], [F(0), F(0)], [F(1, 4), F(0)]).tolist() == [0, F(-3, 8), 0, F(-3, 8)]
 
 
 def test_in_space_it_stays_exact_where_its_length_is_rational():
     start, end = np.array([F(1), F(0), F(0)]), np.array([F(2), F(2), F(2)])
-    K = string.stiffness(F(27), start, end)
+    K = string_stiffness(F(27), start, end)
     assert all(isinstance(k, F) for k in K.ravel())
     along = np.tile(end - start, 2) * np.repeat([0, 1], 3)
     across = np.array([0, 0, 0, F(2), F(-1), F(0)])
     assert not (K @ along).any()
     assert (K @ across).tolist() == [-18, 9, 0, 18, -9, 0]
     assert (K == K.T).all()
-    K = string.stiffness(F(1), [F(0), F(0)], [F(1), F(1)])
+    K = string_stiffness(F(1), [F(0), F(0)], [F(1), F(1)])
     np.testing.assert_allclose(K[:2, :2].astype(float), np.array([[1, -1], [-1, 1]]) / np.sqrt(8), rtol=1e-15)
 
 
@@ -236,7 +247,7 @@ def test_it_is_what_the_tension_adds_to_a_bar():
     ]  # fmt: skip
     found = T * np.array(second) / (4 * step**2)
     assert np.abs(found).max() > 0.5
-    np.testing.assert_allclose(string.stiffness(T, start, end), found, atol=1e-6)
+    np.testing.assert_allclose(string_stiffness(T, start, end), found, atol=1e-6)
 
 
 @pytest.mark.parametrize("method", EXACT)

@@ -28,12 +28,11 @@ from benchmarks.nodal_pressures import (
     rigid_punch,
 )
 from contactqp.elements.loads import Pressure
-from contactqp.elements.nodal_pressure import nodal_pressure
+from contactqp.elements.nodal_pressure import deviation, nodal_moments, nodal_pressure
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.elements.surface import kind_of, normal_vectors
-from contactqp.elements.tributary import deviation, nodal_moments
 from contactqp.errors import InvalidProblem
 
 

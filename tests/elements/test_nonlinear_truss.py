@@ -158,11 +158,11 @@ def test_laws_of_a_stretched_bar_by_hand():
 
 
 def test_at_rest_the_tangent_is_the_linear_truss():
-    from contactqp.elements import truss as linear
+    from contactqp.elements.members import truss_stiffness
 
     start, end = np.array([0.2, -0.1]), np.array([1.0, 0.7])
     K = NonlinearTruss([start, end], [[0, 1]], 3.0, 2.0).tangent(np.zeros(4)).toarray()
-    np.testing.assert_allclose(K, linear.stiffness(3.0, 2.0, start, end), rtol=1e-14)
+    np.testing.assert_allclose(K, truss_stiffness(3.0, 2.0, start, end), rtol=1e-14)
 
 
 def test_a_bar_that_shrinks_to_a_point_is_refused_where_its_law_cannot_bear_it():

@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.elements.node_contact import against_plane, between_nodes
-from contactqp.elements.obstacle import Plane, tangents
+from contactqp.elements.members import point_mass_matrix, weight
+from contactqp.elements.obstacle import Plane, against_plane, between_nodes, tangents
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.spring import inertia, weight
 from contactqp.errors import InvalidProblem
 
 DIRECTION = st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -118,7 +117,7 @@ def test_planes_that_are_none_are_refused(point, normal):
 
 def test_a_point_mass_weighs_and_resists():
     assert weight(F(2), [F(0), F(-981, 100)]).tolist() == [0, F(-981, 50)]
-    assert inertia(2.0, 2).tolist() == [[2, 0], [0, 2]]
+    assert point_mass_matrix(2.0, 2).tolist() == [[2, 0], [0, 2]]
 
 
 POINTS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])

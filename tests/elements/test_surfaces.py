@@ -8,8 +8,8 @@ import pytest
 import contactqp as cq
 from contactqp.elements import surface
 from contactqp.elements.nearest_facet import closest_point
+from contactqp.elements.nodal_pressure import node_normals, tributary_areas
 from contactqp.elements.surface import kind_of, triangle_quadrature
-from contactqp.elements.tributary import node_normals, tributary_areas
 from contactqp.errors import InvalidProblem
 
 KINDS = list(surface.KINDS.values())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements import beam
+from contactqp.elements.members import beam_displacements
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.pictures.frame_drawing import draw_structure, structure_figure
 from contactqp.study.answer_pictures import fields_of
@@ -118,7 +118,7 @@ def test_a_beam_is_drawn_as_its_cubic():
     tip = 0.3 * 2**3 / (3 * 8)
     np.testing.assert_allclose(bar.displacement[:, 0], tip * s**2 * (3 - s) / 2, atol=1e-15)
     np.testing.assert_allclose(bar.displacement[:, 1], 0, atol=1e-15)
-    wrong = beam.displacements([0.0, 0.0], [0.0, 2.0], np.array([0, 0, 0, tip, 0, 0.0]), s)
+    wrong = beam_displacements([0.0, 0.0], [0.0, 2.0], np.array([0, 0, 0, tip, 0, 0.0]), s)
     assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
 
 

@@ -140,7 +140,7 @@ def test_axisymmetric_pressure_is_force_over_rings(element):
     assert found[0] == pytest.approx(100 * np.pi * 4, rel=1e-10)
     if element in ("quad4", "tri3"):
         assert found[1:] == pytest.approx([100, 100], rel=1e-10)
-    else:  # right in the mean only, as contactqp.elements.tributary says
+    else:  # right in the mean only, as contactqp.elements.nodal_pressure says
         assert found[1:] == pytest.approx([100, 100], rel=0.35)
 
 

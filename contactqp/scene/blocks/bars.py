@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from contactqp.elements import truss
+from contactqp.elements.members import truss_axial_force, truss_stiffness
 from contactqp.elements.scalars import Number, square_root, squared_length
 from contactqp.errors import SceneError
 from contactqp.scene import fields
@@ -34,7 +34,7 @@ def _force(bar: Bar, answer: NodeAnswer) -> float:
     displacement = np.concatenate([answer.of_node(node) for node in bar.nodes])
     modulus, area = scene.value(bar.modulus), scene.value(bar.area)
     start, end = map(scene.point, bar.nodes)
-    return float(truss.axial_force(modulus, area, start, end, displacement))
+    return float(truss_axial_force(modulus, area, start, end, displacement))
 
 
 class Bar(Element):
@@ -81,7 +81,7 @@ class Bar(Element):
         """Yield the stiffness of every division."""
         modulus, area = scene.value(self.modulus), scene.value(self.area)
         for ends in self.segments:
-            yield scene.displacements(*ends), truss.stiffness(modulus, area, *map(scene.point, ends))
+            yield scene.displacements(*ends), truss_stiffness(modulus, area, *map(scene.point, ends))
 
     def masses(self, scene: NodeScene, lumped: bool) -> Iterator[NamedMatrix]:
         """Yield the mass of every division of a bar with a density."""

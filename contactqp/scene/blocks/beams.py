@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from contactqp.elements import beam
+from contactqp.elements.members import beam_displacements, beam_stiffness
 from contactqp.errors import SceneError
 from contactqp.scene import fields
 from contactqp.scene.blocks.element import ROTATION, Element, Line, NamedMatrix, NodeScene, refuse_zero_length
@@ -42,7 +42,7 @@ class Beam(Element):
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
         """Yield its stiffness along and across itself."""
         modulus, area, inertia = (scene.value(q) for q in (self.modulus, self.area, self.inertia))
-        yield self.unknowns(scene), beam.stiffness(modulus, area, inertia, *map(scene.point, self.nodes))
+        yield self.unknowns(scene), beam_stiffness(modulus, area, inertia, *map(scene.point, self.nodes))
 
     def check_axes(self, scene: NodeScene, where: str) -> None:  # noqa: ARG002
         """Raise SceneError outside of a plane."""
@@ -58,4 +58,4 @@ class Beam(Element):
         start, end = (np.array(scene.point(node), dtype=float) for node in self.nodes)
         at = np.linspace(0.0, 1.0, POINTS)
         ends = np.array([displacement[name] for name in self.unknowns(scene)])
-        return Line(self.nodes, start + np.outer(at, end - start), beam.displacements(start, end, ends, at))
+        return Line(self.nodes, start + np.outer(at, end - start), beam_displacements(start, end, ends, at))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
-from contactqp.elements import spring
+from contactqp.elements.members import point_mass_matrix
 from contactqp.elements.scalars import Number
 from contactqp.errors import SceneError
 from contactqp.scene import fields
@@ -42,7 +42,7 @@ class PointMass(Element):
 
     def masses(self, scene: NodeScene, lumped: bool) -> Iterator[NamedMatrix]:  # noqa: ARG002
         """Yield m I."""
-        yield scene.displacements(self.node), spring.inertia(scene.value(self.mass), len(scene.axes))
+        yield scene.displacements(self.node), point_mass_matrix(scene.value(self.mass), len(scene.axes))
 
     def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:
         """Yield the mass at its node."""

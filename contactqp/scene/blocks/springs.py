@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from contactqp.elements import spring
+from contactqp.elements.members import spring_force, spring_stiffness, spring_to_ground
 from contactqp.elements.scalars import Numbers
 from contactqp.errors import SceneError
 from contactqp.scene import fields
@@ -30,7 +30,7 @@ def _force(item: Spring, answer: NodeAnswer) -> float:
     relative = answer.of_node(item.nodes[-1])
     if len(item.nodes) == 2:
         relative = relative - answer.of_node(item.nodes[0])
-    return float(spring.force(answer.scene.value(item.stiffness), item.along(answer.scene), relative))
+    return float(spring_force(answer.scene.value(item.stiffness), item.along(answer.scene), relative))
 
 
 class Spring(Element):
@@ -59,7 +59,7 @@ class Spring(Element):
 
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
         """Yield k n n' on its node, or on the difference of its two."""
-        formula = spring.stiffness if len(self.nodes) == 2 else spring.to_ground
+        formula = spring_stiffness if len(self.nodes) == 2 else spring_to_ground
         yield scene.displacements(*self.nodes), formula(scene.value(self.stiffness), self.along(scene))
 
     def check(self, scene: NodeScene, where: str) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from contactqp.elements import string
+from contactqp.elements.members import string_load, string_stiffness
 from contactqp.elements.scalars import Number
 from contactqp.errors import SceneError
 from contactqp.scene import fields
@@ -41,7 +41,7 @@ class String(Element):
         """Yield the stiffness of every segment across the string."""
         tension = scene.value(self.tension)
         for ends in self.segments:
-            yield scene.displacements(*ends), string.stiffness(tension, *map(scene.point, ends))
+            yield scene.displacements(*ends), string_stiffness(tension, *map(scene.point, ends))
 
     def check_axes(self, scene: NodeScene, where: str) -> None:  # noqa: ARG002
         """Raise SceneError in one dimension, where it has no axis to deflect along."""
@@ -78,5 +78,5 @@ class LineLoad(Block):
         """Yield the forces at the nodes of the string that it names, by their unknowns."""
         per_length = np.array([scene.value(component) for component in self.value])
         for ends in loaded.segments:
-            forces = string.uniform_load(per_length, *map(scene.point, ends))
+            forces = string_load(per_length, *map(scene.point, ends))
             yield from zip(scene.displacements(*ends), forces, strict=True)

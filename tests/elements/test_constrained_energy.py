@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import contactqp as cq
-from contactqp.elements.energies.constrained_energy import Part
+from contactqp.elements.constrained_energy import Part
 
 
 def _energy(part: Part, unknowns: dict[str, float]) -> float:

@@ -161,7 +161,7 @@ class ConstrainedEnergy:
     load : (n,) array, optional
         f; zero by default.
     parts : sequence of Spring, Cable, Strut, AtMost, AtLeast, Equal, Obstacle, PlasticHinge, or anything that is a
-        `contactqp.elements.energies.constrained_energy.Part`
+        `contactqp.elements.constrained_energy.Part`
     units : Units or mapping, optional
         As in `ContactProblem`; labels only.
 
