@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from contactqp.exchange.whole_file import check_installed, write_whole
+from contactqp.exchange.files import check_installed, write_whole
 from contactqp.study.statistics import profile, ratios
 
 

@@ -23,7 +23,7 @@ from contactqp.certificate import certificate, number_range
 from contactqp.certificate.state_answer import StateVerdict
 from contactqp.cli import output
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
-from contactqp.exchange import answer_json
+from contactqp.exchange import own_answers
 from contactqp.solving import runs
 
 Fault = Callable[[], AbstractContextManager[Any]]
@@ -150,6 +150,6 @@ FAULTS: dict[str, Fault] = {
     # Numbers of any size are computed with as they are.
     "range": lambda: _patched(sys.modules["contactqp.solving.solve"], "near_one", _none),
     "warning": _certificate_with(_warns),
-    "reader": lambda: _patched(answer_json, "load_json", _unrefused),
+    "reader": lambda: _patched(own_answers, "load_json", _unrefused),
     "json": lambda: _patched(output, "print_error", _unjson),
 }

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.whole_file import write_whole
+from contactqp.exchange.files import write_whole
 from contactqp.model.arrays import Index
 from contactqp.model.solution import Answer
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
-from contactqp.exchange import answer_arrays, answer_json, ansys, calculix_results
+from contactqp.exchange import ansys, calculix_results, own_answers
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
+from contactqp.exchange.files import Path, read_bytes
 from contactqp.exchange.problem_writing import ANSWER_FILE
-from contactqp.exchange.refusal import Path, read_bytes
 from contactqp.model.problem import ContactProblem
 
 READERS: list[AnswerReader] = [
-    answer_json.READER,
-    answer_arrays.READER,
-    answer_arrays.ARCHIVE,
-    answer_arrays.ARRAY,
+    own_answers.JSON_READER,
+    own_answers.TABLE_READER,
+    own_answers.ARCHIVE,
+    own_answers.ARRAY,
     calculix_results.FRD,
     calculix_results.DAT,
     ansys.RESULT_READER,
@@ -59,7 +59,7 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     file = FilePath(path)
     if file.is_dir() and (file / ANSWER_FILE).is_file():
         return read_answer(file / ANSWER_FILE, problem, tie_names)
-    read = answer_arrays.read_folder_answer if file.is_dir() else reader_of(path).read
+    read = own_answers.read_folder_answer if file.is_dir() else reader_of(path).read
     found = read(path, problem)
     if found.tie_names is None:
         return found
@@ -82,8 +82,8 @@ def reader_of(path: Path) -> AnswerReader:
     for reader in READERS:
         if reader.known is not None and reader.known(head):
             return reader
-    by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not answer_arrays.READER)
-    return next(by_suffix, answer_arrays.ARRAY)
+    by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not own_answers.TABLE_READER)
+    return next(by_suffix, own_answers.ARRAY)
 
 
 def _expected() -> str:

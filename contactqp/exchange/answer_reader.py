@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.refusal import Ledger, Path, one_line, wrong
+from contactqp.exchange.files import Ledger, Path, one_line, wrong
 from contactqp.model.problem import ContactProblem
 from contactqp.model.quadratic_program import answer_of_program
 from contactqp.model.unknown_names import other_spellings

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
-from contactqp.exchange.refusal import Ledger, Path, read_bytes, text_lines, wrong
+from contactqp.exchange.files import Ledger, Path, read_bytes, text_lines, wrong
 from contactqp.model.problem import ContactProblem
 
 DISPLACEMENT, FORCE, CONTACT = "displacement", "force", "contact"

@@ -19,11 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.exchange.answer_json import load_json
-from contactqp.exchange.fclib import StoredAnswer, read_solution_for
-from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
-from contactqp.exchange.numpy_files import NUMPY, read_npy
-from contactqp.exchange.refusal import (
+from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, StoredAnswer, is_hdf5, read_solution_for
+from contactqp.exchange.files import (
     Ledger,
     Path,
     is_number,
@@ -34,6 +31,8 @@ from contactqp.exchange.refusal import (
     read_text,
     wrong,
 )
+from contactqp.exchange.numpy_files import NUMPY, read_npy
+from contactqp.exchange.own_answers import load_json
 from contactqp.model.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"

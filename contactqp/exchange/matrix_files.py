@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from contactqp.exchange import ansys, deck_matrices, harwell_boeing, matrix_market, numpy_files, text_matrix
+from contactqp.exchange import ansys, deck_matrices, harwell_boeing, numpy_files, text_matrices
+from contactqp.exchange.files import Path, read_bytes, wrong
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, read_bytes, wrong
 
 READERS: list[MatrixReader] = [
     deck_matrices.ABAQUS,  # .mtx without Matrix Market's banner
-    matrix_market.READER,
+    text_matrices.MATRIX_MARKET,
     harwell_boeing.READER,
     numpy_files.READER,
     deck_matrices.CALCULIX,
     deck_matrices.MASS,
     ansys.READER,
-    text_matrix.READER,
+    text_matrices.TEXT,
 ]
 # First bytes that every format can be told by, where it can be told by its content.
 HEAD = 512
@@ -55,7 +55,7 @@ def reader_of(path: Path) -> MatrixReader:
     for reader in READERS:
         if reader.known is not None and reader.known(head):
             return reader
-    return next((reader for reader in READERS if suffix in reader.suffixes), text_matrix.READER)
+    return next((reader for reader in READERS if suffix in reader.suffixes), text_matrices.TEXT)
 
 
 def companions() -> frozenset[str]:

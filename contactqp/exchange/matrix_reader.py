@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.refusal import Ledger, Path, check_finite, check_rows, wrong
+from contactqp.exchange.files import Ledger, Path, check_finite, check_rows, wrong
 from contactqp.model.arrays import Vector
 
 # The three ways in which FCLIB stores a sparse matrix, and SciPy's.

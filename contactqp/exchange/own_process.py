@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.exchange.files import Path, file_size, wrong
 from contactqp.exchange.numpy_files import read_npz
-from contactqp.exchange.refusal import Path, file_size, wrong
 
 # Address space beyond what the file itself may take up: one reader brings a graphics library with it.
 MEMORY, TIMES = 2**33, 64

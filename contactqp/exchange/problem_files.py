@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.fclib import read_fclib
-from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
+from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, is_hdf5, read_fclib
+from contactqp.exchange.files import Ledger, Path, read_bytes, wrong
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP
 from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder, tie_names
 from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.quadratic_programs import MATLAB, QPS, is_quadratic_program, read_quadratic_program
-from contactqp.exchange.refusal import Ledger, Path, read_bytes, wrong
 from contactqp.exchange.siconos import read_siconos
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem

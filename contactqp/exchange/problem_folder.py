@@ -19,9 +19,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.answer_json import load_json
+from contactqp.exchange.files import Ledger, Path, read_text, wrong
 from contactqp.exchange.matrix_files import companions, read_matrix, reader_of, stiffness_suffixes
 from contactqp.exchange.numpy_files import is_sparse, read_npz, real, sparse_matrix
+from contactqp.exchange.own_answers import load_json
 from contactqp.exchange.problem_writing import (
     ANSWER_FILE,
     FORMAT,
@@ -32,7 +33,6 @@ from contactqp.exchange.problem_writing import (
     problem_of,
 )
 from contactqp.exchange.problem_writing import write_problem as write_problem
-from contactqp.exchange.refusal import Ledger, Path, read_text, wrong
 from contactqp.exchange.tables import (
     Unknowns,
     is_table,

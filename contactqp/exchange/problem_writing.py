@@ -13,7 +13,7 @@ import scipy.io
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, refuse_other
-from contactqp.exchange.refusal import Ledger, Path, naming, wrong
+from contactqp.exchange.files import Ledger, Path, naming, wrong
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 

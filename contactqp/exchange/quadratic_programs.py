@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing
+from contactqp.exchange.files import Ledger, Path, check_finite, wrong
 from contactqp.exchange.numpy_files import names_in_npz, read_npz, sparse_matrix
 from contactqp.exchange.own_process import read_in_own_process
-from contactqp.exchange.refusal import Ledger, Path, check_finite, wrong
 from contactqp.model.problem import ContactProblem
 
 QPS, MATLAB = (".qps", ".mps"), (".mat",)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.fclib import solvable
-from contactqp.exchange.refusal import (
+from contactqp.exchange.files import (
     Path,
     check_dimension,
     check_finite,

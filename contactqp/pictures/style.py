@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.whole_file import PICTURES, check_file, check_installed, write_whole
+from contactqp.exchange.files import PICTURES, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 

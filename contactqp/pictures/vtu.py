@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.mesh_files import MESHIO_KINDS
-from contactqp.exchange.whole_file import VTU, check_file, check_installed, write_whole
+from contactqp.exchange.files import VTU, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.frame_drawing import FrameFields

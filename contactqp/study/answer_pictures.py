@@ -16,7 +16,7 @@ from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
-from contactqp.exchange.whole_file import check_installed
+from contactqp.exchange.files import check_installed
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution

@@ -20,9 +20,9 @@ from contactqp.exchange.answer_files import read_answer
 from contactqp.exchange.answer_reader import AnswerFile, names_of
 from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
+from contactqp.exchange.files import Ledger, naming, wrong
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
-from contactqp.exchange.refusal import Ledger, naming, wrong
 from contactqp.linalg.extended import velocity_of
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution

@@ -36,9 +36,9 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
+from contactqp.exchange.files import naming
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
-from contactqp.exchange.refusal import naming
 from contactqp.linalg.runtime import within_time
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.errors import InvalidProblem
+from contactqp.exchange.files import read_text, write_whole, wrong
 from contactqp.exchange.problem_files import is_problem_file
-from contactqp.exchange.refusal import read_text, wrong
-from contactqp.exchange.whole_file import write_whole
 from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.scene.scene import load_scene
 from contactqp.scene.shipped import case_path

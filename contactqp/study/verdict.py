@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.exchange.files import Ledger, read_text, wrong
 from contactqp.exchange.matrix_files import read_matrix
-from contactqp.exchange.refusal import Ledger, read_text, wrong
 from contactqp.exchange.tables import is_table, read_tables
 from contactqp.model.arrays import Vector
 from contactqp.model.local_problem import LocalProblem, LocalSolution

@@ -1,0 +1,307 @@
+"""Files read with every refusal in one line and a ledger of what was read, and files written whole or not at all."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
+
+Path = str | os.PathLike[str]
+
+# Bytes of a file that is read as a whole and becomes objects of many times its size: text in words, JSON.
+LARGEST_WHOLE = 2**27
+LONGEST_SAYING = 200
+EXPONENT_D = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*(?:[eE][+-]?\d+)?")
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
+    return InvalidProblem(f"{path}: {place}: expected {expected}, got {got}")
+
+
+def check_dimension(path: Path, place: str, dimension: int) -> int:
+    """2 or 3.
+
+    Raises
+    ------
+    Unsupported
+        5, which says that the contacts resist rolling too.
+    InvalidProblem
+        Anything else.
+    """
+    if dimension == 5:
+        raise Unsupported(
+            f"{path}: {place} is 5: contacts that resist rolling are not supported, only sliding (2 or 3)"
+        )
+    if dimension not in (2, 3):
+        raise wrong(path, place, "2 or 3", dimension)
+    return dimension
+
+
+def check_finite(path: Path, place: str, values: NDArray[np.float64]) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise wrong(path, place, "finite numbers", f"{values[bad[0]]} at [{bad[0]}]")
+
+
+def check_friction(path: Path, place: str, friction: NDArray[np.float64]) -> None:
+    if np.any(friction < 0):
+        worst = int(np.argmin(friction))
+        raise wrong(path, place, "coefficients of friction >= 0", f"{friction[worst]:.6g} at contact {worst}")
+
+
+def number(word: str) -> float:
+    """A number as programs write it, 1.0D+03 of Fortran too; Python's own 1_000 is none.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if "_" in word:
+        raise ValueError(word)
+    return float(EXPONENT_D.sub("e", word))
+
+
+def is_number(word: str) -> bool:
+    """Whether a word of a text is one, be it NaN."""
+    try:
+        number(word)
+    except ValueError:
+        return False
+    return True
+
+
+def no_number(path: Path, place: str, word: str) -> InvalidProblem:
+    """What is said of a word that should be a number."""
+    comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word.strip()) else ""
+    return wrong(path, place, "a number", f"{word[:40]!r}{comma}")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file's name before what a problem refuses of its data."""
+    try:
+        yield
+    except InvalidProblem as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def file_size(path: Path, expected: str) -> int:
+    """How many bytes a file has.
+
+    Raises
+    ------
+    InvalidProblem
+        There is none of that name, or it is a folder, a pipe or a device: these have no size to hold a header against.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        raise InvalidProblem(f"{path}: expected {expected}, and there is none of that name") from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, expected, error) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise InvalidProblem(f"{path}: expected {expected}, got a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise InvalidProblem(f"{path}: expected {expected}, got a pipe or a device")
+    return found.st_size
+
+
+def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
+    """The first bytes of a file, or all.
+
+    Raises
+    ------
+    InvalidProblem
+        There is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
+    """
+    size = file_size(path, expected)
+    if most < 0 and size > LARGEST_WHOLE:
+        raise wrong(path, "size", f"{expected} of at most {LARGEST_WHOLE >> 20} MiB", f"{size / 2**20:.0f} MiB")
+    try:
+        with open(path, "rb") as file:
+            return file.read(most)
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, expected, error) from None
+
+
+def read_text(path: Path, expected: str) -> str:
+    """All of a text file, UTF-8.
+
+    Raises
+    ------
+    InvalidProblem
+        As `read_bytes`, or bytes that are no text.
+    """
+    data = read_bytes(path, expected)
+    refuse_utf_16(path, data)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = f"the byte 0x{data[error.start]:02x} at place {error.start}"
+        raise wrong(path, "content", expected, byte) from None
+    if "\0" in text:
+        raise wrong(path, "content", expected, f"the byte 0x00 at place {text.index(chr(0))}")
+    return text
+
+
+def refuse_utf_16(path: Path, head: bytes) -> None:
+    """Refuse text that begins with the mark of UTF-16, as Windows' programs may save it."""
+    if head.startswith(UTF_16):
+        raise wrong(path, "content", "text in UTF-8", "UTF-16: save it as UTF-8")
+
+
+def one_line(error: BaseException) -> str:
+    """What somebody else's exception says, without line breaks and not endless."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    return said if len(said) <= LONGEST_SAYING else said[:LONGEST_SAYING] + "..."
+
+
+def check_rows(path: Path, place: str, rows: int) -> None:
+    """Refuse a number of rows that a file of this size cannot fill: one pointer a row would be more than the file."""
+    most = 1000 + 8 * os.path.getsize(path)
+    if rows > most:
+        raise wrong(path, place, f"at most {most} rows in a file of this size", rows)
+
+
+def _unreadable(path: Path, expected: str, error: Exception) -> InvalidProblem:
+    return InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or one_line(error)})")
+
+
+# What became of a file on its way into a problem or an answer: nothing is dropped or assumed in silence.
+
+KINDS = ("read", "converted", "assumed", "ignored")
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """What was read, converted, assumed and ignored of one source, a line each; readers add to it as they go."""
+
+    source: str
+    read: list[str] = field(default_factory=list)
+    converted: list[str] = field(default_factory=list)  # other signs, units or orders than ours
+    assumed: list[str] = field(default_factory=list)  # what the source does not say
+    ignored: list[str] = field(default_factory=list)  # what it says and no problem or answer has a place for
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """Kind and line, in the order of `KINDS`."""
+        for kind in KINDS:
+            for line in getattr(self, kind):
+                yield kind, line
+
+    def data(self) -> dict[str, object]:
+        """All of it, for JSON."""
+        return {"source": self.source} | {kind: list(getattr(self, kind)) for kind in KINDS}
+
+
+# The lines of a text file that another program printed, one after the other: files may be larger than memory.
+
+# Programs that print tables of numbers break their lines; what does not is none of their files.
+LONGEST = 2**16
+
+
+def text_lines(path: Path, expected: str) -> Iterator[str]:
+    """The lines, without their ends.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, an empty one, a byte that is not ASCII or zero, an endless line, or a last line that does not
+        end: such a file was cut off, maybe within a number.
+    """
+    if not file_size(path, expected):
+        raise wrong(path, "content", expected, "nothing")
+    number = 0
+    with open(path, "rb") as file:
+        while line := file.readline(LONGEST):
+            number += 1
+            if not line.endswith(b"\n"):
+                if len(line) == LONGEST:
+                    raise wrong(path, f"line {number}", f"at most {LONGEST} bytes", "more")
+                raise wrong(path, "last line", "a line break after it", "the end of the file: it was cut off")
+            if not line.isascii() or b"\0" in line:
+                strange = next(byte for byte in line if byte > 127 or byte == 0)
+                raise wrong(path, f"line {number}", expected, f"the byte 0x{strange:02x}")
+            yield line.rstrip(b"\r\n").decode("ascii")
+
+
+PICTURES = (".png", ".pdf", ".svg")
+VTU = (".vtu",)
+
+
+def check_file(file: str | FilePath, suffixes: tuple[str, ...]) -> FilePath:
+    """The file as a path.
+
+    Raises
+    ------
+    InvalidProblem
+        Another suffix, a folder that is not there, a folder in the place of the file.
+    """
+    path = FilePath(file)
+    if path.suffix.lower() not in suffixes:
+        raise InvalidProblem(f"{path}: expected a file name that ends in {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise InvalidProblem(f"{path}: expected a file, this is a folder")
+    if not path.parent.is_dir():
+        raise InvalidProblem(f"{path}: there is no folder {str(path.parent)!r}")
+    return path
+
+
+def check_installed(package: str, purpose: str) -> None:
+    """Refuse where the package is missing; it is not imported to find out.
+
+    Raises
+    ------
+    BackendMissing
+    """
+    if importlib.util.find_spec(package) is None:
+        raise BackendMissing(f"{purpose} needs {package}: pip install {package}")
+
+
+def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: bool = False) -> None:
+    """Let `write` fill a file beside this one with the same suffix, then put it in place.
+
+    Parameters
+    ----------
+    durable : bool
+        It is on the disk before this returns: a machine that dies afterwards does not lose it.
+
+    Raises
+    ------
+    InvalidProblem
+        The file system refuses.
+    """
+    beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
+    try:
+        write(beside)
+        if durable:
+            _onto_disk(beside)
+        os.replace(beside, file)
+        if durable:
+            _onto_disk(file.parent)
+    except OSError as error:
+        raise InvalidProblem(f"{file}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _onto_disk(path: FilePath) -> None:
+    """Have what is in memory of a file or a folder written."""
+    place = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)

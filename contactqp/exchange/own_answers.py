@@ -1,0 +1,369 @@
+"""Read answers in this package's own formats: JSON, .npz by names, folders of files, single arrays, and CSV tables.
+
+JSON is an object whose keys are the parts of an answer, each a list or an object of values by name.
+
+    {"displacement": {"tip.x": 1e-3}, "normal_force": [142.5], "friction_force": [[0.5, 0.0]], "tie_force": [2.0]}
+
+What `contactqp run CASE --method M --json` prints is one, alone in a list; its friction_force is along the axes of the
+case, and its friction_components, along the rows of E_T, are what is read. null is NaN. The answer to a quadratic
+program may come as x, y, z and z_box, with qpsolvers' signs.
+
+An array whose file has no such name (u.npy, normal_force.mtx, ...) is displacements or normal forces where its length
+leaves no doubt, which the ledger says.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from codecs import BOM_UTF8
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.exchange import matrix_files, numpy_files, text_matrices
+from contactqp.exchange.answer_reader import (
+    AnswerFile,
+    AnswerReader,
+    answer_of_names,
+    names_of,
+    part_called,
+    places,
+    real_array,
+    refuse_unit,
+    vector,
+)
+from contactqp.exchange.files import Ledger, Path, is_number, one_line, read_bytes, read_text, wrong
+from contactqp.exchange.numpy_files import NUMPY, ZIP
+from contactqp.exchange.tables import HEAD, Table, begins_with, is_table, read_tables
+from contactqp.exchange.text_matrices import is_matrix_market
+from contactqp.model.problem import ContactProblem
+from contactqp.model.unknown_names import axis_called
+
+JSON = "JSON"
+COMPONENTS = "friction_components"
+OBJECT = "a JSON file with displacement and normal_force"
+
+
+def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """The one answer in a JSON file, alone or as the only one in a list.
+
+    Raises
+    ------
+    InvalidProblem
+        No JSON, no part of an answer in it, a key twice, values that are no numbers, names that are not the problem's.
+    """
+    data = load_json(path, OBJECT)
+    if isinstance(data, list):
+        if len(data) != 1 or not isinstance(data[0], dict):
+            got = "a list of numbers" if not any(isinstance(one, dict) for one in data) else f"{len(data)} in a list"
+            cure = "; one is printed by contactqp run CASE --method M --json" if len(data) > 1 else ""
+            raise wrong(path, "content", 'one answer, such as {"displacement": [...]}', got + cure)
+        data = data[0]
+    if not isinstance(data, dict):
+        raise wrong(path, "content", OBJECT, type(data).__name__)
+    of_program = answer_of_names(path, problem, data)
+    if of_program is not None:
+        return of_program
+    ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
+    for key, values in data.items():
+        part = part_called(key) if key != COMPONENTS else "friction_force"
+        refuse_unit(path, key)
+        if part == "friction_force" and key != COMPONENTS and _along_axes(values):
+            if COMPONENTS not in data:
+                raise wrong(path, key, "one or two components a contact, along the rows of E_T", "vectors along axes")
+            part = None
+        if part is None or values is None:
+            ledger.ignored.append(f"{key:.60}")
+            continue
+        if part in parts:
+            raise wrong(path, key, "every part once", f"{part} twice")
+        if isinstance(values, dict):
+            found = real_array(path, key, list(values.values()))
+            if part == "tie_force":
+                tie_names = tuple(values)
+            else:
+                found = found[places(path, key, list(values), names_of(problem, part), ledger)]
+            named.add(part)
+        elif isinstance(values, list):
+            found = real_array(path, key, values)
+        else:
+            raise wrong(path, key, "a list, or values by name", f"{values!r:.40}")
+        parts[part] = vector(path, part, found)
+        ledger.read.append(f"{part}: {len(found)} values {'by name' if part in named else 'in order'}")
+    if not parts:
+        raise wrong(path, "content", OBJECT, f"the keys {', '.join(data)!s:.100}")
+    return AnswerFile(parts, ledger, frozenset(named), tie_names)
+
+
+def _along_axes(values: Any) -> bool:
+    return isinstance(values, dict) and any(isinstance(one, dict) for one in values.values())
+
+
+def load_json(path: Path, expected: str) -> Any:
+    """What a JSON file holds.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no JSON, a key twice in one object.
+    """
+    text = read_text(path, expected)
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for k, key in enumerate(keys) if key in keys[:k])
+            raise wrong(path, f"{twice:.60}", "every key once", "it twice")
+        return found
+
+    try:
+        return json.loads(text, object_pairs_hook=once)
+    except InvalidProblem:
+        raise
+    except RecursionError:
+        raise wrong(path, "content", expected, "JSON nested beyond reading") from None
+    except ValueError as error:
+        raise wrong(path, "content", "JSON", one_line(error)) from None
+
+
+def is_json_answer(head: bytes) -> bool:
+    """Whether first bytes begin an object, alone or as the first in a list."""
+    return head.removeprefix(BOM_UTF8).replace(b"[", b" ", 1).lstrip()[:1] == b"{"
+
+
+JSON_READER = AnswerReader(JSON, (".json",), read_json_answer, known=is_json_answer)
+
+# Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
+#
+# dof,displacement or node,x,y,z (or ux, U1, D1, ..., rotx, UR1) contact,normal_force[,friction_force |
+# ,friction_1,friction_2] tie,tie_force
+
+TABLE = "CSV with named columns"
+KEYS = ("dof", "unknown", "node", "contact", "tie")
+Held = dict[str, NDArray[np.float64]]
+# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...; reactions of
+# supports, and coefficients, are none.
+LIKE_FORCES = re.compile(
+    r"(?!react|.*coefficient$).*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|^f_?[nct]"
+)
+FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
+
+
+def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """What the tables of a CSV file hold.
+
+    Raises
+    ------
+    InvalidProblem
+        As `read_tables`; a table that says nothing of an answer, a part twice, names that are not the problem's.
+    """
+    ledger = Ledger(str(path))
+    found: Held = {}
+    tie_names: tuple[str, ...] | None = None
+    for table in read_tables(path, KEYS):
+        held = _by_node(table, problem, ledger) if table.columns[0] == "node" else _by_name(table, problem, ledger)
+        twice = next((part for part in held if part in found), None)
+        if twice is not None:
+            raise wrong(path, twice, "every part once", "a second table of it")
+        found |= held
+        tie_names = tuple(table.column("tie")) if "tie_force" in held else tie_names
+    if not found:
+        raise wrong(path, "content", "a table of displacement or normal_force", "none")
+    ledger.read.extend(f"{part}: {len(values)} values by name" for part, values in found.items())
+    return AnswerFile(found, ledger, frozenset(found), tie_names)
+
+
+def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
+    """Displacements along the axes, of unknowns that are called node.axis."""
+    names: list[str] = []
+    values: list[float] = []
+    nodes = table.column("node")
+    for column in table.columns[1:]:
+        axis = axis_called(column)
+        if axis is None:
+            refuse_unit(table.path, column, axis_called)
+            _refuse_forces(table, column)
+            ledger.ignored.append(f"column {column:.60}")
+            continue
+        names += [f"{node}.{axis}" for node in nodes]
+        values += table.numbers(column)
+    if not names:
+        return {}
+    part = "displacement"
+    order = places(table.path, part, names, names_of(problem, part), ledger)
+    return {part: np.array(values)[order]}
+
+
+def _refuse_forces(table: Table, column: str) -> None:
+    """Refuse a column of forces that would be ignored: an answer whose forces are not read may be right without them.
+
+    Raises
+    ------
+    InvalidProblem
+        The column's name is one of forces, as far as names tell.
+    """
+    if part_called(column) is None and LIKE_FORCES.match(column.strip().lower()) is None:
+        return
+    of_contacts = table.columns[0] == "contact"
+    expected = "normal_force or friction_force" if of_contacts else "forces in a table whose first column is contact"
+    raise wrong(table.path, f"column {column:.60}", expected, f"it in a table by {table.columns[0]}")
+
+
+def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
+    wanted = {"contact": ("normal_force", "normal_pressure"), "tie": ("tie_force",)}
+    belongs = wanted.get(table.columns[0], ("displacement",))
+    columns: dict[str, list[str]] = {}
+    friction: list[str] = []
+    for column in table.columns[1:]:
+        part = part_called(column)
+        if _is_friction(table, column):
+            friction.append(column)
+        elif part in belongs:
+            columns[part] = [column, *columns.get(part, [])]
+        else:
+            refuse_unit(table.path, column, lambda name: part_called(name) in belongs or _is_friction(table, name))
+            _refuse_forces(table, column)
+            ledger.ignored.append(f"column {column:.60}")
+    if friction:
+        columns["friction_force"] = sorted(friction) if all(name[-1].isdecimal() for name in friction) else friction
+    held: Held = {}
+    given = table.column(table.columns[0])
+    for part, names in columns.items():
+        if part != "friction_force" and len(names) > 1:
+            raise wrong(table.path, part, "one column", ", ".join(names)[:100])
+        values = np.array([table.numbers(name) for name in names]).T.reshape(len(given), len(names))
+        if part != "tie_force":
+            values = values[places(table.path, part, given, names_of(problem, part), ledger)]
+        held[part] = values if part == "friction_force" else values[:, 0]
+    return held
+
+
+def _is_friction(table: Table, column: str) -> bool:
+    return table.columns[0] == "contact" and FRICTION.fullmatch(column) is not None
+
+
+TABLE_READER = AnswerReader(TABLE, (".csv",), read_table_answer, known=lambda head: begins_with(head, KEYS))
+
+
+ARRAYS = "displacement or normal_force"
+
+
+def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """The arrays of an archive that are parts of an answer.
+
+    Raises
+    ------
+    InvalidProblem
+        A damaged archive, none of the names, arrays of anything but numbers.
+    """
+    arrays = numpy_files.read_npz(path, none_for_objects=True)
+    of_program = answer_of_names(path, problem, arrays)
+    if of_program is not None:
+        return of_program
+    ledger = Ledger(str(path))
+    parts: dict[str, NDArray[np.float64]] = {}
+    for name, values in arrays.items():
+        part = part_called(name)
+        if part is None:
+            refuse_unit(path, name)
+            ledger.ignored.append(f"{name:.60}")
+            continue
+        if part in parts:
+            raise wrong(path, name, "every part once", f"{part} twice")
+        parts[part] = vector(path, part, real_array(path, name, values))
+        ledger.read.append(f"{part}: {name}, {len(parts[part])} values in order")
+    if not parts:
+        raise wrong(path, "content", f"arrays called {ARRAYS}", "none of them")
+    return AnswerFile(parts, ledger)
+
+
+def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """One array from any format that matrices come in; its part by the file's name, or by its length.
+
+    Raises
+    ------
+    InvalidProblem
+        No array, or one of a length that may be either or neither.
+    """
+    _refuse_table(path)
+    source = matrix_files.read_matrix(path)
+    ledger, part = source.ledger, part_called(FilePath(path).stem)
+    values = real_array(path, part or "content", _dense(path, source.matrix))
+    columns = [part_called(label) for label in source.labels or ()]
+    if len(columns) == 1 and columns[0] is not None:
+        part = columns[0]
+    if part is None:
+        part = _by_length(path, values.size, problem)
+        ledger.assumed.append(f"{values.size} numbers: {part}, by their length")
+    return AnswerFile({part: vector(path, part, values)}, ledger)
+
+
+def _refuse_table(path: Path) -> None:
+    """Refuse a table whose first column is none that is known, in words of tables."""
+    head = read_bytes(path, ARRAYS, HEAD)
+    if matrix_files.reader_of(path) is not text_matrices.TEXT or b"\0" in head:
+        return
+    lines = head.decode("utf-8-sig", "replace").splitlines()[:2]
+    cells = [[cell.strip().strip('"') for cell in re.split("[,;\t]", line)] for line in lines]
+    if len(cells) == 2 and len(cells[0]) > 1 and not any(map(is_number, cells[0])) and not is_number(cells[1][0]):
+        expected = "dof, node, contact or tie as the first column of a table with names"
+        raise wrong(path, "first line", expected, f"{lines[0].strip()!r:.60}")
+
+
+def _by_length(path: Path, size: int, problem: ContactProblem) -> str:
+    n, m = problem.dimension, problem.contacts
+    if n != m and size in (n, m):
+        return "displacement" if size == n else "normal_force"
+    expected = f"{n} displacements or {m} normal forces"
+    if n == m and size == n:
+        raise wrong(path, "content", f"a file called displacement or normal_force ({expected})", f"{size} numbers")
+    raise wrong(path, "content", expected, f"{size} numbers")
+
+
+def _dense(path: Path, matrix: Any) -> Any:
+    """A sparse column as a vector; a sparse matrix of any other shape is no part of an answer."""
+    if not sp.issparse(matrix):
+        return matrix
+    if min(matrix.shape) > 3:
+        raise wrong(path, "content", "a vector", f"a sparse matrix of shape {matrix.shape}")
+    return np.asarray(matrix.toarray())
+
+
+def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """The files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
+    ledger, named, tie_names = Ledger(str(path)), frozenset[str](), None
+    parts: dict[str, NDArray[np.float64]] = {}
+    for file in sorted(FilePath(path).iterdir()):
+        part = part_called(file.stem)
+        if part is None or file.is_dir():
+            ledger.ignored.append(file.name)
+            continue
+        if part in parts:
+            raise wrong(path, file.name, "every part once", f"{part} twice")
+        table = any(is_table(file, key) for key in KEYS)
+        found = (read_table_answer if table else read_array_answer)(file, problem)
+        if set(found.parts) != {part}:
+            raise wrong(path, file.name, f"{part} and nothing else", ", ".join(found.parts))
+        parts |= found.parts
+        named |= found.named
+        tie_names = found.tie_names or tie_names
+        for kind, line in found.ledger:
+            getattr(ledger, kind).append(f"{file.name}: {line}")
+    if not parts:
+        raise wrong(path, "folder", f"files called {ARRAYS}", "none of them")
+    return AnswerFile(parts, ledger, named, tie_names)
+
+
+ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, known=lambda head: head.startswith((ZIP, b"PK\x05\x06")))
+ARRAY = AnswerReader(
+    "an array (.npy, .mtx, text)",
+    (".npy", ".mtx", ".txt"),
+    read_array_answer,
+    known=lambda head: head.startswith(NUMPY) or is_matrix_market(head),
+)

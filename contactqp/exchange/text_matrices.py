@@ -1,0 +1,255 @@
+"""Matrices as text: Matrix Market (Boisvert, Pozo, Remington 1996), and tables of numbers as plain text or CSV.
+
+    %%MatrixMarket matrix coordinate|array real|integer general|symmetric|skew-symmetric
+    % comments
+    rows columns [entries]
+    row column value     or     value, column by column
+
+What a Matrix Market file states of its size is held against its bytes before anything is made. SciPy's reader, written
+in C++, ends the interpreter on some damaged files, and so is not asked. In plain text a line is a row, its numbers
+apart by commas, semicolons or blanks.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import Unsupported
+from contactqp.exchange.files import (
+    Ledger,
+    Path,
+    check_rows,
+    file_size,
+    is_number,
+    no_number,
+    number,
+    refuse_utf_16,
+    wrong,
+)
+from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
+
+BANNER = b"%%MatrixMarket"
+MATRIX_MARKET_NAME = "Matrix Market"
+# The fewest bytes of a value and its line break, and of an entry "1 1 1".
+VALUE, ENTRY = 2, 6
+PLAIN = re.compile(rb"[\s\d.+\-eE]*")
+LONGEST_LINE, BLOCK = 2**16, 2**20
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the first lines say."""
+
+    form: str
+    symmetry: str
+    rows: int
+    columns: int
+    entries: int  # that follow
+
+
+def read_matrix_market(path: Path) -> MatrixFile:
+    """A matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored twice add up.
+
+    Raises
+    ------
+    InvalidProblem
+        No Matrix Market, sizes that the file cannot hold, too few or too many numbers, an index outside.
+    Unsupported
+        Complex numbers, a pattern without values.
+    """
+    size = file_size(path, MATRIX_MARKET_NAME)
+    with open(path, "rb") as file:
+        head = _head(path, size, file)
+        words = head.entries * (3 if head.form == "coordinate" else 1)
+        values = _numbers(path, file, words)
+    matrix = _coordinates(path, head, values) if head.form == "coordinate" else _array(head, values)
+    ledger = Ledger(str(path))
+    if head.form == "coordinate":
+        say_sums(ledger, head.entries, _different(head, values))
+    ledger.read.append(f"{MATRIX_MARKET_NAME}, {head.form}: {head.rows} by {head.columns}")
+    if head.symmetry != "general":
+        ledger.converted.append(f"{head.symmetry}: the other half of the matrix was filled in")
+    return MatrixFile(matrix, None, ledger)
+
+
+def _head(path: Path, size: int, file: BinaryIO) -> Head:
+    words = file.readline(LONGEST_LINE).decode("latin-1").split()
+    line = file.readline(LONGEST_LINE)
+    while line and (line.startswith(b"%") or not line.strip()):
+        line = file.readline(LONGEST_LINE)
+    if len(words) != 5 or words[0].lower() != BANNER.decode().lower() or words[1].lower() != "matrix":
+        raise wrong(path, "first line", f"{BANNER.decode()} matrix ...", repr(" ".join(words)[:60]))
+    form, field, symmetry = (word.lower() for word in words[2:])
+    if form not in ("coordinate", "array"):
+        raise wrong(path, "first line", "coordinate or array", repr(form[:20]))
+    if field in ("complex", "pattern") or symmetry == "hermitian":
+        raise Unsupported(f"{path}: first line: expected real numbers, got {field} {symmetry:.20}")
+    if field not in ("real", "integer", "double", "unsigned-integer"):
+        raise wrong(path, "first line", "real or integer", repr(field[:20]))
+    if symmetry not in ("general", "symmetric", "skew-symmetric"):
+        raise wrong(path, "first line", "general, symmetric or skew-symmetric", repr(symmetry[:20]))
+    return _sizes(path, size, form, symmetry, line)
+
+
+def _sizes(path: Path, size: int, form: str, symmetry: str, line: bytes) -> Head:
+    try:
+        sizes = [int(word) for word in line.split()]
+    except ValueError:
+        sizes = []
+    if len(sizes) != (2 if form == "array" else 3) or min(sizes) < 0 or max(sizes) >= 2**62:
+        expected = "rows and columns" if form == "array" else "rows, columns and entries"
+        raise wrong(path, "sizes", expected, repr(line[:60].decode("latin-1").strip()))
+    rows, columns = sizes[:2]
+    if symmetry != "general" and rows != columns:
+        raise wrong(path, "sizes", f"a square matrix, as it is {symmetry}", f"{rows} by {columns}")
+    check_rows(path, "sizes", rows)
+    on_diagonal = {"general": 0, "symmetric": 1, "skew-symmetric": -1}[symmetry]
+    whole = rows * columns if not on_diagonal else rows * (rows + on_diagonal) // 2
+    entries = sizes[2] if form == "coordinate" else whole
+    if entries * (VALUE if form == "array" else ENTRY) > size + VALUE:
+        raise wrong(path, "sizes", f"what a file of {size} bytes can hold", f"{entries} entries")
+    return Head(form, symmetry, rows, columns, entries)
+
+
+def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
+    """The numbers that follow, which must be this many."""
+    found = array("d")
+    while block := file.read(BLOCK):
+        block += file.readline(LONGEST_LINE)
+        words = block.decode("latin-1").split()
+        try:
+            found.extend(map(float if PLAIN.fullmatch(block) else number, words))
+        except ValueError:
+            bad = next(word for word in words if not is_number(word))
+            raise no_number(path, "entries", bad) from None
+        if len(found) > count:
+            break
+    if len(found) != count:
+        raise wrong(path, "entries", f"{count} numbers", "more" if len(found) > count else len(found))
+    return np.array(found)
+
+
+def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_array:
+    row, column, x = values.reshape(-1, 3).T
+    for what, index, most in (("row", row, head.rows), ("column", column, head.columns)):
+        bad = np.flatnonzero(~((index >= 1) & (index <= most) & (index == np.floor(index))))
+        if bad.size:
+            raise wrong(path, f"entry {bad[0] + 1}, {what}", f"a number from 1 to {most}", f"{index[bad[0]]:.17g}")
+    i, j = row.astype(np.int64) - 1, column.astype(np.int64) - 1
+    if head.symmetry != "general":
+        other = i != j
+        if np.any(i < j) and np.any(i > j):
+            raise wrong(path, "entries", f"one half of a {head.symmetry} matrix", "both sides of the diagonal")
+        sign = 1.0 if head.symmetry == "symmetric" else -1.0
+        i, j, x = np.r_[i, j[other]], np.r_[j, i[other]], np.r_[x, sign * x[other]]
+    return sp.csr_array(sp.coo_array((x, (i, j)), shape=(head.rows, head.columns)))
+
+
+def _different(head: Head, values: NDArray[np.float64]) -> int:
+    """How many places of the matrix are in the list."""
+    row, column = values.reshape(-1, 3)[:, :2].astype(np.int64).T
+    order = np.lexsort((column, row))
+    row, column = row[order], column[order]
+    return int(np.count_nonzero((np.diff(row) != 0) | (np.diff(column) != 0))) + (head.entries > 0)
+
+
+def _array(head: Head, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    if head.symmetry == "general":
+        return values.reshape((head.rows, head.columns), order="F")
+    dense = np.zeros((head.rows, head.columns))
+    upper = np.triu_indices(head.rows, 0 if head.symmetry == "symmetric" else 1)  # a lower half column by column
+    dense.T[upper] = values
+    dense[upper] = values if head.symmetry == "symmetric" else -values
+    return dense
+
+
+def is_matrix_market(head: bytes) -> bool:
+    return head[: len(BANNER)].lower() == BANNER.lower()
+
+
+MATRIX_MARKET = MatrixReader(MATRIX_MARKET_NAME, (".mtx", ".mm"), read_matrix_market, known=is_matrix_market)
+
+TEXT_NAME = "text or CSV"
+EXPECTED = "numbers in text or CSV"
+# A row of a million numbers; what has no line breaks at all is no table.
+LONGEST_TEXT_LINE = 2**24
+COMMENTS = ("#", "%", "//")
+COMMA_IN_NUMBER = re.compile(r"\d,\d")
+SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
+
+
+def read_text_matrix(path: Path) -> MatrixFile:
+    """A dense matrix; a first line of names is what its unknowns are called. Comments begin with # or %.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, a word that is no number (where, which), rows of different lengths, nothing at all.
+    """
+    ledger, values, width, header = Ledger(str(path)), array("d"), 0, None
+    for line, words in _rows(path):
+        if not width and header is None and not any(is_number(word) for word in words):
+            header = words
+            continue
+        width = width or len(words)
+        if len(words) != width:
+            raise wrong(path, f"line {line}", f"{width} numbers, as in the lines before", len(words))
+        values.extend(_numbers_of_line(path, line, words))
+    if not width:
+        raise wrong(path, "content", EXPECTED, "no number")
+    matrix: NDArray[np.float64] = np.frombuffer(values, dtype=float).reshape(-1, width)
+    ledger.read.append(f"{TEXT_NAME}: {matrix.shape[0]} by {width}")
+    labels = None
+    if header is not None:
+        ledger.read.append(f"first line: {len(header)} names, such as {header[0]!r:.40}")
+        labels = tuple(header) if len(header) == width else None
+        if labels is None:
+            raise wrong(path, "first line", f"{width} names, one a column", len(header))
+    return MatrixFile(matrix, labels, ledger)
+
+
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """The words of every line that has any, with its number."""
+    file_size(path, EXPECTED)
+    with open(path, "rb") as file:
+        place = 0
+        while line := file.readline(LONGEST_TEXT_LINE):
+            place += 1
+            if place == 1:
+                refuse_utf_16(path, line)
+            if b"\0" in line:
+                raise wrong(path, f"line {place}", EXPECTED, "the byte 0x00: a binary file")
+            if len(line) == LONGEST_TEXT_LINE and not line.endswith(b"\n"):
+                raise wrong(path, f"line {place}", f"at most {LONGEST_TEXT_LINE} bytes", "more")
+            try:
+                text = line.decode("utf-8-sig" if place == 1 else "utf-8")
+            except UnicodeDecodeError as error:
+                raise wrong(path, f"line {place}", EXPECTED, f"the byte 0x{line[error.start]:02x}") from None
+            for mark in COMMENTS:
+                text = text.partition(mark)[0]
+            text = text.strip().rstrip(",;")
+            if COMMA_IN_NUMBER.search(text) and (";" in text or "\t" in text):
+                raise wrong(
+                    path, f"line {place}", "one mark between numbers", "two: decimal commas? numbers have points"
+                )
+            if text:
+                yield place, SEPARATORS.split(text)
+
+
+def _numbers_of_line(path: Path, line: int, words: list[str]) -> list[float]:
+    try:
+        return [number(word) for word in words]
+    except ValueError:
+        bad = next(word for word in words if not is_number(word))
+        raise no_number(path, f"line {line}", bad) from None
+
+
+TEXT = MatrixReader(TEXT_NAME, (".csv", ".txt", ".dat", ".asc", ".tsv"), read_text_matrix)
