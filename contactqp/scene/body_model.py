@@ -36,8 +36,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.body_geometry import body_mesh, nearest_node
-from contactqp.scene.obstacles import height_of, obstacle
-from contactqp.scene.start import warn_of_start
+from contactqp.scene.obstacles import height_of, obstacle, warn_of_start
 from contactqp.scene.units import number, vector
 from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 

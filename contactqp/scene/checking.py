@@ -1,4 +1,7 @@
-"""What a scene's parts must have in common: names that exist, lengths that are not zero, loads on free unknowns."""
+"""Check that the parts of a scene fit each other: names exist, lengths are not zero, loads act on free unknowns.
+
+Meshes are not read before the scene is built.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,10 @@ from typing import TYPE_CHECKING
 from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import ROTATION, refuse_zero_direction, refuse_zero_length
-from contactqp.scene.checking_bodies import check_bodies, obstacles_exist_in
-from contactqp.scene.checking_claims import claims_fit
+from contactqp.scene.checking_analyses import claims_fit, control_fits, motion_fits, path_fits
 from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.units import KINDS, Dimension
-from contactqp.scene.unknowns import Unknowns, is_rotation, load_names, start_values, unknowns_of
+from contactqp.scene.unknowns import Unknowns, is_rotation, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, Tie
@@ -307,119 +309,128 @@ def _obstacles_are_surfaces(scene: SceneData) -> None:
             )
 
 
-def control_fits(scene: SceneData, unknowns: Unknowns) -> None:
-    """Raise SceneError if the path's control does not fit the scene."""
-    path = scene.path
-    if path is None or path.control in (None, "load"):
-        return
-    if path.corners is not None:
-        raise SceneError(f"path.corners: expected none with control = {path.control!r}, whose load factor follows")
-    for i, contact in enumerate(scene.contacts):
-        if contact.friction:
+# What only scenes of nodes have beside their elements, and what takes its place.
+_OF_NODES = {
+    "ties": "ties between bodies are not offered yet",
+    "fixed": "'supports' hold bodies",
+    "line_loads": "they act on strings",
+    "loads": "'tractions', 'pressures' and 'point_loads' act on bodies",
+}
+# The dimensions that an obstacle exists in.
+_DIMENSIONS = {"plane": (2, 3), "circle": (2,), "sphere": (3,), "cylinder": (3,), "paraboloid": (2, 3)}
+
+
+def check_bodies(scene: SceneData) -> None:
+    """Raise SceneError at the first part that does not fit the others."""
+    beside = {key: kind.beside_bodies for key, kind in BLOCKS.items()}
+    for key, instead in {"nodes": "", **beside, **_OF_NODES}.items():
+        if getattr(scene, key):
+            instead = instead or f"bodies and {key} in one scene are not offered yet"
+            raise SceneError(f"{key}: expected none in a scene of bodies: {instead}")
+    if scene.axes not in (("x", "y"), ("x", "y", "z")):
+        raise SceneError(f"axes: expected ['x', 'y'] or ['x', 'y', 'z'] in a scene of bodies, got {list(scene.axes)}")
+    if scene.membranes:
+        _membranes_fit(scene)
+    _models_fit(scene)
+    _bodies_exist(scene)
+    _obstacles_exist(scene)
+    for i, support in enumerate(scene.supports):
+        refuse_unknown(f"supports[{i}].axis ({support.name!r})", support.axis, scene.axes, "axis")
+        if scene.path is not None and support.value is not None and support.value.si:
             raise SceneError(
-                f"contacts[{i}].friction ({contact.name!r}): expected none with control = {path.control!r}: friction "
-                "needs control = 'load'"
+                f"supports[{i}].value ({support.name!r}): expected 0 with a load path, which makes loads grow and "
+                f"prescribed displacements not, got {support.value}"
             )
-    if path.controlled is not None and path.controlled not in unknowns.free:
-        fixed = " among those that are free" if path.controlled in unknowns.fixed else ""
-        raise SceneError(f"path.controlled: {no_such(path.controlled, unknowns.free, 'unknown')}{fixed}")
+    loaded = scene.tractions or scene.pressures or scene.point_loads or scene.gravity
+    if scene.path is not None and not loaded:
+        raise SceneError("path: expected loads that grow along it, got none")
 
 
-def motion_fits(scene: SceneData, unknowns: Unknowns) -> None:
-    """Raise SceneError at the first part that does not fit the motion."""
-    if scene.motion is None:
-        return
-    if scene.path is not None:
-        raise SceneError("motion: expected [motion] or [path], got both")
-    if scene.study:
-        raise SceneError("study: expected none in a motion, whose steps have no knob to sweep")
-    for i, contact in enumerate(scene.contacts):
-        if contact.slip_origin is not None:
+def _membranes_fit(scene: SceneData) -> None:
+    """Refuse membranes outside of the plane z = 0 of a scene in space, and beside bodies."""
+    if scene.bodies:
+        raise SceneError("membranes: expected none beside bodies, which are not offered together")
+    if len(scene.axes) != 3:
+        raise SceneError(
+            f"axes: expected ['x', 'y', 'z'] with membranes, which deflect along z, got {list(scene.axes)}"
+        )
+    for i, membrane in enumerate(scene.membranes):
+        if membrane.shape is not None and membrane.shape.dimension != 2:
             raise SceneError(
-                f"contacts[{i}].slip_origin ({contact.name!r}): expected none in a motion, which finds it itself"
+                f"membranes[{i}].shape ({membrane.name!r}): expected a plane shape, got {membrane.shape.kind!r}"
             )
     for i, support in enumerate(scene.supports):
-        if support.value is not None and support.value.si:
+        if support.axis != "z":
             raise SceneError(
-                f"supports[{i}].value ({support.name!r}): expected 0 in a motion, which holds supports still, got "
-                f"{support.value}"
+                f"supports[{i}].axis ({support.name!r}): expected 'z' for a membrane, got {support.axis!r}"
             )
-    _has_mass(scene)
-    _starts_fit(scene, unknowns)
+    if scene.gravity is not None:
+        raise SceneError("gravity: expected none, membranes have no mass")
 
 
-def _has_mass(scene: SceneData) -> None:
-    if scene.membranes:
-        raise SceneError("membranes: expected none in a motion, they have no mass")
-    for where, element in scene.elements:
-        element.check_motion(where)
+def _models_fit(scene: SceneData) -> None:
+    round_ones = [body.model == "axisymmetric" for body in scene.bodies]
     for i, body in enumerate(scene.bodies):
-        where = f"bodies[{i}].density ({body.name!r})"
-        if body.density is None:
-            raise SceneError(f'{where}: expected in a motion, as in "7850 kg/m^3", and missing')
-        if not body.density.si:
-            raise SceneError(f"{where}: expected a positive number in a motion, got {body.density}")
-    if not scene.bodies and not any(element.has_mass for _, element in scene.elements):
-        raise SceneError("motion: expected a bar, body or point mass that has mass, got none")
+        where = f"bodies[{i}].model ({body.name!r})"
+        if (body.model == "3d") != (len(scene.axes) == 3):
+            raise SceneError(f"{where}: expected a model for the axes {list(scene.axes)}, got {body.model!r}")
+        if round_ones[i] != round_ones[0]:
+            raise SceneError(f"{where}: expected axisymmetric bodies only, or none, got {body.model!r}")
+        if scene.gravity is not None and body.density is None:
+            raise SceneError(f"bodies[{i}].density ({body.name!r}): expected, since there is gravity, and missing")
 
 
-def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
-    assert scene.motion is not None
-    for key in ("displacements", "velocities"):
-        seen: dict[str, str] = {}
-        for i, item in enumerate(getattr(scene.motion, key)):
-            where = f"motion.{key}[{i}]"
-            _one_thing(scene, f"{where}.of", item.of, unknowns)
-            expected = 1 if item.of in unknowns.names else len(scene.axes)
-            for name in ("value", "to"):
-                vector = getattr(item, name)
-                if vector is not None and len(vector) != expected:
-                    raise SceneError(f"{where}.{name} ({item.of!r}): expected {expected} components, got {len(vector)}")
-            if item.to is not None and item.of not in {bar.name for bar in scene.bars}:
-                raise SceneError(f"{where}.to ({item.of!r}): expected of a bar only, along which it is linear")
-            for name, value in start_values(scene, item):
-                if name in seen:
-                    raise SceneError(f"{where} ({item.of!r}): expected {name!r} once, got it in {seen[name]} too")
-                seen[name] = where
-                if name in unknowns.fixed and value:
-                    raise SceneError(f"{where} ({item.of!r}): expected 0 for {name!r}, which is fixed")
-
-
-def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> None:
-    if scene.meshed:
-        known = {"body": [body.name for body in scene.bodies]}
-    else:
-        known = {"bar": [bar.name for bar in scene.bars], "node": [*scene.every_node], "unknown": [*unknowns.names]}
-    kinds = [kind for kind, names in known.items() if name in names]
-    if not kinds:
-        raise SceneError(
-            f"{where}: {no_such(name, [n for names in known.values() for n in names], ' or '.join(known))}"
-        )
-    if len(kinds) > 1:
-        raise SceneError(f"{where}: expected a name of one thing, got {name!r}, a {' and a '.join(kinds)}")
-
-
-def path_fits(scene: SceneData) -> None:
-    """Raise SceneError at the first corner that does not fit the loads, or load that no corner names."""
-    if scene.path is None:
-        return
+def _places(scene: SceneData) -> Iterator[tuple[str, str]]:
+    """Yield every key that names an elastic body, and the body."""
+    for key, name in (("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
+        for i, item in enumerate(getattr(scene, key)):
+            yield f"{key}[{i}].{name} ({item.name!r})", item.body
     for i, contact in enumerate(scene.contacts):
-        if contact.slip_origin is not None:
+        for j, side in enumerate(contact.touching_sides):
+            key = f"contacts[{i}].sides[{j}]" if contact.sides else f"contacts[{i}].side"
+            yield f"{key} ({contact.name!r})", side.partition(".")[0]
+
+
+def _bodies_exist(scene: SceneData) -> None:
+    known = [body.name for body in scene.bodies]
+    for key, name in _places(scene):
+        refuse_unknown(key, name, known, "body")
+    meshed = [body.name for body in scene.meshed]
+    for i, support in enumerate(scene.supports):
+        refuse_unknown(f"supports[{i}].on ({support.name!r})", support.body, meshed, "body")
+    for i, contact in enumerate(scene.contacts):
+        if contact.membrane is not None:
+            membranes = [membrane.name for membrane in scene.membranes]
+            refuse_unknown(f"contacts[{i}].membrane ({contact.name!r})", contact.membrane, membranes, "membrane")
+
+
+def obstacles_exist_in(scene: SceneData) -> None:
+    """Refuse obstacles that the scene has not enough dimensions for, or too many."""
+    d = len(scene.axes)
+    for i, obstacle in enumerate(scene.obstacles):
+        if d not in _DIMENSIONS[obstacle.kind]:
             raise SceneError(
-                f"contacts[{i}].slip_origin ({contact.name!r}): expected none with a load path, which finds it itself"
+                f"obstacles[{i}].kind ({obstacle.name!r}): a {obstacle.kind} does not exist in {d} dimensions"
             )
-    if scene.path.corners is None:
-        return
-    loads = list(load_names(scene))
-    for key, name in loads:
-        if name is None:
-            raise SceneError(f"{key}.name: expected, since the load path has corners, and missing")
-    known = {str(name): None for _, name in loads}
-    for i, corner in enumerate(scene.path.corners):
-        for name in corner:
-            refuse_unknown(f"path.corners[{i}]", name, known, "load")
-    for key, name in loads:
-        if not any(name in corner for corner in scene.path.corners):
-            raise SceneError(
-                f"path.corners: expected every load in one corner or more, and {name!r} ({key}) is in none"
-            )
+
+
+def _obstacles_exist(scene: SceneData) -> None:
+    known = [obstacle.name for obstacle in scene.obstacles]
+    obstacles_exist_in(scene)
+    for i, contact in enumerate(scene.contacts):
+        where = f"contacts[{i}]"
+        if contact.touched:
+            raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
+        if contact.obstacle is not None:
+            refuse_unknown(f"{where}.obstacle ({contact.name!r})", contact.obstacle, known, "obstacle")
+        if contact.sides is not None:
+            _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
+
+
+def _pairs_fit(scene: SceneData, where: str, sides: tuple[str, ...], pairing: str | None) -> None:
+    first, second = (scene.body(side.partition(".")[0]) for side in sides)
+    thicknesses = [None if body.thickness is None else body.thickness.si for body in (first, second)]
+    if thicknesses[0] != thicknesses[1]:
+        raise SceneError(f"{where}: expected bodies of one thickness, got {first.thickness} and {second.thickness}")
+    if first.model == "axisymmetric" and pairing == "mortar":
+        raise SceneError(f"{where}: expected the pairing 'node-to-segment' between axisymmetric bodies, got 'mortar'")

@@ -1,4 +1,7 @@
-"""Whether what a case says of its answer fits the scene: names, quantities, instants and methods that exist."""
+"""Check that the path or the motion of a scene, and what a case says of its answer, fit the scene.
+
+Names, quantities, instants and methods must exist.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,131 @@ from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import QUANTITIES, Claim
-from contactqp.scene.fields import no_such
+from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.units import Quantity
-from contactqp.scene.unknowns import Unknowns, end_time
+from contactqp.scene.unknowns import Unknowns, end_time, load_names, start_values
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData
+
+
+def path_fits(scene: SceneData) -> None:
+    """Raise SceneError at the first corner that does not fit the loads, or load that no corner names."""
+    if scene.path is None:
+        return
+    for i, contact in enumerate(scene.contacts):
+        if contact.slip_origin is not None:
+            raise SceneError(
+                f"contacts[{i}].slip_origin ({contact.name!r}): expected none with a load path, which finds it itself"
+            )
+    if scene.path.corners is None:
+        return
+    loads = list(load_names(scene))
+    for key, name in loads:
+        if name is None:
+            raise SceneError(f"{key}.name: expected, since the load path has corners, and missing")
+    known = {str(name): None for _, name in loads}
+    for i, corner in enumerate(scene.path.corners):
+        for name in corner:
+            refuse_unknown(f"path.corners[{i}]", name, known, "load")
+    for key, name in loads:
+        if not any(name in corner for corner in scene.path.corners):
+            raise SceneError(
+                f"path.corners: expected every load in one corner or more, and {name!r} ({key}) is in none"
+            )
+
+
+def control_fits(scene: SceneData, unknowns: Unknowns) -> None:
+    """Raise SceneError if the path's control does not fit the scene."""
+    path = scene.path
+    if path is None or path.control in (None, "load"):
+        return
+    if path.corners is not None:
+        raise SceneError(f"path.corners: expected none with control = {path.control!r}, whose load factor follows")
+    for i, contact in enumerate(scene.contacts):
+        if contact.friction:
+            raise SceneError(
+                f"contacts[{i}].friction ({contact.name!r}): expected none with control = {path.control!r}: friction "
+                "needs control = 'load'"
+            )
+    if path.controlled is not None and path.controlled not in unknowns.free:
+        fixed = " among those that are free" if path.controlled in unknowns.fixed else ""
+        raise SceneError(f"path.controlled: {no_such(path.controlled, unknowns.free, 'unknown')}{fixed}")
+
+
+def motion_fits(scene: SceneData, unknowns: Unknowns) -> None:
+    """Raise SceneError at the first part that does not fit the motion."""
+    if scene.motion is None:
+        return
+    if scene.path is not None:
+        raise SceneError("motion: expected [motion] or [path], got both")
+    if scene.study:
+        raise SceneError("study: expected none in a motion, whose steps have no knob to sweep")
+    for i, contact in enumerate(scene.contacts):
+        if contact.slip_origin is not None:
+            raise SceneError(
+                f"contacts[{i}].slip_origin ({contact.name!r}): expected none in a motion, which finds it itself"
+            )
+    for i, support in enumerate(scene.supports):
+        if support.value is not None and support.value.si:
+            raise SceneError(
+                f"supports[{i}].value ({support.name!r}): expected 0 in a motion, which holds supports still, got "
+                f"{support.value}"
+            )
+    _has_mass(scene)
+    _starts_fit(scene, unknowns)
+
+
+def _has_mass(scene: SceneData) -> None:
+    if scene.membranes:
+        raise SceneError("membranes: expected none in a motion, they have no mass")
+    for where, element in scene.elements:
+        element.check_motion(where)
+    for i, body in enumerate(scene.bodies):
+        where = f"bodies[{i}].density ({body.name!r})"
+        if body.density is None:
+            raise SceneError(f'{where}: expected in a motion, as in "7850 kg/m^3", and missing')
+        if not body.density.si:
+            raise SceneError(f"{where}: expected a positive number in a motion, got {body.density}")
+    if not scene.bodies and not any(element.has_mass for _, element in scene.elements):
+        raise SceneError("motion: expected a bar, body or point mass that has mass, got none")
+
+
+def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
+    assert scene.motion is not None
+    for key in ("displacements", "velocities"):
+        seen: dict[str, str] = {}
+        for i, item in enumerate(getattr(scene.motion, key)):
+            where = f"motion.{key}[{i}]"
+            _one_thing(scene, f"{where}.of", item.of, unknowns)
+            expected = 1 if item.of in unknowns.names else len(scene.axes)
+            for name in ("value", "to"):
+                vector = getattr(item, name)
+                if vector is not None and len(vector) != expected:
+                    raise SceneError(f"{where}.{name} ({item.of!r}): expected {expected} components, got {len(vector)}")
+            if item.to is not None and item.of not in {bar.name for bar in scene.bars}:
+                raise SceneError(f"{where}.to ({item.of!r}): expected of a bar only, along which it is linear")
+            for name, value in start_values(scene, item):
+                if name in seen:
+                    raise SceneError(f"{where} ({item.of!r}): expected {name!r} once, got it in {seen[name]} too")
+                seen[name] = where
+                if name in unknowns.fixed and value:
+                    raise SceneError(f"{where} ({item.of!r}): expected 0 for {name!r}, which is fixed")
+
+
+def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> None:
+    if scene.meshed:
+        known = {"body": [body.name for body in scene.bodies]}
+    else:
+        known = {"bar": [bar.name for bar in scene.bars], "node": [*scene.every_node], "unknown": [*unknowns.names]}
+    kinds = [kind for kind, names in known.items() if name in names]
+    if not kinds:
+        raise SceneError(
+            f"{where}: {no_such(name, [n for names in known.values() for n in names], ' or '.join(known))}"
+        )
+    if len(kinds) > 1:
+        raise SceneError(f"{where}: expected a name of one thing, got {name!r}, a {' and a '.join(kinds)}")
 
 
 @dataclass(frozen=True)
