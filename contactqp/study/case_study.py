@@ -20,7 +20,7 @@ from contactqp.scene.judging import answer_of, compare_expectation
 from contactqp.scene.scene import Scene, follow, load_scene
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
-from contactqp.study.attempt import FollowHistory, Timing, answer, timing
+from contactqp.study.comparison import FollowHistory, Timing, answer, timing
 from contactqp.study.rows import Row
 from contactqp.study.running.journal import digest
 from contactqp.study.settings import (

@@ -22,8 +22,8 @@ from contactqp.linalg.schur import LastBlock
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
-from contactqp.study.attempt import LONG, VISIT, VISIT_CALLS, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.comparison import LONG, VISIT, VISIT_CALLS, Timing, crashed, timed
 from contactqp.study.conclusion import BODY
 from contactqp.study.footprint import Footprint, measure
 from contactqp.study.report_data import CaseRecord, record, unjudged

@@ -1,21 +1,357 @@
-"""`compare`: solve one problem by many methods; a table of errors, run times and verdicts."""
+"""Solve by a method with a setting, time it and compare the answer with the truth; `compare` tries many methods."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.errors import InvalidProblem
+from contactqp.errors import (
+    BackendFailed,
+    BackendMissing,
+    ContactQPError,
+    InvalidProblem,
+    NotCertified,
+    NotConverged,
+    Unsupported,
+)
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.model.summary import Printed
-from contactqp.study.attempt import attempt
-from contactqp.study.rows import Row, as_dicts, text_table, to_csv
-from contactqp.study.settings import chosen_methods, single_settings
-from contactqp.study.truth import Reference, truth_of, truth_of_reference
+from contactqp.solving.solve import seconds_to_answer, solve
+from contactqp.study import rows
+from contactqp.study.rows import Row, as_dicts, finite, text_table, to_csv
+from contactqp.study.settings import (
+    STIFFNESSES,
+    Setting,
+    chosen_methods,
+    condensable,
+    contact_stiffness,
+    single_settings,
+)
+from contactqp.study.truth import ERROR_TOLERANCE, Errors, Reference, Truth, truth_of, truth_of_reference
+
+# A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
+GENEROSITY = 100.0
+# A first call that takes longer [s] is its own timing: what it imports no longer matters beside it.
+LONG = 2.0
+# Timed calls of a setting one after the other, before it is the turn of the next: at most so many, in so many seconds.
+VISIT_CALLS, VISIT = 2, 5e-3
+# Run times of which a spread is told, at least.
+FEWEST_SPREAD = 2
+
+# Maps a solution to the expectations of its case that it misses; None where nothing was compared.
+Judge = Callable[[Solution], Sequence[str] | None]
+# Maps a problem, a method's name and its options to the last solution of a load path or a motion.
+FollowHistory = Callable[..., Solution]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The outcome of one call of solve: a solution, an error, or an error that carries its solution."""
+
+    solution: Solution | None
+    error: ContactQPError | None
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Run times of one setting [s], one for each call after the warm-up."""
+
+    seconds: tuple[float, ...]
+    warm: bool = True  # False: one call, which was its own warm-up
+
+
+def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repeats: int = 1) -> Row:
+    """Solve with one setting and time it, in this process.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    truth : Truth or None
+        The solution that errors are measured against; without one they are None.
+    repeats : int
+        Timed calls after the first, at most; none where that took seconds.
+    """
+    row = answer(problem, setting, truth)
+    if row.seconds is None or row.seconds >= LONG or not repeats:
+        return row
+    return timed(row, [timing(problem, setting, row.seconds) for _ in range(repeats)])
+
+
+def answer(
+    problem: ContactProblem,
+    setting: Setting,
+    truth: Truth | None,
+    case: str = "",
+    judge: Judge | None = None,
+    follow: FollowHistory | None = None,
+) -> Row:
+    """Return the row of one setting by its first call, whose time may include imports.
+
+    Every call gets a fresh problem, so that no method profits from the factorisation of another.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    truth : Truth or None
+        The solution that errors are measured against; without one they are None.
+    case : str
+        Name of the case, for the row.
+    judge : callable, optional
+        Returns the expectations of the case that a solution misses.
+    follow : callable, optional
+        Called in place of solve where the answer depends on the history that leads to it.
+    """
+    outcome = call(problem, setting, follow)
+    unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
+    return _row(problem, setting, outcome, truth, case, unmet)
+
+
+def timing(
+    problem: ContactProblem,
+    setting: Setting,
+    first: float,
+    follow: FollowHistory | None = None,
+    warm: bool = True,
+) -> Timing:
+    """Return run times of one setting: those of a few short calls, or of one long call.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    first : float
+        Time that a call took before [s], in this process or another.
+    follow : callable, optional
+        Called in place of solve where the answer depends on the history that leads to it.
+    warm : bool
+        Whether the modules of the method are imported already; else a first call is not timed.
+    """
+    if first >= LONG:
+        return Timing((_seconds(problem, setting, follow),), warm=False)
+    if not warm:
+        _seconds(problem, setting, follow)
+    times: list[float] = []
+    while len(times) < VISIT_CALLS and sum(times) < VISIT:
+        times.append(_seconds(problem, setting, follow))
+    return Timing(tuple(times))
+
+
+def _seconds(problem: ContactProblem, setting: Setting, follow: FollowHistory | None) -> float:
+    """Return the time of one call to the answer [s], whose certificate the row has from another call."""
+    if follow is None and isinstance(problem, ContactProblem):
+        try:
+            seconds = seconds_to_answer(problem.afresh(), setting.method.name, **setting.options)
+        except ContactQPError:
+            seconds = None
+        if seconds is not None:
+            return seconds
+    return call(problem, setting, follow).seconds
+
+
+def timed(row: Row, timings: Sequence[Timing]) -> Row:
+    """Return the row with the median of its run times, and their spread where there are several."""
+    times = [seconds for one in timings for seconds in one.seconds]
+    middle = statistics.median(times)
+    warm = sum(len(one.seconds) for one in timings if one.warm)
+    return replace(row, seconds=middle, repeats=warm, seconds_spread=_spread(times))
+
+
+def _spread(times: Sequence[float]) -> float | None:
+    """Return the distance of the quartiles over the median, None of a single one.
+
+    >>> _spread([1.0, 2.0, 2.0, 3.0])
+    0.25
+    """
+    if len(times) < FEWEST_SPREAD:
+        return None
+    lower, middle, upper = statistics.quantiles(times, n=4, method="inclusive")
+    return (upper - lower) / middle
+
+
+def crashed(problem: ContactProblem, setting: Setting, case: str, message: str) -> Row:
+    """Return the row of a setting whose process died or was stopped.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    setting : Setting
+    case : str
+        Name of the case.
+    message : str
+        Why there is no answer.
+    """
+    return Row(**_setting_columns(problem, setting, case), verdict=rows.CRASHED, message=message)
+
+
+def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None = None) -> Outcome:
+    """Call solve once, or `follow`, and time it.
+
+    Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] is that to the answer: the
+    certificate and the raw answer are not counted, except in `follow`, where each step is certified on the way.
+    """
+    fresh = problem.afresh()  # shares no factorisation with it
+    solution: Solution | None = None
+    error: ContactQPError | None = None
+    started = time.perf_counter()
+    try:
+        solution = (follow or solve)(fresh, setting.method.name, **setting.options)
+    except ContactQPError as raised:
+        solution, error = getattr(raised, "solution", None), raised
+    seconds = time.perf_counter() - started
+    if solution is not None and follow is None:
+        seconds = solution.seconds - solution.certify_seconds
+    return Outcome(solution, error, seconds)
+
+
+def _row(
+    problem: ContactProblem,
+    setting: Setting,
+    outcome: Outcome,
+    truth: Truth | None,
+    case: str,
+    unmet: Sequence[str] | None,
+) -> Row:
+    solution = outcome.solution
+    columns = _setting_columns(problem, setting, case)
+    if not isinstance(outcome.error, BackendMissing | Unsupported):
+        columns |= dict(seconds=outcome.seconds)
+    errors = raw_errors = None
+    if solution is not None:
+        raw = solution.raw
+        if truth is not None:
+            errors = truth.errors(solution.displacement, solution.normal_force, solution.tie_force)
+            raw_errors = truth.errors(raw.displacement, raw.normal_force, raw.tie_force) if raw else None
+        columns |= _certificate_columns(solution.certificate) | _work_columns(solution)
+    claimed = _claimed(setting, outcome)
+    columns |= _error_columns(errors, raw_errors)
+    if errors is not None:
+        columns |= dict(error_asked=_asked(setting, errors))
+    columns |= dict(claimed=claimed, flag_wrong=_flag_wrong(setting, claimed, raw_errors or errors))
+    if unmet is not None:
+        columns |= dict(expectations_unmet=len(unmet))
+    return Row(**columns, verdict=_verdict(setting, outcome, errors), message=_message(outcome, unmet))
+
+
+def _setting_columns(problem: ContactProblem, setting: Setting, case: str) -> dict[str, Any]:
+    method = setting.method
+    condensed = rows.CONDENSED if condensable(problem, method) else ""
+    return dict(
+        case=case,
+        method=method.name,
+        kind=method.kind,
+        promises_exact=method.exact,
+        variant=setting.variant,
+        condensed=rows.WHOLE if setting.whole else condensed,
+        knob=setting.knob,
+        knob_value=setting.value,
+        knob_stiffnesses=_stiffnesses(problem, setting),
+        unknowns=problem.dimension,
+        contacts=problem.contacts,
+    )
+
+
+def _stiffnesses(problem: ContactProblem, setting: Setting) -> float | None:
+    if setting.knob not in STIFFNESSES or setting.value is None:
+        return None
+    return finite(setting.value / contact_stiffness(problem))
+
+
+_VERDICTS_OF_ERRORS = (
+    (BackendMissing, rows.MISSING),
+    (Unsupported, rows.UNSUPPORTED),
+    (BackendFailed, rows.BACKEND_FAILED),
+    (NotConverged, rows.NOT_CONVERGED),
+    (ContactQPError, rows.REFUSED),
+)
+
+
+def _verdict(setting: Setting, outcome: Outcome, errors: Errors | None) -> str:
+    if outcome.error is not None:
+        return next(verdict for kind, verdict in _VERDICTS_OF_ERRORS if isinstance(outcome.error, kind))
+    if outcome.solution is None or not outcome.solution.certificate.passed:
+        return rows.REFUSED if setting.method.exact else rows.APPROXIMATE
+    return rows.RIGHT if errors is None or errors.small else rows.WRONG
+
+
+def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
+    """Return whether the method itself called its answer solved; None for the active set, whose answer is refined."""
+    solution = outcome.solution
+    if solution is None or setting.method.kind == "active set":
+        return None
+    return solution.raw.claimed if solution.raw else not isinstance(outcome.error, NotConverged)
+
+
+def _flag_wrong(setting: Setting, claimed: bool | None, errors: Errors | None) -> bool | None:
+    """Return whether an answer was claimed and is worse than both the error tolerance and what was asked allow."""
+    if claimed is None or errors is None or not setting.method.exact:
+        return None
+    return claimed and errors.judged > _asked(setting, errors)
+
+
+def _asked(setting: Setting, errors: Errors) -> float:
+    return max(ERROR_TOLERANCE, GENEROSITY * setting.tolerance) + errors.allowance
+
+
+def _certificate_columns(certificate: Certificate) -> dict[str, Any]:
+    worst = max(FIGURES, key=lambda name: float(getattr(certificate, name)))
+    return dict(
+        certificate_passed=certificate.passed,
+        certificate_proven=certificate.proven,
+        certificate_basis=certificate.basis,
+        certificate_worst=finite(getattr(certificate, worst)),
+        certificate_figure=worst,
+        bound_displacement=finite(certificate.energy_error),
+        bound_force=finite(certificate.force_error),
+    )
+
+
+def _work_columns(solution: Solution) -> dict[str, Any]:
+    work = solution.work
+    return dict(
+        iterations=work.iterations,
+        factorisations=work.factorisations,
+        back_substitutions=work.back_substitutions,
+        polish_corrections=work.polish_corrections,
+    )
+
+
+def _error_columns(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
+    columns: dict[str, Any] = {}
+    if errors is not None:
+        columns |= dict(
+            error_displacement=finite(errors.displacement),
+            error_displacement_max=finite(errors.displacement_max),
+            error_force=finite(errors.force),
+            error_measure=errors.measure,
+            error_judged=finite(errors.judged),
+            error_allowed=errors.allowed,
+        )
+    if raw is not None:
+        columns |= dict(raw_error_displacement=finite(raw.displacement), raw_error_force=finite(raw.force))
+    return columns
+
+
+def _message(outcome: Outcome, unmet: Sequence[str] | None) -> str:
+    if isinstance(outcome.error, BackendMissing):
+        return str(outcome.error).rpartition(": ")[2]
+    messages = ["expected otherwise: " + "; ".join(unmet)] if unmet else []
+    if outcome.error is not None:
+        messages.append(str(outcome.error))
+    elif outcome.solution is not None:
+        messages.extend(outcome.solution.certificate.failures)
+    if outcome.solution is not None and isinstance(outcome.error, NotCertified) and outcome.solution.raw is not None:
+        messages.append(f"raw: {outcome.solution.raw.status}")
+    return "; ".join(messages)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study.case_study import CaseStudy, load_studies
-from contactqp.study.changes import changes, read_report
 from contactqp.study.collecting import Collector, Rounds
 from contactqp.study.conclusion import conclude
 from contactqp.study.delivery import (
@@ -32,10 +31,10 @@ from contactqp.study.delivery import (
     workshop,
     write,
 )
+from contactqp.study.page.case_view import stability_bars
 from contactqp.study.page.render import missing_packages, render
-from contactqp.study.page.stability_bars import stability_bars
 from contactqp.study.report_charts import case_charts, overview_charts
-from contactqp.study.report_data import ReportData, Summary, as_json, summarise
+from contactqp.study.report_data import ReportData, Summary, as_json, changes, read_report, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of

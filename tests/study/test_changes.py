@@ -10,7 +10,7 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.study import reporting as report
-from contactqp.study.changes import changes, read_report
+from contactqp.study.report_data import changes, read_report
 from contactqp.study.rows import Row, as_dicts
 from tests.study.statistics_examples import right, wrong
 

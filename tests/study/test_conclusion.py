@@ -14,7 +14,7 @@ import pytest
 from contactqp.study import report_data, rows
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
-from contactqp.study.attempt import Timing, timed
+from contactqp.study.comparison import Timing, timed
 from contactqp.study.conclusion import HEADINGS, conclude
 from contactqp.study.rows import Row, readable
 from contactqp.study.running.runner import Running

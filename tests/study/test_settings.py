@@ -11,8 +11,8 @@ import contactqp as cq
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import find
 from contactqp.study import settings
-from contactqp.study.attempt import attempt
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.comparison import attempt
 
 CASES = Path(__file__).parents[2] / "cases"
 

@@ -21,6 +21,7 @@ from contactqp.study.page.case_view import (
     FACETS,
     CaseView,
     Line,
+    StabilityBars,
     Table,
     case_view,
     facets_of,
@@ -28,7 +29,6 @@ from contactqp.study.page.case_view import (
     plain_table,
     table_of_chart,
 )
-from contactqp.study.page.stability_bars import StabilityBars
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
 from contactqp.study.telling import left_out_lines

@@ -15,7 +15,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import answer
+from contactqp.study.comparison import answer
 from contactqp.study.rows import Row, as_dicts, column, columns_of, finite
 from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash

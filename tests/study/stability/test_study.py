@@ -21,7 +21,7 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
-from contactqp.study.page.stability_bars import stability_bars
+from contactqp.study.page.case_view import stability_bars
 from contactqp.study.running.journal import Crash
 from contactqp.study.running.runner import Stopped
 from contactqp.study.settings import condensable
