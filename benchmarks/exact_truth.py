@@ -18,8 +18,7 @@ import numpy as np
 from flint import arb, arb_mat, fmpq_mat
 
 from contactqp.linalg.rational import column, floats, matrix, solve_any, stack, take
-from contactqp.oracle.exact.complementarity import Reduced, reduce_problem
-from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
+from contactqp.oracle.exact.rational_problem import RationalProblem, Reduced, of_floats, reduce_problem
 
 # Bits for norms of rational vectors: their cancellation costs at most twice the digits of the condition number.
 PRECISION = 600

@@ -208,7 +208,7 @@ def gallery_command(
     elif listed:
         print_gallery(console(), chosen)
     elif form == "qpbenchmark" and folder is not None:
-        from contactqp.oracle.gallery.qpbenchmark import write_qpbenchmark
+        from contactqp.oracle.gallery.gallery import write_qpbenchmark
 
         written, count = write_qpbenchmark(folder, chosen)
         left_out = f"; {len(chosen) - count} with friction are no quadratic programs" if count < len(chosen) else ""

@@ -22,8 +22,7 @@ from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
-from contactqp.oracle.foreign.judged_contacts import JudgedContact, contacts_table, judged_contacts
-from contactqp.oracle.foreign.judging import judge, right_answer
+from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judge, judged_contacts, right_answer
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,7 +15,7 @@ from benchmarks.bricks import few_bits
 from benchmarks.exact_truth import condition, find_truth
 from benchmarks.problem_families import FAMILIES, family
 from contactqp.linalg.rational import NoSolution, floats, matrix, null_space, number
-from contactqp.oracle.exact.complementarity import lemke
+from contactqp.oracle.exact.rational_problem import lemke
 
 SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]
 FREE = ("floating", "lattice_free", "lattice_in", "lifted", "stack", "summed", "pushed", "unstrained", "interference")

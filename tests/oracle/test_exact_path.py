@@ -11,9 +11,9 @@ from flint import fmpq, fmpq_mat
 
 import contactqp as cq
 from contactqp.linalg.rational import column, fractions, zeros
-from contactqp.oracle.exact.closed_set import Combination, System, system_of
 from contactqp.oracle.exact.exact_path import LooseRates, follow
-from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, of_floats
+from contactqp.oracle.exact.rational_equilibrium import Combination, System, system_of
+from contactqp.oracle.exact.rational_problem import RationalAnswer, RationalProblem, of_floats
 from tests.shipped_cases import SCENES
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"

@@ -22,9 +22,17 @@ from contactqp.linalg.rational import (
     solve_any,
     zeros,
 )
-from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
-from contactqp.oracle.exact.complementarity import Family, lemke
-from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
+from contactqp.oracle.exact.rational_equilibrium import Combination, balance, balanced, settle, system_of
+from contactqp.oracle.exact.rational_problem import (
+    STATEMENTS,
+    Family,
+    RationalAnswer,
+    RationalProblem,
+    lemke,
+    of_floats,
+    status,
+    wrong,
+)
 from tests.examples import truss
 
 LEAST = fmpq(1, 10**40)

@@ -36,8 +36,7 @@ def test_which_contacts_push_is_decided_beneath_the_rounding_of_doubles(seed):
     """Of the seeds that are named, refinement used to stop before it could tell."""
     pytest.importorskip("flint")
     from contactqp.linalg.rational import floats
-    from contactqp.oracle.exact.complementarity import reduce_problem
-    from contactqp.oracle.exact.exact_problem import of_floats
+    from contactqp.oracle.exact.rational_problem import of_floats, reduce_problem
 
     problem = chains(seed)
     solution = cq.solve(problem)

@@ -119,8 +119,7 @@ def test_forces_are_those_of_the_springs_whose_sums_k_rounds(seed: int) -> None:
     exactly. Ten decades of stiffness apart the blocks' answer is that of the latter to the last digits."""
     flint = pytest.importorskip("flint")
     from contactqp.linalg.rational import floats, rational
-    from contactqp.oracle.exact.complementarity import reduce_problem
-    from contactqp.oracle.exact.exact_problem import of_floats
+    from contactqp.oracle.exact.rational_problem import of_floats, reduce_problem
 
     rng = np.random.default_rng(seed)
     count, wide = 3, int(rng.integers(2, 5))

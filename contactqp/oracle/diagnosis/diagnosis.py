@@ -32,7 +32,7 @@ from contactqp.oracle.diagnosis.mix_ups import duplicates, one_value, shares, sh
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.judged_contacts import JudgedContact
+from contactqp.oracle.foreign.judging import JudgedContact
 from contactqp.oracle.foreign.recovery import missing_parts
 from contactqp.solving.solve import solve
 

@@ -21,8 +21,8 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.judged_contacts import slips
 from contactqp.oracle.foreign.judging import judge
+from contactqp.oracle.foreign.recovery import slips
 
 # One thing that is wrong with an answer.
 

@@ -18,7 +18,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation, Finding, unit_of
-from contactqp.oracle.foreign.judged_contacts import slips
+from contactqp.oracle.foreign.recovery import slips
 
 # Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
 MET = 1e-6

@@ -257,7 +257,7 @@ def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
 
 
 def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclosed:
-    """The system of `contactqp.oracle.exact.closed_set` in balls."""
+    """The system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
     n, m = len(balls.f), len(balls.g)
     closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
     stuck = [i for i in closed if states[i] == "stick"]

@@ -134,8 +134,8 @@ def _asked(problem: ContactProblem, source: str, method: str, options: dict[str,
 
 def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
     from contactqp.oracle.exact.enclosed_answer import prove_by_enclosure
-    from contactqp.oracle.exact.exact_problem import of_floats
     from contactqp.oracle.exact.rational_answer import Indefinite, prove
+    from contactqp.oracle.exact.rational_problem import of_floats
 
     size = asked.problem.dimension + asked.problem.contacts + asked.problem.ties
     small = size <= (RATIONAL_WITH_FRICTION if asked.problem.frictional else RATIONAL)
@@ -191,8 +191,8 @@ def _of_scene(
         if scene.path is not None:
             at_end = at_end.replace(load=model.load_at(end_time(scene)))
         return _of_floats(_asked(at_end, BODY, method, options, started), enclose)
-    from contactqp.oracle.exact.exact_problem import of_scene
     from contactqp.oracle.exact.rational_answer import prove, prove_path
+    from contactqp.oracle.exact.rational_problem import of_scene
     from contactqp.scene.building import NodeModel as Nodes
 
     assert isinstance(model, Nodes)  # a scene without meshes is one of nodes

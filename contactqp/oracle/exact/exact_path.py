@@ -24,9 +24,9 @@ from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Uns
 from contactqp.linalg.exact_algebra import Polyhedron, dot
 from contactqp.linalg.rational import beside, fraction, is_zero, null_space, stack, take, zeros
 from contactqp.model.coulomb import CLOSED, OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
-from contactqp.oracle.exact.closed_set import Combination, System, system_of
-from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
 from contactqp.oracle.exact.exact_solution import ExactEvent
+from contactqp.oracle.exact.rational_equilibrium import Combination, System, system_of
+from contactqp.oracle.exact.rational_problem import RationalAnswer, RationalProblem, wrong
 
 # Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
 

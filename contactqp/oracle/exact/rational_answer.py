@@ -24,11 +24,10 @@ from contactqp.linalg.rational import NoSolution, Undecided, dot, fraction, is_s
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
 from contactqp.model.unknown_names import describe_motion
-from contactqp.oracle.exact.closed_set import Settled, settle
-from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
 from contactqp.oracle.exact.exact_path import follow
-from contactqp.oracle.exact.exact_problem import RationalProblem, status
 from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
+from contactqp.oracle.exact.rational_equilibrium import Proposal, Settled, settle, settle_with_friction
+from contactqp.oracle.exact.rational_problem import RationalProblem, status
 from contactqp.solving.solve import solve
 
 # Lemke's method, asked where no proposed set holds, takes seconds for some hundred pivots.

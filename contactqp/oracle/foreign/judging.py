@@ -1,20 +1,30 @@
-"""A given answer, completed and certified; of two ways to complete it the one that passes."""
+"""Judge a given answer: complete and certify it, find the right one, and say contact by contact what is wrong.
+
+Of several ways to complete an answer the one that passes is taken; of several equilibria the one nearest to what was
+given is the right one.
+"""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.measures import lengths_that_meet
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.recovery import Recovery, recoveries
+from contactqp.oracle.foreign.recovery import Recovery, recoveries, slips
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
 
@@ -26,7 +36,7 @@ def judge(
     error_tolerance: float = 1e-6,
     factorization: Condensation | None = None,
 ) -> tuple[Certificate, Recovery]:
-    """The certificate of the first completion that passes, or else of the first.
+    """Return the certificate of the first completion that passes, or else of the first one, and the completion.
 
     Raises
     ------
@@ -47,14 +57,12 @@ def judge(
     return first
 
 
-# The right answer to set beside a wrong one; of several equilibria the one nearest to what was given.
-
 # Contacts of which all combinations of open, stick and slip are tried.
 FEW = 6
 
 
 def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
-    """A certified solution.
+    """Return a certified solution; of several equilibria the one nearest to the answer, in the energy scale.
 
     Raises
     ------
@@ -74,8 +82,151 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
 
 
 def _from(problem: ContactProblem, answer: Answer) -> Solution:
-    """What Newton's method finds from the answer."""
+    """Return the equilibrium that Newton's method finds from the answer."""
     if (near := near_one(problem)) is not None:
         return of_problem(near, _from(near.problem, near.answer(answer)))
     start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
     return begin(problem, start=start).finish()
+
+
+OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
+# Without bounds, forces and gaps that differ by less than this part of the largest are the same.
+SAME = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedContact(ReadOnly):
+    """One contact of somebody's answer that is wrong, in the problem's units, forces positive in compression."""
+
+    name: str
+    index: int
+    figure: str  # what is broken most: a figure of the certificate, or "force", "gap" beside the right ones
+    size: float  # of it, dimensionless
+    normal_force: float
+    gap: float  # positive when open
+    friction_force: NDArray[np.float64] | None  # (d-1,)
+    slip: NDArray[np.float64] | None
+    right_normal_force: float | None  # None where no right answer was found
+    right_gap: float | None
+    right_friction_force: NDArray[np.float64] | None
+    right_slip: NDArray[np.float64] | None
+
+    def data(self) -> dict[str, Any]:
+        """Return the contact as plain data for JSON; what is not finite is null."""
+        return {
+            "contact": self.name,
+            "index": self.index,
+            "figure": self.figure,
+            "size": _plain(self.size),
+            "normal_force": _plain(self.normal_force),
+            "gap": _plain(self.gap),
+            "friction_force": _plain(self.friction_force),
+            "slip": _plain(self.slip),
+            "right_normal_force": _plain(self.right_normal_force),
+            "right_gap": _plain(self.right_gap),
+            "right_friction_force": _plain(self.right_friction_force),
+            "right_slip": _plain(self.right_slip),
+        }
+
+
+def _plain(value: Any) -> Any:
+    if value is None:
+        return None
+    if np.ndim(value):
+        return [_plain(float(one)) for one in value]
+    return float(value) if np.isfinite(value) else None
+
+
+def judged_contacts(
+    problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
+) -> tuple[JudgedContact, ...]:
+    """Return the wrong contacts of an answer that is refused, worst first."""
+    names, table = _measures(problem, answer, certificate, right)
+    largest = np.max(table, axis=0, initial=0.0)
+    wrong = np.flatnonzero(largest > certificate.tolerance)
+    order = wrong[np.argsort(-largest[wrong], kind="stable")]
+    gap, slip = problem.gap - problem.normal @ answer.displacement, slips(problem, answer.displacement)
+    return tuple(
+        JudgedContact(
+            name=problem.contact_name(int(i)),
+            index=int(i),
+            figure=names[int(np.argmax(table[:, i]))],
+            size=float(largest[i]),
+            normal_force=float(answer.normal_force[i]),
+            gap=float(gap[i]),
+            friction_force=_of(answer.friction_force, i),
+            slip=_of(slip, i),
+            right_normal_force=None if right is None else float(right.normal_force[i]),
+            right_gap=None if right is None else float(right.gap[i]),
+            right_friction_force=None if right is None else _of(right.friction_force, i),
+            right_slip=None if right is None else _of(right.slip, i),
+        )
+        for i in order
+    )
+
+
+def _of(values: NDArray[np.float64] | None, i: int) -> NDArray[np.float64] | None:
+    return None if values is None else values[i]
+
+
+def _measures(
+    problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
+) -> tuple[list[str], NDArray[np.float64]]:
+    """Return the names (q,) and the sizes (q, m) of what each contact breaks."""
+    m, found = problem.contacts, certificate.violations
+    if found is None:
+        bad = ~np.isfinite(answer.normal_force)
+        if answer.friction_force is not None:
+            bad |= ~np.all(np.isfinite(answer.friction_force), axis=1)
+        touched = abs(problem.normal) @ (~np.isfinite(answer.displacement)).astype(float) > 0
+        return ["not finite"], np.where(bad | touched, np.inf, 0.0)[None, :]
+    names, table = list(OF_CONTACTS), [getattr(found, name) for name in OF_CONTACTS]
+    if right is not None:
+        redundant = any("redundant" in reason for reason in certificate.reasons) or "forces not unique" in str(
+            right.certificate.uniqueness
+        )
+        if not redundant:
+            names.append("force")
+            table.append(_apart(answer, right))
+        names.append("gap")
+        length = lengths_that_meet(problem, problem.normal, problem.gap, right.displacement)
+        apart = abs(found.gap - right.gap) / np.where(np.isfinite(length), length, np.inf)
+        table.append(np.where(apart > SAME, apart, 0.0))
+    return names, np.array(table).reshape(len(names), m)
+
+
+def _apart(answer: Answer, right: Solution) -> Vector:
+    """Return how far the forces of each contact are from the right ones, as a part of the largest right one."""
+    apart = abs(answer.normal_force - right.normal_force)
+    if answer.friction_force is not None and right.friction_force is not None:
+        apart = np.maximum(apart, np.max(abs(answer.friction_force - right.friction_force), axis=1, initial=0.0))
+    largest = float(np.max(abs(right.normal_force), initial=0.0)) or float(np.max(abs(answer.normal_force), initial=1))
+    relative = apart / largest if largest > 0 else apart
+    return np.where(relative > SAME, relative, 0.0)
+
+
+def contacts_table(problem: ContactProblem, contacts: tuple[JudgedContact, ...], limit: int = 20) -> str:
+    """Return a table of the contacts as text, `limit` of them at most."""
+    if not contacts:
+        return "no contact is wrong"
+    force, length = (f" [{unit}]" if unit else "" for unit in (problem.units.force, problem.units.length))
+    header = ["contact", "what", "size", f"force{force}", "right", f"gap{length}", "right"]
+    frictional = contacts[0].friction_force is not None
+    header += [f"friction{force}", "right"] if frictional else []
+    lines = [header]
+    for one in contacts[:limit]:
+        line = [one.name, one.figure.replace("_", " "), f"{one.size:.2g}"]
+        line += [_number(value) for value in (one.normal_force, one.right_normal_force, one.gap, one.right_gap)]
+        line += [_number(value) for value in (one.friction_force, one.right_friction_force)] if frictional else []
+        lines.append(line)
+    widths = [max(len(line[j]) for line in lines) for j in range(len(header))]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    if len(contacts) > limit:
+        text.append(f"and {len(contacts) - limit} more")
+    return "\n".join(text)
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return "-"
+    return " ".join(f"{one:.6g}" for one in np.atleast_1d(value))

@@ -40,7 +40,6 @@ from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.judged_contacts import slips
 
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
 
@@ -405,3 +404,11 @@ def _held(
         shift, *_ = np.linalg.lstsq(problem.normal[pushing] @ free, ahead.double()[pushing], rcond=1e-12)
         u = u + free @ shift
     return u.double(), found.tie_force.double()
+
+
+def slips(problem: ContactProblem, displacement: Vector) -> NDArray[np.float64] | None:
+    """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return None
+    shape = problem.slip_origin.shape
+    return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
