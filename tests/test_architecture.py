@@ -168,6 +168,11 @@ def test_solving_by_our_own_method_imports_no_backend() -> None:
     assert _run(code) == "[]"
 
 
+def test_a_load_path_imports_nothing_of_motions() -> None:
+    code = "import sys, contactqp.analysis.load_path; print([m for m in sys.modules if 'analysis.motion' in m])"
+    assert _run(code) == "[]"
+
+
 def test_every_pip_command_names_packages_that_pip_finds() -> None:
     """contactqp itself is not published: what is told to install is a checkout or another package."""
     files = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "contactqp").rglob("*.py")]

@@ -9,7 +9,7 @@ without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
 from itertools import chain, combinations, pairwise
@@ -19,7 +19,8 @@ from typing import Any, NoReturn, Protocol, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import ContactQPError, NotConverged, Unsupported
+from contactqp.certificate.idle_rows import ActingRows
+from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.refinement import OnSet, answer_on
 from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
@@ -323,6 +324,40 @@ class LazySolutions(Sequence[Solution]):
         solution = step if isinstance(step, Solution) else step.finish()
         self._steps[index] = solution
         return solution
+
+
+@dataclass(frozen=True, eq=False)
+class OnAllRows:
+    """One solution of a history that was found without idle rows, extended to all rows on first access."""
+
+    rows: ActingRows
+    history: History
+    number: int
+
+    def extended(self, found: Solution) -> Solution:
+        """Return a solution on the acting rows as one of the whole problem."""
+        whole: Solution = self.rows.at(found.problem).solution(found)
+        return whole
+
+    def finish(self) -> Solution:
+        """Return the solution of the whole problem.
+
+        Raises
+        ------
+        NotCertified
+            As the history; `solution` is that of the whole problem.
+        """
+        try:
+            return self.extended(self.history[self.number])
+        except NotCertified as error:
+            if isinstance(error.solution, Solution):
+                error.solution = self.extended(error.solution)
+            raise
+
+
+def events_on_all_rows(rows: ActingRows, history: History) -> Iterator[Event]:
+    """Yield the events of a history without idle rows, with the numbers that contacts have among all rows."""
+    return (replace(event, contact=int(rows.contacts[event.contact])) for event in history.events)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.analysis.idle_history import MotionOfAllRows
+from contactqp.analysis.history import History, LazySolutions, OnAllRows, events_on_all_rows
 from contactqp.analysis.motion.mass_matrix import massless, read_mass, redistributed_mass, touched
-from contactqp.analysis.motion.motion_history import MotionHistory
+from contactqp.analysis.motion.motion_history import MotionHistory, Moving
 from contactqp.analysis.motion.schemes import SCHEMES, find
 from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSettings
 from contactqp.analysis.motion.time_stepping import MotionRun
@@ -21,6 +23,7 @@ from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
+from contactqp.model.solution import Solution
 from contactqp.solving.methods import find as find_method
 from contactqp.solving.methods import registered_name
 
@@ -170,10 +173,10 @@ def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHis
     """Return the motion of a problem, found on the problem without the rows that constrain nothing."""
     rows.refuse_conflict()
     try:
-        return MotionOfAllRows(rows, impact(rows.problem, *start, **given))
+        return _MotionOfAllRows(rows, impact(rows.problem, *start, **given))
     except NotConverged as error:
         if isinstance(error.history, MotionHistory):
-            error.history = MotionOfAllRows(rows, error.history)
+            error.history = _MotionOfAllRows(rows, error.history)
         raise
 
 
@@ -229,3 +232,65 @@ def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -
         return read_vector(f"load at time {instant:g}", load(instant), problem.dimension)
 
     return at
+
+
+class _MovingOnAllRows(OnAllRows):
+    """One instant of a motion, extended to all rows on first access."""
+
+    def extended(self, found: Solution) -> Solution:
+        """Return the instant with forces on all rows; its certificate stays that of its step on the acting rows."""
+        if not isinstance(found, Moving):
+            return super().extended(found)
+        return replace(found, **self.rows.at(found.problem).forces(found))
+
+
+class _MotionOfAllRows(MotionHistory):
+    """A motion that was found without the rows that constrain nothing."""
+
+    def __init__(self, rows: ActingRows, history: MotionHistory) -> None:
+        History.__init__(
+            self,
+            LazySolutions(_MovingOnAllRows(rows, history, k) for k in range(len(history))),
+            history.times.tolist(),
+            lambda: events_on_all_rows(rows, history),
+            energies=lambda: history.energies,
+            notes=lambda: history.notes,
+        )
+        self.motion = history.motion
+        self._rows, self._history = rows, history
+
+    def resume(self, duration: float) -> MotionHistory:
+        """Continue this motion, as `MotionHistory.resume`."""
+        return _MotionOfAllRows(self._rows, self._history.resume(duration))
+
+    def __copy__(self) -> MotionHistory:
+        return _MotionOfAllRows(self._rows, copy.copy(self._history))
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = History.__getstate__(self)
+        del state["motion"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, motion=state["_history"].motion)
+
+    @property
+    def problem(self) -> ContactProblem:
+        """Return the problem of the bodies that move with all its rows."""
+        return self._rows.whole
+
+    @property
+    def normal_forces(self) -> NDArray[np.float64]:
+        """Return the normal forces (steps, m) [force], positive in compression."""
+        return np.asarray(self._rows.normal(self._history.normal_forces))
+
+    @property
+    def friction_forces(self) -> NDArray[np.float64] | None:
+        """Return the friction forces (steps, m, d-1) [force], or None without friction."""
+        force = self._history.friction_forces
+        return None if force is None else np.asarray(self._rows.friction(force))
+
+    @property
+    def tie_forces(self) -> NDArray[np.float64]:
+        """Return the tie forces (steps, k) [force]."""
+        return np.asarray(self._rows.tie(self._history.tie_forces))

@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.friction_path import follow_on_springs, follow_with_friction
-from contactqp.analysis.history import Event, History, LazySolutions, contact_changes, events_of_leg
-from contactqp.analysis.idle_history import of_all_rows
-from contactqp.certificate.idle_rows import acting_rows
+from contactqp.analysis.history import (
+    Event,
+    History,
+    LazySolutions,
+    OnAllRows,
+    contact_changes,
+    events_of_leg,
+    events_on_all_rows,
+)
+from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
@@ -118,7 +125,7 @@ def follow_path(
     refuse_far_from_one("follow_path", problem)
     if (rows := acting_rows(problem)) is not None:
         rows.refuse_conflict()
-        return of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
+        return _of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     with problem.lock, one_blas_thread(problem):
@@ -200,3 +207,14 @@ def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[E
     """Return the contacts that carry a force at one step and none at the one before, or the reverse."""
     states = ((solution.normal_force > 0, np.zeros(len(solution.normal_force), dtype=bool)) for solution in solutions)
     return contact_changes(states, times, lambda i: solutions[0].problem.contact_name(i))
+
+
+def _of_all_rows(rows: ActingRows, history: History) -> History:
+    """Return a path of the problem without idle rows as a path of the whole problem."""
+    return History(
+        LazySolutions(OnAllRows(rows, history, k) for k in range(len(history))),
+        history.times.tolist(),
+        lambda: events_on_all_rows(rows, history),
+        energies=lambda: history.energies,
+        notes=lambda: history.notes,
+    )
