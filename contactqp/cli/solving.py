@@ -284,7 +284,7 @@ def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path
 
     for outcome in found:
         if isinstance(outcome, Judgement) and outcome.trial.engine != SERIAL:
-            from contactqp.distributed.scenes.distributed_bodies import gather
+            from contactqp.distributed.distributed_bodies import gather
 
             gather(outcome.history)
     return files.write(found) if speakers.speaks else []

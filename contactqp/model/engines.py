@@ -30,7 +30,7 @@ class Engine:
 
 
 SERIAL, PETSC = "serial", "petsc"
-_ON_RANKS = "contactqp.distributed.scenes.running_on_ranks"
+_ON_RANKS = "contactqp.distributed.running_on_ranks"
 _TABLE = {
     PETSC: Engine(
         solve="contactqp.distributed.solving:solve_whole",

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 import contactqp as cq
+from contactqp.distributed.distributed_bodies import distributed_model
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.model.solution import Answer
 from contactqp.scene.answers import Instant
 from contactqp.scene.body_answers import BodyAnswer, motions_in_words, summaries

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-import contactqp.distributed.scenes.running_on_ranks as running
+import contactqp.distributed.running_on_ranks as running
 from contactqp.cli import main
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks

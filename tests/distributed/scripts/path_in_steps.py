@@ -12,8 +12,8 @@ import signal
 import sys
 
 import contactqp as cq
+from contactqp.distributed import running_on_ranks
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes import running_on_ranks
 
 case, folder, *killed_at = sys.argv[1:]
 ranks, solve, solved = Ranks(), running_on_ranks.solve_distributed, []

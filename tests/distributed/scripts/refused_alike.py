@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import contactqp as cq
+from contactqp.distributed.distributed_bodies import distributed_model
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.errors import ContactQPError, Unsupported
 from contactqp.scene.building import build
 

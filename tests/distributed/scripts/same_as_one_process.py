@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
+from contactqp.distributed.distributed_bodies import distributed_model
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.linalg.measures import bodies
 from contactqp.scene.building import build
 

@@ -21,11 +21,11 @@ from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, S
 from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.analysis.load_path import DEFAULT_STEPS, changes
 from contactqp.distributed.checkpoint import Checkpoint
+from contactqp.distributed.distributed_bodies import DistributedBodyModel, distributed_model, energies, in_pieces
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.preconditioner import AUTO
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel, distributed_model, energies, in_pieces
 from contactqp.distributed.solving import (
     certified_solution,
     options_on_ranks,

@@ -1,1 +1,0 @@
-"""Case files that are solved on the ranks of MPI."""
