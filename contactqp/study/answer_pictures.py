@@ -22,9 +22,8 @@ from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
 from contactqp.pictures.drawing import figure
-from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, structure_figure
+from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
-from contactqp.pictures.solution_drawing import solution_figure
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
