@@ -24,7 +24,6 @@ from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.comparison import LONG, VISIT, VISIT_CALLS, Timing, crashed, timed
-from contactqp.study.conclusion import BODY
 from contactqp.study.footprint import Footprint, measure
 from contactqp.study.report_data import CaseRecord, record, unjudged
 from contactqp.study.rows import CRASHED, Row
@@ -32,6 +31,7 @@ from contactqp.study.running.journal import Cell, Crash, Journal, Result
 from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Pool, Workers
 from contactqp.study.settings import BRIEF_LADDERS, Setting
+from contactqp.study.statistics import BODY
 from contactqp.study.truth import Truth
 
 # Timed linear solves at most, and the seconds after which their median is good enough.

@@ -18,12 +18,11 @@ import numpy as np
 from contactqp.errors import SceneError
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study import rows
-from contactqp.study.conclusion import BODY
 from contactqp.study.curves import FLOOR, MARKS, Chart, Curve, curves, legend, method_style, rounded
 from contactqp.study.report_charts import QUANTITIES, case_chart, median_chart
 from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
-from contactqp.study.statistics import Route, median_cases, solved
+from contactqp.study.statistics import BODY, Route, median_cases, solved
 
 # Of the cases that come with the package: a bar, a truss with and without friction, a string, a multi-point constraint.
 EXAMPLES = ("bar_wall", "truss_floor", "truss_friction", "string_over_floor", "master_slave_gap")

@@ -15,9 +15,9 @@ from contactqp.study import report_data, rows
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.comparison import Timing, timed
-from contactqp.study.conclusion import HEADINGS, conclude
 from contactqp.study.rows import Row, readable
 from contactqp.study.running.runner import Running
+from contactqp.study.statistics import HEADINGS, conclude
 from tests.study.statistics_examples import gave_up, right, wrong
 
 CASES = Path(__file__).parents[2] / "cases"

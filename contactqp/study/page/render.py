@@ -14,7 +14,6 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from contactqp.scene.schema import PHYSICS
-from contactqp.study.conclusion import conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.delivery import busy
 from contactqp.study.page.case_view import (
@@ -31,6 +30,7 @@ from contactqp.study.page.case_view import (
 )
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
+from contactqp.study.statistics import conclude
 from contactqp.study.telling import left_out_lines
 
 
