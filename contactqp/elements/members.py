@@ -1,4 +1,4 @@
-"""Members between two nodes and point masses: bars, truss bars, springs, strings and plane beams.
+"""Members between two nodes and point masses: bars of trusses, springs, strings and plane beams.
 
 Stiffness matrices act on the displacements of both nodes, those of the first before those of the second. They are
 exact, in Fractions, where all data are rational and the length of the member is.
@@ -11,41 +11,6 @@ from typing import Any
 import numpy as np
 
 from contactqp.elements.scalars import Number, Numbers, square_root, squared_length, unit_vector
-
-
-def bar_stiffness(modulus: Number, area: Number, length: Number) -> Numbers:
-    """Return K = (E A / L) [[1, -1], [-1, 1]] on the axial displacements (u_1, u_2) [force / length].
-
-    Parameters
-    ----------
-    modulus, area, length : Fraction or float
-        E [force / length^2], A [length^2], L [length], all positive.
-
-    Returns
-    -------
-    (2, 2) array [force / length], of Fractions where all three are.
-
-    Notes
-    -----
-    Course chapter, Example 2.5 (a): a bar held at one end has the stiffness E A / L.
-
-    >>> float(bar_stiffness(2.1e8, 15e-4, 2.0)[0, 0])
-    157500.0
-    """
-    return modulus * area / length * np.array([[1, -1], [-1, 1]])
-
-
-def bar_axial_force(modulus: Number, area: Number, length: Number, elongation: Number) -> Number:
-    """Return N = (E A / L) elongation, positive in tension [force].
-
-    Parameters
-    ----------
-    modulus, area, length : Fraction or float
-        E [force / length^2], A [length^2], L [length], all positive.
-    elongation : Fraction or float
-        u_2 - u_1 [length].
-    """
-    return modulus * area / length * elongation
 
 
 def truss_stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers) -> Numbers:
@@ -64,7 +29,7 @@ def truss_stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers)
 
     Notes
     -----
-    Course chapter, Example 2.10. L^2 is kept exact, so an irrational length is rounded once.
+    Course chapter, Examples 2.5 (a) and 2.10. L^2 is kept exact, so an irrational length is rounded once.
 
     >>> from fractions import Fraction
     >>> end = np.array([Fraction(-3), Fraction(4)])
@@ -93,7 +58,8 @@ def truss_axial_force(modulus: Number, area: Number, start: Numbers, end: Number
     d = np.asarray(end) - np.asarray(start)
     square = squared_length(d)
     stretch = np.dot(d, displacement[len(d) :] - displacement[: len(d)])
-    return bar_axial_force(modulus, area, square, stretch)
+    force: Number = modulus * area / square * stretch
+    return force
 
 
 def spring_stiffness(constant: Number, direction: Any) -> Numbers:

@@ -201,7 +201,6 @@ ROUGHLY, NEARER = 0.1, 20.0
 
 # Signs and powers of ten are told from noise by no fewer values.
 ENOUGH = 3
-CONTACT_FORCES = ("normal_force", "friction_force")
 
 
 class _Undone(NamedTuple):
