@@ -5,7 +5,7 @@ A force is a force [force]; a pressure is a force per area [force / length^2]. T
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -230,6 +230,18 @@ class ContactFields:
     def dimension(self) -> int:
         """The dimension d of space, 2 or 3."""
         return self.bodies[0].body.dimension
+
+
+def contact_facets(fields: ContactFields, pairing: PairingFields) -> Iterator[tuple[Reference, Index]]:
+    """Yield the kinds of the boundary facets whose nodes are all contacts, and the contacts (f, n) at their nodes."""
+    for number in np.unique(pairing.body):
+        mesh = fields.bodies[number].body.mesh
+        contact = np.full(len(mesh.points), -1)
+        mine = np.flatnonzero(pairing.body == number)
+        contact[pairing.node[mine]] = mine
+        for block in mesh.facets_of(mesh.boundary):
+            here = contact[block.nodes]
+            yield block.kind, here[(here >= 0).all(axis=1)]
 
 
 def contact_fields(

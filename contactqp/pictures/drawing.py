@@ -16,6 +16,7 @@ from contactqp.pictures.contact_fields import (
     BodyFields,
     ContactFields,
     PairingFields,
+    contact_facets,
     cuts,
     edge_points,
     edges,
@@ -147,16 +148,9 @@ def _add_lines(axes: Any, blocks: tuple[Block, ...], points: Array, name: str, *
 def segments(fields: ContactFields, pairing: PairingFields) -> Index:
     """Return the pairs of contacts (s, 2) at neighbouring nodes on the boundary of their body."""
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for number in np.unique(pairing.body):
-        mesh = fields.bodies[number].body.mesh
-        contact = np.full(len(mesh.points), -1)
-        mine = np.flatnonzero(pairing.body == number)
-        contact[pairing.node[mine]] = mine
-        for block in mesh.facets_of(mesh.boundary):
-            here = contact[block.nodes]
-            inside = here[(here >= 0).all(axis=1)]
-            along = inside[:, [0, 2, 1]] if block.kind.name == "line3" else inside
-            found += [along[:, i : i + 2] for i in range(along.shape[1] - 1)]
+    for kind, inside in contact_facets(fields, pairing):
+        along = inside[:, [0, 2, 1]] if kind.name == "line3" else inside
+        found += [along[:, i : i + 2] for i in range(along.shape[1] - 1)]
     return np.concatenate(found)
 
 

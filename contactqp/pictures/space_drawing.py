@@ -17,6 +17,7 @@ from contactqp.pictures import style
 from contactqp.pictures.contact_fields import (
     ContactFields,
     PairingFields,
+    contact_facets,
     cuts,
     edge_points,
     outline_points,
@@ -128,16 +129,9 @@ def window(at: Array, value: Array) -> tuple[Array, Array]:
 def facets(fields: ContactFields, pairing: PairingFields) -> list[Index]:
     """Return polygons (t, k) of contacts: the boundary facets between them, tri6 and quad9 cut at their nodes."""
     found = []
-    for number in np.unique(pairing.body):
-        mesh = fields.bodies[number].body.mesh
-        contact = np.full(len(mesh.points), -1)
-        mine = np.flatnonzero(pairing.body == number)
-        contact[pairing.node[mine]] = mine
-        for block in mesh.facets_of(mesh.boundary):
-            here = contact[block.nodes]
-            inside = here[(here >= 0).all(axis=1)]
-            parts = np.array(_PARTS[block.kind.name])
-            found.append(inside[:, parts].reshape(-1, parts.shape[1]))
+    for kind, inside in contact_facets(fields, pairing):
+        parts = np.array(_PARTS[kind.name])
+        found.append(inside[:, parts].reshape(-1, parts.shape[1]))
     return [polygons for polygons in found if len(polygons)]
 
 

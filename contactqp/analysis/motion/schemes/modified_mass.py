@@ -64,10 +64,6 @@ class ModifiedMassCentral(TwoStep):
         force[self._bare] = (next_load - internal)[self._bare] - self._coupling @ ahead
         return StepProblem(force, body.problem.gap, None, body.slip_from(u), None, u)
 
-    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
-        found, u = answers[-1], state.displacement
-        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
-
 
 SCHEMES = (
     SchemeEntry(

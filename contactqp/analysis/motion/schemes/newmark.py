@@ -93,10 +93,6 @@ class BackwardEuler(Scheme):
         force = next_load - body.stiffness @ u + self._inertia @ (body.step * state.velocity)
         return StepProblem(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
-    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
-        found, u = answers[-1], state.displacement
-        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
-
 
 SCHEMES = (
     SchemeEntry("modified-mass", lambda body, _: Trapezoidal(body, "modified-mass"), massless_contacts=True),

@@ -30,10 +30,6 @@ class _Central(TwoStep):
         u = state.displacement
         return np.asarray(load - self.body.stiffness @ u + self._inertia @ (u - state.before))
 
-    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
-        found, u = answers[-1], state.displacement
-        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
-
 
 class PaoliSchatzman(_Central):
     """Central differences with contact by a projection, with restitution e."""

@@ -176,9 +176,10 @@ class Scheme(ABC):
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         """Return the next problem of the step from `state`; `answers` are the results of its earlier problems."""
 
-    @abstractmethod
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
-        """Return the state at the end of the step."""
+        """Return the state at the end of the step: by default the last problem's, with v+ = (u+ - u) / h."""
+        found, u = answers[-1], state.displacement
+        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """Return the results that led from one state to the next: what `accept` was given, from what it made of it."""
