@@ -10,7 +10,11 @@ from tests.docs.blocks import ROOT
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 # Files that the page has a reader write.
-TO_BE_WRITTEN = {"contactqp/solving/methods/every_set.py", "contactqp/exchange/triplets.py"}
+TO_BE_WRITTEN = {
+    "contactqp/solving/methods/every_set.py",
+    "contactqp/exchange/triplets.py",
+    "contactqp/elements/nitsche.py",
+}
 
 
 def test_the_rooms_are_those_of_the_contract_from_the_top() -> None:
