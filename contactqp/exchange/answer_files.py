@@ -1,4 +1,4 @@
-"""Somebody's answer to a problem from a file, in whichever format: the registry of those who read them.
+"""Read an answer to a problem from a file of any format: the registry of readers.
 
 A format is one module with a `READER`, and its line in `READERS` here; `register` adds one from outside.
 """
@@ -27,7 +27,7 @@ HEAD = 512
 
 
 def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | None = None) -> AnswerFile:
-    """Somebody's answer: its parts, the ledger, which parts came by name.
+    """Return the answer in a file: its parts, the ledger, and which parts came by name.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def register(reader: AnswerReader) -> None:
 
 
 def reader_of(path: Path) -> AnswerReader:
-    """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain numbers."""
+    """Return the reader of a file: by its contents where they tell, by its suffix, otherwise that of plain numbers."""
     head = read_bytes(path, _expected(), HEAD)
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:

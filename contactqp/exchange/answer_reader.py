@@ -1,4 +1,4 @@
-"""The interface of readers of somebody's answer, and the names that programs give to unknowns."""
+"""The interface of readers of answers, and the names that programs give to unknowns."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class AnswerReader:
 
 
 def part_called(name: str) -> str | None:
-    """Which part of an answer a key, a column or a file of this name holds."""
+    """Return which part of an answer a key, a column or a file of this name holds."""
     plain = name.strip().lower().replace(" ", "_")
     found = ALIASES.get(plain, plain)
     return found if found in PARTS else None
@@ -59,7 +59,7 @@ OF_PROGRAMS = ("x", "y", "z", "z_box")
 
 
 def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any]) -> AnswerFile | None:
-    """The answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
+    """Return the answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def refuse_unit(path: Path, name: str, known: Callable[[str], object] = part_cal
 
 
 def names_of(problem: ContactProblem, part: str) -> list[str]:
-    """What the entries of a part other than tie_force are called in the problem."""
+    """Return what the entries of a part other than tie_force are called in the problem."""
     if part == "displacement":
         return [problem.dof_name(j) for j in range(problem.dimension)]
     return [problem.contact_name(i) for i in range(problem.contacts)]
@@ -148,7 +148,9 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _as_called_here(path: Path, place: Mapping[str, int], names: Sequence[str], ledger: Ledger) -> dict[str, int]:
-    """The same places, under the problem's names where a name is only spelled otherwise: 12.1 or 12.UX for 12.x."""
+    """Return the same places, under the problem's names where a name is only spelled otherwise: 12.1 or 12.UX for
+    12.x.
+    """
     part, found = "displacement", dict(place)
     missing = [name for name in names if name not in place]
     theirs = other_spellings(names, place, names) if len(place) > len(names) or missing else {}
@@ -199,7 +201,7 @@ def _number(value: Any) -> float:
 
 
 def vector(path: Path, part: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A column or a row as a vector; friction forces in space keep their two columns."""
+    """Return a column or a row as a vector; friction forces in space keep their two columns."""
     if values.ndim == 2 and min(values.shape) > 1:
         if part != "friction_force":
             raise wrong(path, part, "a vector", f"shape {values.shape}")

@@ -29,7 +29,7 @@ AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 
 
 def read_full(path: Path) -> MatrixFile:
-    """The stiffness of the unknowns that are free, with their names.
+    """Return the stiffness of the unknowns that are free, with their names.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def read_full(path: Path) -> MatrixFile:
 
 
 def read_full_load(path: Path) -> tuple[Vector, Ledger] | None:
-    """The load vector of the unknowns that are free; None where all of it is zero. Raises as `read_full`."""
+    """Return the load vector of the unknowns that are free; None where all of it is zero. Raises as `read_full`."""
     load = np.asarray(_read(path, FULL)["load"], dtype=float)
     if not np.any(load):
         return None
@@ -64,7 +64,7 @@ def read_full_load(path: Path) -> tuple[Vector, Ledger] | None:
 
 
 def read_result(path: Path, problem: ContactProblem) -> AnswerFile:
-    """The displacements of the last set of results.
+    """Return the displacements of the last set of results.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def _label(node: Any, axis: Any) -> str:
 
 
 def _read(path: Path, kind: int) -> dict[str, NDArray[Any]]:
-    """What the process that reads it has found."""
+    """Return what the process that reads it has found."""
     _check_head(path, kind)
     _refuse_missing()
     return read_in_own_process(path, NAMES[kind].rpartition(".")[2], NAMES[kind])

@@ -71,7 +71,7 @@ class _Table:
 
 
 def read_dat(path: Path) -> tuple[list[NodalField], list[str]]:
-    """The nodal tables of a file, in its order, and the titles of the others.
+    """Return the nodal tables of a file, in its order, and the titles of the others.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _take_row(path: Path, place: str, table: _Table, line: str) -> None:
 
 
 def _number_of_row(path: Path, place: str, word: str) -> float:
-    """A real number; Fortran leaves out the E of exponents beyond 99."""
+    """Return a real number; Fortran leaves out the E of exponents beyond 99."""
     if not DAT_NUMBER.fullmatch(word):
         raise wrong(path, place, "a number", repr(word[:40]))
     return float(word if "E" in word.upper() else OMITTED.sub("E", word))
@@ -132,7 +132,7 @@ def _field_of_table(path: Path, table: _Table) -> NodalField:
 
 
 def is_dat(head: bytes) -> bool:
-    """Whether first bytes are the title of one of CalculiX's tables, with an empty line before it."""
+    """Return whether first bytes are the title of one of CalculiX's tables, with an empty line before it."""
     lines = [line for line in head.decode("latin-1").splitlines() if line.strip()]
     title = TITLE.fullmatch(lines[0]) if lines else None
     return title is not None and DAT_NUMBER.fullmatch(title[3]) is not None
@@ -172,7 +172,8 @@ class _Block:
 
 
 def read_frd(path: Path) -> list[NodalField]:
-    """All fields of a file, in its order; strings of kinds that are none of ours are CalculiX's names (STRESS, ...).
+    """Return all fields of a file, in its order; strings of kinds that are none of ours are CalculiX's names
+    (STRESS, ...).
 
     Raises
     ------
@@ -210,7 +211,9 @@ def read_frd(path: Path) -> list[NodalField]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """The lines of a text; a binary file has the same headers in text, which name the format before the first bytes."""
+    """Return the lines of a text; a binary file has the same headers in text, which name the format before the first
+    bytes.
+    """
     head = read_bytes(path, FRD_EXPECTED, len(BEGINNING))
     if head != BEGINNING:
         raise wrong(path, "first line", f"{FRD_EXPECTED}, beginning with 1C", repr(head.decode("latin-1")))
@@ -279,7 +282,7 @@ def _field(path: Path, place: str, block: _Block) -> NodalField:
 
 
 def _number(path: Path, place: str, word: str) -> float:
-    """A real number; Fortran leaves out the E of exponents beyond 99."""
+    """Return a real number; Fortran leaves out the E of exponents beyond 99."""
     if not FRD_NUMBER.fullmatch(word):
         raise wrong(path, place, "a number", repr(word))
     try:
@@ -305,13 +308,13 @@ Values = NDArray[np.float64]
 
 
 def read_frd_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """What a .frd file holds, by `answer_of`; six digits are printed of each number."""
+    """Return what a .frd file holds, by `answer_of`; six digits are printed of each number."""
     ledger = Ledger(str(path))
     return answer_of(path, problem, read_frd(path), ledger, FRD_EXPECTED)
 
 
 def read_dat_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """What a .dat file holds, by `answer_of`; seven digits are printed of each number."""
+    """Return what a .dat file holds, by `answer_of`; seven digits are printed of each number."""
     ledger = Ledger(str(path))
     tables, others = read_dat(path)
     ledger.ignored.extend(f"table: {title}" for title in others[:20])
@@ -352,7 +355,7 @@ def answer_of(
 
 
 def _last(path: Path, fields: list[NodalField], what: str, ledger: Ledger) -> NodalField:
-    """All nodes of the last time: *NODE PRINT makes a table for each set of nodes."""
+    """Return all nodes of the last time: *NODE PRINT makes a table for each set of nodes."""
     time = max(field.time for field in fields)
     now = [field for field in fields if field.time == time]
     earlier = len({field.time for field in fields}) - 1

@@ -1,4 +1,4 @@
-"""Somebody's forces from a file: FCLIB's /solution, NumPy's .npy, JSON, CSV or plain numbers, told apart by content.
+"""Contact forces from a file: FCLIB's /solution, NumPy's .npy, JSON, CSV or plain numbers, told apart by content.
 
     .npy    an array (m, d) or flat
     JSON    the same as lists, or {"force": ..., "joint_force": ..., "velocity": ..., "motion": ...}
@@ -42,7 +42,7 @@ KEYS = ("force", "joint_force", "velocity", "motion")
 
 
 def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, Ledger]:
-    """Forces (m, d) for a problem, what else the file holds, and the ledger; nothing of it is believed.
+    """Return forces (m, d) for a problem, what else the file holds, and the ledger; nothing of it is believed.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnsw
 
 
 def _read(path: Path, problem: LocalProblem, ledger: Ledger) -> tuple[StoredAnswer, str]:
-    """The answer, and what its format is called."""
+    """Return the answer, and what its format is called."""
     head = read_bytes(path, EXPECTED, HEAD)
     if is_hdf5(head):
         return read_solution_for(path, problem.contacts, problem.dimension), "FCLIB"

@@ -46,7 +46,7 @@ def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) 
 
 
 def whole_numbers(path: Path, place: str, values: Vector, least: int = 1) -> Integers:
-    """The values as integers.
+    """Return the values as integers.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def whole_numbers(path: Path, place: str, values: Vector, least: int = 1) -> Int
 
 
 def symmetric_matrix(path: Path, row: Integers, column: Integers, value: Vector, size: int, ledger: Ledger) -> Any:
-    """The matrix (size, size) of a list of entries, indices from 0; one triangle is mirrored.
+    """Return the matrix (size, size) of a list of entries, indices from 0; one triangle is mirrored.
 
     Raises
     ------
@@ -111,7 +111,7 @@ DIRECTIONS = 100  # of a node: displacements, rotations, warping, temperatures u
 
 
 def read_abaqus_matrix(path: Path) -> MatrixFile:
-    """The stiffness, its unknowns called "node.direction"; those of COORDINATE files have no names.
+    """Return the stiffness, its unknowns called "node.direction"; those of COORDINATE files have no names.
 
     Unknowns with 1e36 on the diagonal, which Abaqus holds fixed, are left out.
 
@@ -147,7 +147,7 @@ def read_abaqus_matrix(path: Path) -> MatrixFile:
 
 
 def _rows(path: Path, comments: list[int]) -> Iterator[str]:
-    """The lines of numbers, blanks for commas; the numbers of the other lines are left in `comments`."""
+    """Yield the lines of numbers, blanks for commas; the numbers of the other lines are left in `comments`."""
     for number, line in enumerate(text_lines(path, ABAQUS_EXPECTED), 1):
         if line.lstrip().startswith("*"):
             comments.append(number)
@@ -187,7 +187,9 @@ def _without_fixed(path: Path, matrix: Any, labels: tuple[str, ...] | None, ledg
 
 
 def is_abaqus_matrix(head: bytes) -> bool:
-    """Whether first bytes are node, direction, node, direction, value, after comments and the line of *MATRIX."""
+    """Return whether first bytes are node, direction, node, direction, value, after comments and the line of
+    *MATRIX.
+    """
     lines = [line for line in head.split(b"\n")[:-1] if line.strip()] if b"\n" in head else [head]
     while lines and lines[0].lstrip().startswith((b"**", b"*MATRIX")):
         lines.pop(0)
@@ -209,7 +211,7 @@ UNKNOWN = re.compile(r"\d{1,12}\.\d{1,2}", re.ASCII)
 
 
 def read_sti(path: Path) -> MatrixFile:
-    """The stiffness, its unknowns called "node.axis".
+    """Return the stiffness, its unknowns called "node.axis".
 
     Raises
     ------
@@ -231,7 +233,7 @@ def read_sti(path: Path) -> MatrixFile:
 
 
 def read_dof(path: Path) -> tuple[str, ...]:
-    """The names "node.axis" of the unknowns, in the order of rows and columns.
+    """Return the names "node.axis" of the unknowns, in the order of rows and columns.
 
     Raises
     ------

@@ -49,7 +49,7 @@ EXPECTED = "an FCLIB file (HDF5)"
 
 
 def is_hdf5(data: bytes) -> bool:
-    """Whether these first bytes of a file are HDF5's."""
+    """Return whether these first bytes of a file are HDF5's."""
     return any(data[place:].startswith(SIGNATURE) for place in SIGNATURE_PLACES)
 
 
@@ -69,7 +69,7 @@ def h5py_module() -> Any:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Hdf5File]:
-    """The file, open for reading.
+    """Yield the file, open for reading.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class Hdf5File:
         return values.reshape(-1).astype(np.int64)
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """A list of numbers of any length, finite or not."""
+        """Return a list of numbers of any length, finite or not."""
         values = self._values(name)
         if values.dtype.kind not in "fiu" or values.ndim > 1:
             raise wrong(self.path, name, "a list of numbers", f"{values.dtype} of shape {values.shape}")
@@ -142,7 +142,7 @@ class Hdf5File:
         return self.integer(f"{name}/m"), self.integer(f"{name}/n")
 
     def matrix(self, name: str, shape: tuple[int, int], why: str) -> Any:
-        """A matrix of this shape in CSR form; `why` says where the shape comes from."""
+        """Return a matrix of this shape in CSR form; `why` says where the shape comes from."""
         if self.shape(name) != shape:
             raise wrong(self.path, f"{name}/m, {name}/n", f"{shape} ({why})", self.shape(name))
         stored = StoredMatrix(
@@ -199,7 +199,7 @@ class StoredAnswer:
 
 
 def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """The problem in an FCLIB file.
+    """Return the problem in an FCLIB file.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | Local
 
 
 def solvable(stored: LocalProblem | GlobalProblem, path: Path) -> ContactProblem | LocalProblem:
-    """What a file says as a problem that `contactqp.solve` takes."""
+    """Return what a file says as a problem that `contactqp.solve` takes."""
     if isinstance(stored, LocalProblem):
         return stored
     with naming(path):
@@ -239,7 +239,7 @@ def solvable(stored: LocalProblem | GlobalProblem, path: Path) -> ContactProblem
 
 
 def read_fclib_guesses(path: Path) -> tuple[StoredAnswer, ...]:
-    """The guesses stored with a problem, () where there are none; some are close to a solution, some are zero.
+    """Return the guesses stored with a problem, () where there are none; some are close to a solution, some are zero.
 
     Raises as `read_fclib`.
     """
@@ -253,7 +253,7 @@ def read_fclib_guesses(path: Path) -> tuple[StoredAnswer, ...]:
 
 
 def read_fclib_solution(path: Path) -> StoredAnswer:
-    """What is stored under /solution. It is somebody's claim, and all zero in many published files.
+    """Return what is stored under /solution. It is a claim, and all zero in many published files.
 
     Raises as `read_fclib`, also where there is none.
     """
@@ -325,7 +325,7 @@ def _read_global(file: Hdf5File) -> GlobalProblem:
 
 
 def read_solution_for(path: Path, contacts: int, dimension: int) -> StoredAnswer:
-    """What is stored under /solution, of a problem of this size that stands elsewhere."""
+    """Return what is stored under /solution, of a problem of this size that stands elsewhere."""
     with opened(path) as file:
         if not file.has("solution"):
             raise wrong(path, "solution", "a stored solution", "none")
@@ -478,7 +478,7 @@ def _put_integer(group: Any, name: str, value: int) -> None:
 
 
 def _put_text(h5py: Any, group: Any, name: str, text: str) -> None:
-    """A string of fixed length that ends with a zero byte, as H5LTmake_dataset_string writes it."""
+    """Write a string of fixed length that ends with a zero byte, as H5LTmake_dataset_string writes it."""
     data = text.encode() + b"\0"
     kind = h5py.h5t.C_S1.copy()
     kind.set_size(len(data))

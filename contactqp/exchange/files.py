@@ -63,7 +63,7 @@ def check_friction(path: Path, place: str, friction: NDArray[np.float64]) -> Non
 
 
 def number(word: str) -> float:
-    """A number as programs write it, 1.0D+03 of Fortran too; Python's own 1_000 is none.
+    """Return a number as programs write it, 1.0D+03 of Fortran too; Python's own 1_000 is none.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def number(word: str) -> float:
 
 
 def is_number(word: str) -> bool:
-    """Whether a word of a text is one, be it NaN."""
+    """Return whether a word of a text is one, be it NaN."""
     try:
         number(word)
     except ValueError:
@@ -85,7 +85,7 @@ def is_number(word: str) -> bool:
 
 
 def no_number(path: Path, place: str, word: str) -> InvalidProblem:
-    """What is said of a word that should be a number."""
+    """Return what is said of a word that should be a number."""
     comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word.strip()) else ""
     return wrong(path, place, "a number", f"{word[:40]!r}{comma}")
 
@@ -100,7 +100,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def file_size(path: Path, expected: str) -> int:
-    """How many bytes a file has.
+    """Return how many bytes a file has.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def file_size(path: Path, expected: str) -> int:
 
 
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
-    """The first bytes of a file, or all.
+    """Return the first bytes of a file, or all.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
 
 
 def read_text(path: Path, expected: str) -> str:
-    """All of a text file, UTF-8.
+    """Return all of a text file, UTF-8.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def refuse_utf_16(path: Path, head: bytes) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """What somebody else's exception says, without line breaks and not endless."""
+    """Return the message of another library's exception, without line breaks and shortened."""
     said = " ".join(str(error).split()) or type(error).__name__
     return said if len(said) <= LONGEST_SAYING else said[:LONGEST_SAYING] + "..."
 
@@ -203,7 +203,7 @@ class Ledger:
                 yield kind, line
 
     def data(self) -> dict[str, object]:
-        """All of it, for JSON."""
+        """Return all of it, for JSON."""
         return {"source": self.source} | {kind: list(getattr(self, kind)) for kind in KINDS}
 
 
@@ -214,7 +214,7 @@ LONGEST = 2**16
 
 
 def text_lines(path: Path, expected: str) -> Iterator[str]:
-    """The lines, without their ends.
+    """Yield the lines, without their ends.
 
     Raises
     ------
@@ -243,7 +243,7 @@ VTU = (".vtu",)
 
 
 def check_file(file: str | FilePath, suffixes: tuple[str, ...]) -> FilePath:
-    """The file as a path.
+    """Return the file as a path.
 
     Raises
     ------

@@ -62,7 +62,7 @@ class Header:
 
 
 def read_harwell_boeing(path: Path) -> MatrixFile:
-    """The matrix; of a symmetric one both halves.
+    """Return the matrix; of a symmetric one both halves.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def read_harwell_boeing(path: Path) -> MatrixFile:
 
 
 def read_load(path: Path) -> tuple[Vector, Ledger] | None:
-    """The one right-hand side of the file, where there is one; raises as `read_harwell_boeing`."""
+    """Return the one right-hand side of the file, where there is one; raises as `read_harwell_boeing`."""
     lines, header = _opened(path)
     if not header.lines[3]:
         return None
@@ -163,7 +163,7 @@ def _format(path: Path, text: str, letters: str) -> Format:
 
 
 def _fields(path: Path, lines: list[str], first: int, header: Header, part: int, form: Format, count: int) -> list[str]:
-    """The texts in the columns of a format."""
+    """Return the texts in the columns of a format."""
     needed = math.ceil(count / form.repeat)
     if needed > header.lines[part] or first + needed > len(lines):
         held = min(header.lines[part], max(len(lines) - first, 0))

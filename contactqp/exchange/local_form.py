@@ -27,7 +27,7 @@ class SingularMatrix(InvalidProblem):
 
 @own_floating_point
 def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> LocalProblem:
-    """The local form of a problem with bodies, each contact's components in the order (N, T1, T2).
+    """Return the local form of a problem with bodies, each contact's components in the order (N, T1, T2).
 
     Of a symmetric M the Delassus operator W is symmetrised, which takes away rounding only; of an unsymmetric M it is
     as it comes out, and `asymmetry` says how unsymmetric that is.

@@ -1,4 +1,4 @@
-"""A matrix or a vector from a file, in whichever format: the registry of those who read them.
+"""Read a matrix or a vector from a file of any format: the registry of readers.
 
 A format is one module with a `READER`, and its line in `READERS` here; `register` adds one from outside.
 """
@@ -27,7 +27,7 @@ GZIP = b"\x1f\x8b"
 
 
 def read_matrix(path: Path) -> MatrixFile:
-    """A matrix (or a vector), what its unknowns are called, and the ledger of what was read and converted.
+    """Return a matrix (or a vector), what its unknowns are called, and the ledger of what was read and converted.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def register(reader: MatrixReader) -> None:
 
 
 def reader_of(path: Path) -> MatrixReader:
-    """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain text."""
+    """Return the reader of a file: by its contents where they tell, by its suffix, otherwise that of plain text."""
     head = read_bytes(path, _expected(), HEAD)
     if head.startswith(GZIP):
         raise wrong(path, "content", _expected(), "a file compressed by gzip; expand it first")
@@ -59,7 +59,7 @@ def reader_of(path: Path) -> MatrixReader:
 
 
 def companions() -> frozenset[str]:
-    """Suffixes of files that are read along with others and are no matrices."""
+    """Return suffixes of files that are read along with others and are no matrices."""
     return frozenset(suffix for reader in READERS for suffix in reader.beside)
 
 

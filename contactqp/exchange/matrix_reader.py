@@ -43,7 +43,7 @@ class StoredMatrix:
 
 
 def matrix_of(stored: StoredMatrix, path: Path, place: str) -> Any:
-    """The matrix in CSR form; entries that are stored twice are summed.
+    """Return the matrix in CSR form; entries that are stored twice are summed.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _inside(index: Integers, size: int, path: Path, place: str) -> None:
 
 
 def stored_form(matrix: Any, storage: Storage, name: str) -> StoredMatrix:
-    """A matrix as FCLIB stores it, nzmax = nz, no entry twice.
+    """Return a matrix as FCLIB stores it, nzmax = nz, no entry twice.
 
     Raises
     ------

@@ -41,7 +41,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def read_numpy(path: Path) -> MatrixFile:
-    """The array in a .npy file, the sparse matrix of `scipy.sparse.save_npz`, or the one array of a .npz file.
+    """Return the array in a .npy file, the sparse matrix of `scipy.sparse.save_npz`, or the one array of a .npz file.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def read_npy(path: Path) -> NDArray[Any]:
 
 
 def names_in_npz(path: Path) -> set[str]:
-    """The names of the arrays of an archive; none where the file is no archive or is damaged."""
+    """Return the names of the arrays of an archive; none where the file is no archive or is damaged."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
@@ -100,7 +100,7 @@ def names_in_npz(path: Path) -> set[str]:
 
 
 def read_npz(path: Path, none_for_objects: bool = False) -> dict[str, Any]:
-    """All arrays of an archive, by name; texts come as arrays of bytes.
+    """Return all arrays of an archive, by name; texts come as arrays of bytes.
 
     `none_for_objects` takes single Python objects for None, which are told by their header and never unpickled.
     """
@@ -134,7 +134,7 @@ def _check_growth(path: Path, members: list[zipfile.ZipInfo], size: int) -> None
 
 
 def _array(path: Path, place: str, file: BinaryIO, size: int) -> NDArray[Any]:
-    """One array; `size` is that of the file or the member of an archive that it fills."""
+    """Return one array; `size` is that of the file or the member of an archive that it fills."""
     head = file.read(len(NUMPY) + 2)
     if not head.startswith(NUMPY) or len(head) < len(NUMPY) + 2 or head[6] not in (1, 2, 3):
         raise wrong(
@@ -170,12 +170,14 @@ def _header(path: Path, place: str, text: bytes) -> tuple[np.dtype[Any], tuple[i
 
 
 def is_sparse(arrays: Arrays, name: str = "") -> bool:
-    """Whether these hold a matrix as `scipy.sparse.save_npz` stores it, each name beginning with `name`."""
+    """Return whether these hold a matrix as `scipy.sparse.save_npz` stores it, each name beginning with `name`."""
     return {f"{name}data", f"{name}shape"} <= set(arrays)
 
 
 def sparse_matrix(path: Path, arrays: Arrays, name: str = "") -> Any:
-    """The sparse matrix in CSR form of data, indices, indptr (or row, col), shape, and format ("csr" where missing)."""
+    """Return the sparse matrix in CSR form of data, indices, indptr (or row, col), shape, and format ("csr" where
+    missing).
+    """
     place = name.rstrip("_") or "content"
 
     def one(part: str, kinds: str) -> NDArray[Any]:

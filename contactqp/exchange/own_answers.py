@@ -50,7 +50,7 @@ OBJECT = "a JSON file with displacement and normal_force"
 
 
 def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """The one answer in a JSON file, alone or as the only one in a list.
+    """Return the one answer in a JSON file, alone or as the only one in a list.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def _along_axes(values: Any) -> bool:
 
 
 def load_json(path: Path, expected: str) -> Any:
-    """What a JSON file holds.
+    """Return what a JSON file holds.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def load_json(path: Path, expected: str) -> Any:
 
 
 def is_json_answer(head: bytes) -> bool:
-    """Whether first bytes begin an object, alone or as the first in a list."""
+    """Return whether first bytes begin an object, alone or as the first in a list."""
     return head.removeprefix(BOM_UTF8).replace(b"[", b" ", 1).lstrip()[:1] == b"{"
 
 
@@ -156,7 +156,7 @@ FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
 
 
 def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """What the tables of a CSV file hold.
+    """Return what the tables of a CSV file hold.
 
     Raises
     ------
@@ -255,7 +255,7 @@ ARRAYS = "displacement or normal_force"
 
 
 def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """The arrays of an archive that are parts of an answer.
+    """Return the arrays of an archive that are parts of an answer.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """One array from any format that matrices come in; its part by the file's name, or by its length.
+    """Return one array from any format that matrices come in; its part by the file's name, or by its length.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def _by_length(path: Path, size: int, problem: ContactProblem) -> str:
 
 
 def _dense(path: Path, matrix: Any) -> Any:
-    """A sparse column as a vector; a sparse matrix of any other shape is no part of an answer."""
+    """Return a sparse column as a vector; a sparse matrix of any other shape is no part of an answer."""
     if not sp.issparse(matrix):
         return matrix
     if min(matrix.shape) > 3:
@@ -336,7 +336,7 @@ def _dense(path: Path, matrix: Any) -> Any:
 
 
 def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """The files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
+    """Return the files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
     ledger, named, tie_names = Ledger(str(path)), frozenset[str](), None
     parts: dict[str, NDArray[np.float64]] = {}
     for file in sorted(FilePath(path).iterdir()):

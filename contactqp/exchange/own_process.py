@@ -111,7 +111,7 @@ def result(source: str) -> dict[str, Any]:
 
 
 def matlab(source: str) -> dict[str, Any]:
-    """The parts of a quadratic program in a .mat file, sparse or dense."""
+    """Return the parts of a quadratic program in a .mat file, sparse or dense."""
     from scipy.io import loadmat
 
     found: dict[str, Any] = {}
@@ -157,7 +157,7 @@ def qps(source: str) -> dict[str, Any]:
 
 
 def _parts(name: str, matrix: Any) -> dict[str, Any]:
-    """A sparse matrix as arrays, once its indices are within it."""
+    """Return a sparse matrix as arrays, once its indices are within it."""
     matrix.check_format(full_check=True)
     rows = matrix.tocsr()
     return {f"{name}_{part}": np.asarray(getattr(rows, part)) for part in ("data", "indices", "indptr", "shape")}

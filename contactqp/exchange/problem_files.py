@@ -23,7 +23,7 @@ HDF5, TEXT, ARCHIVE = (".hdf5", ".h5"), (".dat",), (".npz",)
 
 
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """The problem in a folder or .npz of matrices, a quadratic program, or a file of FCLIB or Siconos.
+    """Return the problem in a folder or .npz of matrices, a quadratic program, or a file of FCLIB or Siconos.
 
     Parameters, and what is returned and raised, as `read_fclib`; matrices make a ContactProblem.
     """
@@ -33,7 +33,7 @@ def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | Loc
 def read_problem_with_ledger(
     path: Path, *, as_stored: bool = False
 ) -> tuple[ContactProblem | LocalProblem | GlobalProblem, Ledger]:
-    """The same, with the ledger of what was read, converted, assumed and ignored."""
+    """Return the problem as `read_problem` does, and the ledger of what was read, converted, assumed and ignored."""
     if is_quadratic_program(path):
         return read_quadratic_program(path)
     if is_of_matrices(path):
@@ -51,13 +51,15 @@ def read_problem_with_ledger(
 
 
 def read_tie_names(path: Path) -> list[str] | None:
-    """What the ties of a problem of matrices are called, None where nothing says it; raises as `read_problem`."""
+    """Return what the ties of a problem of matrices are called, None where nothing says it; raises as
+    `read_problem`.
+    """
     folder = _folder(path)
     return tie_names(folder) if folder.is_dir() else None
 
 
 def is_of_matrices(path: Path) -> bool:
-    """Whether this is a folder (or the problem.json in it) or an archive of matrices."""
+    """Return whether this is a folder (or the problem.json in it) or an archive of matrices."""
     file = FilePath(path)
     if file.is_dir():
         return True
@@ -69,7 +71,8 @@ def is_of_matrices(path: Path) -> bool:
 
 
 def is_problem_file(path: Path) -> bool:
-    """Whether `read_problem` is the one to ask, by content or by a suffix that says so; otherwise it is a case file.
+    """Return whether `read_problem` is the one to ask, by content or by a suffix that says so; otherwise it is a
+    case file.
 
     A folder is one if it holds a problem.json or a stiffness.
     """

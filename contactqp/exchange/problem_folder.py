@@ -54,7 +54,7 @@ NAMES = ("dof_names", "contact_names")
 
 
 def read_problem_archive(path: Path) -> tuple[ContactProblem, Ledger]:
-    """The problem in an archive, and its ledger.
+    """Return the problem in an archive, and its ledger.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class Found:
 
 
 def is_problem_folder(path: Path) -> bool:
-    """Whether a folder holds a problem: a problem.json, or a stiffness by its name or its suffix."""
+    """Return whether a folder holds a problem: a problem.json, or a stiffness by its name or its suffix."""
     folder = FilePath(path)
     if not folder.is_dir():
         return False
@@ -131,7 +131,7 @@ def is_problem_folder(path: Path) -> bool:
 
 
 def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
-    """The problem in a folder, and the ledger of its files.
+    """Return the problem in a folder, and the ledger of its files.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def tie_names(folder: Path) -> list[str] | None:
-    """What a folder's ties.csv calls its ties, None where it has none; raises as `read_problem_folder`."""
+    """Return what a folder's ties.csv calls its ties, None where it has none; raises as `read_problem_folder`."""
     file = FilePath(folder, "ties.csv")
     listed = (FilePath(folder) / PROBLEM_FILE).exists() and "files" in _stated(FilePath(folder) / PROBLEM_FILE)
     return read_tie_names(file) if file.is_file() and not listed else None
@@ -188,7 +188,7 @@ def _stated(path: FilePath, ledger: Ledger | None = None) -> dict[str, Any]:
 
 
 def _listed(root: FilePath, files: dict[str, str]) -> Found:
-    """The files that problem.json lists; nothing outside its folder."""
+    """Return the files that problem.json lists; nothing outside its folder."""
     found = Found()
     for part, name in files.items():
         if part_called(part) != part or FilePath(name).name != name:
@@ -223,7 +223,7 @@ def _by_names(root: FilePath) -> Found:
 def _read_parts(
     root: FilePath, found: Found, stated: Mapping[str, Any], ledger: Ledger
 ) -> tuple[dict[str, Any], dict[str, Sequence[str] | None]]:
-    """The parts; and dof_names and contact_names."""
+    """Return the parts; and dof_names and contact_names."""
     files = dict(found.files)
     stiffness = files.pop("stiffness")
     K, labels, of_stiffness = read_matrix(stiffness)
@@ -258,7 +258,7 @@ def _read_parts(
 def _given_names(
     root: FilePath, key: str, file: FilePath | None, stated: list[str] | None, ledger: Ledger
 ) -> list[str] | None:
-    """Names from a file of names, or from problem.json; where both have them they must agree."""
+    """Return names from a file of names, or from problem.json; where both have them they must agree."""
     listed = None if file is None else _names(file)
     if listed is not None and stated is not None and listed != stated:
         raise wrong(root, key, f"the same in {file.name if file else ''} and {PROBLEM_FILE}", "others")
@@ -270,7 +270,9 @@ def _given_names(
 def _unknown_names(
     root: FilePath, given: Sequence[str] | None, labels: Sequence[str] | None, count: int, ledger: Ledger
 ) -> Sequence[str] | None:
-    """Names that were given go before those that the stiffness brings, but for the same ones in another order."""
+    """Return the names of the unknowns: those given, else those of the stiffness; the same ones in another order are
+    refused.
+    """
     if given is not None and len(given) != count:
         raise wrong(root, "dof_names", f"{count} names, one for each row of the stiffness", len(given))
     if given is None or labels is None:
@@ -300,7 +302,7 @@ def _matrix(file: FilePath, part: str, ledger: Ledger) -> Any:
 
 
 def _load_of(stiffness: FilePath, parts: dict[str, Any], ledger: Ledger) -> None:
-    """The load stored with the stiffness, if its format has one and it is there."""
+    """Take the load that is stored with the stiffness, if its format has one and it is there."""
     reader = reader_of(stiffness)
     stored = reader.load(stiffness) if reader.load is not None else None
     if stored is not None:
@@ -309,7 +311,7 @@ def _load_of(stiffness: FilePath, parts: dict[str, Any], ledger: Ledger) -> None
 
 
 def _names(file: FilePath) -> list[str]:
-    """One name a line."""
+    """Return the names in a file, one a line."""
     return [line.strip() for line in read_text(file, "names, one a line").splitlines() if line.strip()]
 
 

@@ -37,7 +37,9 @@ MATRICES = ("stiffness", "normal", "tangent", "tie")
 
 
 def part_called(name: str) -> str | None:
-    """Which part of a problem something of this name is: its name, or its symbol in the case that it is written in."""
+    """Return which part of a problem something of this name is: its name, or its symbol in the case that it is
+    written in.
+    """
     if name.lower() in SYMBOLS:
         return name.lower()
     return next((part for part, symbol in SYMBOLS.items() if name == symbol), None)
@@ -53,7 +55,7 @@ def problem_of(
     units: Mapping[str, str] | None = None,
     ties: Any = None,
 ) -> ContactProblem:
-    """The problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
+    """Return the problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
 
     Raises
     ------
@@ -75,7 +77,7 @@ def problem_of(
 
 
 def _vector(path: Path, name: str, value: Any) -> Any:
-    """One row or one column as a vector."""
+    """Return one row or one column as a vector."""
     if len(value.shape) == 2 and min(value.shape) > 1 and name != "slip_origin":
         raise wrong(path, name, "a vector", f"shape {value.shape}")
     dense = value.toarray() if sp.issparse(value) else np.asarray(value)
@@ -189,7 +191,7 @@ def _write_json(path: FilePath, data: Mapping[str, Any]) -> None:
 
 
 def _answer_data(answer: Solution | Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers as numbers and, where they are known as fractions, as fractions too."""
+    """Return numbers as numbers and, where they are known as fractions, as fractions too."""
     whole = isinstance(answer, Solution)
     given = {part: getattr(answer, part) for part in ANSWER_PARTS} if whole else dict(answer)  # type: ignore[arg-type]
     exact = {key: _listed(values, _text) for key, values in dict(given.pop("exact", None) or {}).items()}

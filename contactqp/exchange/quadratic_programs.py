@@ -27,7 +27,7 @@ INFINITE = 1e20
 
 
 def is_quadratic_program(path: Path) -> bool:
-    """Whether a file is a quadratic program, by its suffix or, an archive, by the names in it."""
+    """Return whether a file is a quadratic program, by its suffix or, an archive, by the names in it."""
     suffix = FilePath(path).suffix.lower()
     if suffix in (*QPS, *MATLAB):
         return True
@@ -93,7 +93,7 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _matrices(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
-    """The arrays that were read, sparse matrices put together again."""
+    """Return the arrays that were read, sparse matrices put together again."""
     sparse = {name.removesuffix("_indptr") for name in arrays if name.endswith("_indptr")}
     parts = {f"{name}_{part}" for name in sparse for part in ("data", "indices", "indptr", "shape")}
     found = {name: array for name, array in arrays.items() if name not in parts}

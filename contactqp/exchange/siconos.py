@@ -50,15 +50,15 @@ class Words:
         return len(self._words) - self._next
 
     def peek(self) -> str | None:
-        """The next word, if there is one."""
+        """Return the next word, if there is one."""
         return self._words[self._next] if self.left else None
 
     def ahead(self, count: int) -> list[str]:
-        """The next words, without taking them."""
+        """Return the next words, without taking them."""
         return self._words[self._next : self._next + count]
 
     def words(self, count: int, what: str) -> list[str]:
-        """The next words; `what` says what they are.
+        """Return the next words; `what` says what they are.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Words:
                 raise self.unexpected(what, repr(want), first + place)
 
     def unexpected(self, what: str, expected: str, place: int | None = None) -> InvalidProblem:
-        """The refusal of the word at a place, the one taken last by default."""
+        """Return the refusal of the word at a place, the one taken last by default."""
         at = self._next - 1 if place is None else place
         return wrong(self.path, f"{what} (line {self._line(at)})", expected, repr(self._words[at][:40]))
 
@@ -157,7 +157,7 @@ TRIPLETS, COLUMNS, ROWS = 1, 2, 3
 
 
 def read_matrix(words: Words, name: str, shape: tuple[int, int] | None = None) -> Any:
-    """The next matrix in CSR form, of this shape if one is given.
+    """Return the next matrix in CSR form, of this shape if one is given.
 
     Raises
     ------
@@ -343,7 +343,7 @@ MATRIX_HEAD = 3
 
 
 def read_siconos(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """The problem in a text file of Siconos; returns as `read_fclib`.
+    """Return the problem in a text file of Siconos; returns as `read_fclib`.
 
     Sparse matrices (storage 2) stand in the file with six digits: what is read is that problem, not the one that
     Siconos had in memory.
@@ -383,7 +383,7 @@ def _read(words: Words) -> LocalProblem | GlobalProblem:
 
 
 def _refuse_head_of_matrix(words: Words, size: int) -> None:
-    """A global file that ends within H must not pass for a local one; q is written with decimal points."""
+    """Refuse a global file that ends within H and must not pass for a local one; q is written with decimal points."""
     if words.left >= MATRIX_HEAD and words.ahead(MATRIX_HEAD) in ([storage, f"{size}", f"{size}"] for storage in "012"):
         found = " ".join(words.ahead(MATRIX_HEAD))
         raise wrong(words.path, "after the first matrix", "q, or the whole of a second matrix", f"{found!r}, its head")

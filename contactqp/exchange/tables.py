@@ -43,7 +43,7 @@ class Table:
         return [row[place] for row in self.rows]
 
     def numbers(self, name: str) -> list[float]:
-        """A column of numbers; raises InvalidProblem with the line of a cell that is none."""
+        """Return a column of numbers; raises InvalidProblem with the line of a cell that is none."""
         return [cell_number(self.path, line, cell) for line, cell in zip(self.lines, self.column(name), strict=True)]
 
 
@@ -55,12 +55,12 @@ def cell_number(path: Path, line: int, cell: str) -> float:
 
 
 def is_table(path: Path, key: str) -> bool:
-    """Whether the first line that says anything begins with a key."""
+    """Return whether the first line that says anything begins with a key."""
     return begins_with(read_bytes(path, EXPECTED, HEAD), (key,))
 
 
 def begins_with(head: bytes, keys: Collection[str]) -> bool:
-    """Whether the first cell of what the first bytes of a file say is one of the keys."""
+    """Return whether the first cell of what the first bytes of a file say is one of the keys."""
     for line in head.decode("utf-8-sig", errors="replace").splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             return re.split(r"[,;\t]", line)[0].strip().strip('"').lower() in keys
@@ -68,7 +68,7 @@ def begins_with(head: bytes, keys: Collection[str]) -> bool:
 
 
 def read_tables(path: Path, keys: Collection[str]) -> list[Table]:
-    """The tables in a file, each of which begins with a line whose first cell is one of the keys.
+    """Return the tables in a file, each of which begins with a line whose first cell is one of the keys.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class Unknowns:
         return self._place[found[0]]
 
     def say(self, what: str, ledger: Ledger) -> None:
-        """What was assumed of names, once for each table."""
+        """Write into the ledger what was assumed of names, once for each table."""
         if not self.named:
             ledger.assumed.append(f"{what}: the stiffness has no names: unknowns are positions counted from 0")
         if self.respelled:
@@ -195,7 +195,7 @@ def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[d
 
 
 def read_tie_names(path: Path) -> list[str]:
-    """What the ties of a table are called, in the order of their rows; raises as `read_contact_rows`."""
+    """Return what the ties of a table are called, in the order of their rows; raises as `read_contact_rows`."""
     return _grouped(_tie_table(path))[0]
 
 
@@ -241,7 +241,7 @@ def _table(path: Path, key: str, needed: Sequence[str], possible: Sequence[str])
 
 
 def _grouped(table: Table) -> tuple[list[str], list[int]]:
-    """The names of contacts or ties in the order in which they come, and the row of the matrix of each line."""
+    """Return the names of contacts or ties in the order in which they come, and the row of the matrix of each line."""
     given = table.column(table.columns[0])
     names = list(dict.fromkeys(given))
     place = {name: i for i, name in enumerate(names)}
@@ -271,7 +271,7 @@ def _refuse_twice(table: Table, entries: Sequence[Any]) -> None:
 
 
 def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> list[float]:
-    """One value for each contact; it may be left out where the contact goes on."""
+    """Return one value for each contact; it may be left out where the contact goes on."""
     found: dict[int, float] = {}
     for k, i in enumerate(row):
         cell = table.rows[k][table.columns.index(column)]

@@ -56,7 +56,8 @@ class Head:
 
 
 def read_matrix_market(path: Path) -> MatrixFile:
-    """A matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored twice add up.
+    """Return a matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored
+    twice add up.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def _sizes(path: Path, size: int, form: str, symmetry: str, line: bytes) -> Head
 
 
 def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
-    """The numbers that follow, which must be this many."""
+    """Return the numbers that follow, which must be this many."""
     found = array("d")
     while block := file.read(BLOCK):
         block += file.readline(LONGEST_LINE)
@@ -154,7 +155,7 @@ def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_
 
 
 def _different(head: Head, values: NDArray[np.float64]) -> int:
-    """How many places of the matrix are in the list."""
+    """Return how many places of the matrix are in the list."""
     row, column = values.reshape(-1, 3)[:, :2].astype(np.int64).T
     order = np.lexsort((column, row))
     row, column = row[order], column[order]
@@ -187,7 +188,7 @@ SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
 
 
 def read_text_matrix(path: Path) -> MatrixFile:
-    """A dense matrix; a first line of names is what its unknowns are called. Comments begin with # or %.
+    """Return a dense matrix; a first line of names is what its unknowns are called. Comments begin with # or %.
 
     Raises
     ------
@@ -217,7 +218,7 @@ def read_text_matrix(path: Path) -> MatrixFile:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """The words of every line that has any, with its number."""
+    """Yield the words of every line that has any, with its number."""
     file_size(path, EXPECTED)
     with open(path, "rb") as file:
         place = 0

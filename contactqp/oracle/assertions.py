@@ -21,7 +21,7 @@ from contactqp.oracle.foreign.judging import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 
-# The answer that somebody's numbers are held against: exact where it is known, else a certified solution.
+# The answer that given numbers are held against: exact where it is known, else a certified solution.
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def weights(rows: Any) -> Vector:
 
 
 def plain_problem(problem: ContactProblem | GalleryProblem) -> ContactProblem:
-    """The contact problem itself."""
+    """Return the contact problem itself."""
     return problem.problem if isinstance(problem, GalleryProblem) else problem
 
 
@@ -80,7 +80,7 @@ def name_of(problem: ContactProblem | GalleryProblem) -> str:
 
 
 def known_reference(known: GalleryProblem) -> Reference:
-    """The exact answer of a gallery problem."""
+    """Return the exact answer of a gallery problem."""
     problem, exact = known.problem, known.exact
     return Reference(
         problem,
@@ -97,7 +97,7 @@ def known_reference(known: GalleryProblem) -> Reference:
 
 
 def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
-    """A certified solution, of several the one nearest to an answer.
+    """Return a certified solution, of several the one nearest to an answer.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _largest(values: Vector) -> float:
     return float(np.max(abs(values), initial=0.0))
 
 
-# How far somebody's numbers are from the right ones: component by component, or by what the forces do together.
+# How far given numbers are from the right ones: component by component, or by what the forces do together.
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def force_deviations(
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:
-    """Forces further than rtol times the largest one from the right ones.
+    """Return forces further than rtol times the largest one from the right ones.
 
     A multiplier is measured by the largest force that it puts on an unknown, max_j |E_ij| |l_i|: scaling a row changes
     nothing. Where forces are not unique, what they do together is compared instead: `resultant_deviations`.
@@ -185,7 +185,7 @@ def resultant_deviations(
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:
-    """What is wrong with forces that are one answer among others.
+    """Return what is wrong with forces that are one answer among others.
 
     Right are all that do the same together, E_N'l_N + E_T'l_T + A'nu, that pull nowhere and push at no open contact,
     and that obey Coulomb's law. Tie forces that were not given may be any.
@@ -215,7 +215,7 @@ def resultant_deviations(
 
 
 def deviations_table(found: list[Deviation], force: str = "", length: str = "", limit: int = 10) -> str:
-    """The deviations as text, the largest first."""
+    """Return the deviations as text, the largest first."""
     units = {"displacement": length}
     lines = [["where", "what", "given", "right", "relative"]]
     for one in sorted(found, key=lambda one: -one.size if one.size == one.size else -np.inf)[:limit]:
@@ -232,7 +232,7 @@ def _relative(size: Vector, scale: float) -> Vector:
 
 
 def _beyond(what: str, called: Callable[[int], str], given: Any, right: Any, size: Any, rtol: float) -> list[Deviation]:
-    """The entries whose difference times `size` is larger than rtol, or no number."""
+    """Return the entries whose difference times `size` is larger than rtol, or no number."""
     given, right = np.asarray(given, dtype=float), np.asarray(right, dtype=float)
     apart = abs(given - right)
     relative = np.where(apart > 0, apart, 0.0) * np.broadcast_to(size, apart.shape) if apart.size else apart
@@ -359,7 +359,7 @@ def assert_multipliers(
 
 
 def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **given: Any) -> str | None:
-    """What `assert_contact_solution` says of an answer, given as to it; None where it is right."""
+    """Return what `assert_contact_solution` says of an answer, given as to it; None where it is right."""
     refuse_other("assert_contact_solution", problem, ContactProblem, GalleryProblem)
     refuse_not_positive("rtol", rtol)
     judged = certify(plain_problem(problem), **given, tolerance=rtol, error_tolerance=rtol)
@@ -375,7 +375,7 @@ def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **give
 
 
 def multiplier_fault(problem: ContactProblem | GalleryProblem, rtol: float, **parts: Any) -> str | None:
-    """What `assert_multipliers` says of forces, given as to it; None where they are right."""
+    """Return what `assert_multipliers` says of forces, given as to it; None where they are right."""
     refuse_other("assert_multipliers", problem, ContactProblem, GalleryProblem)
     refuse_not_positive("rtol", rtol)
     plain = plain_problem(problem)
@@ -411,7 +411,7 @@ def _reference(problem: ContactProblem | GalleryProblem, given: GivenAnswer) -> 
 def _of_forces(
     problem: ContactProblem, reference: Reference, forces: tuple[Any, Any, Any], rtol: float
 ) -> JudgedAnswer:
-    """Forces judged by themselves: a cause must not rest on displacements that nobody gave."""
+    """Judge forces by themselves: a cause must not rest on displacements that were not given."""
     try:
         return certify(problem, None, *forces, rtol, rtol)
     except Unsupported:  # too large for displacements to be found from forces
@@ -419,7 +419,7 @@ def _of_forces(
 
 
 def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: GivenAnswer, rtol: float) -> str | None:
-    """Forces of a problem with several answers are right if the displacements that they make are."""
+    """Judge forces of a problem with several answers, which are right if the displacements that they make are."""
     if given.friction_force is None:
         raise Unsupported(
             "assert_multipliers: friction may allow several answers here, normal forces alone do not tell which; give "
@@ -432,7 +432,7 @@ def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: Gi
 
 
 def _refused(problem: ContactProblem | GalleryProblem, judged: JudgedAnswer, rtol: float) -> str:
-    """The diagnosis of an answer that the certificate refuses."""
+    """Return the diagnosis of an answer that the certificate refuses."""
     lines = [f"{name_of(problem)}: the answer is wrong (rtol {rtol:g})", _in_words(judged)]
     if judged.contacts:
         lines.append(judged.table(10))
@@ -446,7 +446,7 @@ def _off(
     why: str,
     judged: JudgedAnswer | None = None,
 ) -> str:
-    """The table of numbers that are not the right ones, and a diagnosis where there is one."""
+    """Return the table of numbers that are not the right ones, and a diagnosis where there is one."""
     units = plain_problem(problem).units
     lines = [f"{name_of(problem)}: {why} (rtol {rtol:g})"]
     if judged is not None and not judged.passed:

@@ -1,4 +1,4 @@
-"""Somebody else's answer, judged: the certificate, and beside it what the certificate alone cannot say.
+"""An answer of another code, judged: the certificate, and beside it what the certificate alone cannot say.
 
 The certificate is computed from the problem and the answer; nothing here changes its verdict. What is wrong at which
 contact, what is right there and why it may have gone wrong takes a solution, which is computed when first asked for.
@@ -27,7 +27,7 @@ from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judg
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JudgedAnswer(Certificate):
-    """The certificate of somebody's answer, and what went wrong with it in words.
+    """The certificate of a given answer, and what went wrong with it in words.
 
     `right`, `contacts`, `findings` and `diagnosis` are computed when first looked at; they may solve the problem.
     Printing does not: it says what is violated, and where the rest is.
@@ -96,7 +96,7 @@ class JudgedAnswer(Certificate):
 
     @own_floating_point
     def table(self, limit: int = 20) -> str:
-        """The wrong contacts as text."""
+        """Return the wrong contacts as text."""
         return contacts_table(self.problem, self.contacts, limit)
 
     def __str__(self) -> str:

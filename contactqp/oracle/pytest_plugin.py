@@ -27,7 +27,7 @@ class ContactOracle:
     """What `contactqp.testing` has, and `certify`, for tests that take the fixture `contact_oracle`."""
 
     def problem(self, name: str) -> GalleryProblem:
-        """The problem of the gallery with this name."""
+        """Return the problem of the gallery with this name."""
         from contactqp.oracle.gallery.gallery import problem
 
         return problem(name)
@@ -81,7 +81,7 @@ def contact_oracle() -> ContactOracle:
 
 @pytest.fixture
 def contact_problem() -> None:
-    """A problem of contactqp's gallery with its exact answer, chosen by @pytest.mark.contact_gallery."""
+    """Provide a problem of contactqp's gallery with its exact answer, chosen by @pytest.mark.contact_gallery."""
     pytest.fail(
         f"{ARGUMENT}: mark the test with @pytest.mark.contact_gallery, which chooses the problems", pytrace=False
     )

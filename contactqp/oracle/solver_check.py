@@ -1,4 +1,4 @@
-"""Somebody's solver on the gallery: one verdict a problem, and a table of them."""
+"""A solver of another code on the gallery: one verdict a problem, and a table of them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class SolverReport:
         return tuple(one for one in self.verdicts if one.verdict == "wrong")
 
     def table(self) -> str:
-        """One line a problem, then how many of each verdict."""
+        """Return one line a problem, then how many of each verdict."""
         lines = [["problem", "difficulty", "verdict", "seconds", ""]]
         for one in self.verdicts:
             first = one.why.splitlines()[:2]

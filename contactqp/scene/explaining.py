@@ -356,7 +356,7 @@ def explain_problem(problem: ContactProblem | LocalProblem, title: str) -> Expla
 
 
 def _row_of(rows: Any, i: int, problem: ContactProblem, relation: str) -> str:
-    """One row in words; long ones are cut short."""
+    """Return one row in words; long ones are cut short."""
     ties = relation == "="
     entries = range(rows.indptr[i], rows.indptr[i + 1])
     terms = [f"{rows.data[k]:+.6g} {problem.dof_name(int(rows.indices[k]))}" for k in entries[:MOST_TERMS]]
@@ -375,7 +375,7 @@ def _axes(problem: ContactProblem) -> int:
 
 
 def _systems(problem: ContactProblem) -> BuildingBlock:
-    """Which systems `solve` takes."""
+    """Return which systems `solve` takes."""
     if iterated(problem):
         many = problem.frictional and problem.dimension < LARGE
         why = "contacts that rub are many" if many else "the body is too large to factorise"

@@ -52,12 +52,12 @@ class Question(NamedTuple):
 
 
 def too_large(problem: ContactProblem) -> bool:
-    """Whether some other questions are left unasked."""
+    """Return whether some other questions are left unasked."""
     return problem.dimension > LARGEST_OF_OTHER_ROWS or problem.contacts > MOST_CONTACTS
 
 
 def other_rows(problem: ContactProblem, question: Question) -> bool:
-    """Whether a question needs a factorisation of its own."""
+    """Return whether a question needs a factorisation of its own."""
     return question.kept is not None or question.problem.ties != problem.ties
 
 
@@ -77,7 +77,7 @@ def predicted_operations(problem: ContactProblem, factorised: bool) -> float:
 
 
 def other_questions(evidence: Evidence) -> Iterator[Explanation]:
-    """The questions whose right answer was given."""
+    """Yield the questions whose right answer was given."""
     problem = evidence.problem
     if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
@@ -100,7 +100,7 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def unbalanced(evidence: Evidence, load: Vector) -> bool:
-    """Whether a complete answer is too far from equilibrium with a load to be near any that balances it.
+    """Return whether a complete answer is too far from equilibrium with a load to be near any that balances it.
 
     With D = 1/sqrt(K_jj), |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough
     to be an explanation has D^-1 du and the forces within LEFT of theirs.
@@ -128,7 +128,7 @@ def unbalanced(evidence: Evidence, load: Vector) -> bool:
 
 
 def _answered(problem: ContactProblem, question: Question) -> Answer | None:
-    """The right answer to the other question, as one to this problem."""
+    """Return the right answer to the other question, as one to this problem."""
     try:
         found = solve(question.problem)
     except ContactQPError:
@@ -296,7 +296,7 @@ def diagnose(
 
 
 def _explained(evidence: Evidence) -> list[Explanation]:
-    """What the first group of families that explains the answer says."""
+    """Return what the first group of families that explains the answer says."""
     for group in GROUPS:
         found = [one for family in group for one in family(evidence) if one.left <= LEFT]
         if found:
@@ -315,7 +315,7 @@ def _others(right: Solution | None) -> Iterator[Finding]:
 
 
 def _best(found: list[Explanation]) -> list[Finding]:
-    """The best explanation and those that are as good, one of a kind."""
+    """Return the best explanation and those that are as good, one of a kind."""
     least = min(one.left for one in found)
     kept: dict[str, Explanation] = {}
     for one in found:
@@ -351,7 +351,7 @@ def paragraph(
     worst: JudgedContact | None,
     why_not: str | None,
 ) -> str:
-    """The findings as one paragraph; without a cause the right values of the worst contact stand with them."""
+    """Return the findings as one paragraph; without a cause the right values of the worst contact stand with them."""
     if certificate.passed:
         return "nothing is wrong with this answer"
     causes: list[str] = []

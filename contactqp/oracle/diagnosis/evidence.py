@@ -117,7 +117,7 @@ NAMED = 3
 
 
 def symptoms(problem: ContactProblem, answer: Answer, certificate: Certificate) -> Iterator[Finding]:
-    """A finding for each figure and bound that fails."""
+    """Yield a finding for each figure and bound that fails."""
     found = certificate.violations
     if found is None:
         for failure in certificate.failures:
@@ -202,14 +202,14 @@ def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
 
 
 def _part(bound: float) -> str:
-    """A part of the right size in words."""
+    """Return a part of the right size in words."""
     if 1e-3 <= bound < 1:
         return f"{100 * bound:.2g} %"
     return f"{bound:.2g} {'of' if bound < 1 else 'times'} the right size"
 
 
 def unit_of(unit: str) -> str:
-    """The unit with a blank before it, if there is one."""
+    """Return the unit with a blank before it, if there is one."""
     return f" {unit}" if unit else ""
 
 
@@ -301,7 +301,7 @@ class Evidence:
         return int(np.size(getattr(self.given, name)))
 
     def apart(self, one: GivenAnswer, other: Solution | Answer) -> float:
-        """How far the given parts of one answer are from another's."""
+        """Return how far the given parts of one answer are from another's."""
         worst = 0.0
         names = list(self.given_parts)
         if self.shared and "normal_force" in names:
@@ -354,11 +354,11 @@ class Evidence:
         return np.asarray(total)
 
     def explains(self, left: float) -> bool:
-        """Whether an answer that is this far from right, something undone, was wrong for that reason."""
+        """Return whether an answer that is this far from right, something undone, was wrong for that reason."""
         return left <= max(NOTHING, min(LEFT, GONE * self.before))
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
-        """Whether the certificate passes a changed answer, or the same answer to another problem."""
+        """Return whether the certificate passes a changed answer, or the same answer to another problem."""
         try:
             found, _ = judge(
                 problem or self.problem, changed, self.certificate.tolerance, self.certificate.error_tolerance
@@ -368,7 +368,7 @@ class Evidence:
         return found.passed
 
     def passes_with(self, **changes: Any) -> bool:
-        """Whether the answer as it was given is right for the problem with other data.
+        """Return whether the answer as it was given is right for the problem with other data.
 
         Data that no problem may have explain nothing: factors may be of any size, and make them infinite.
         """
@@ -379,11 +379,11 @@ class Evidence:
         return self.passes(self.given, changed)
 
     def with_parts(self, **changes: Any) -> GivenAnswer:
-        """What was given, some parts of it changed."""
+        """Return what was given, some parts of it changed."""
         return replace(self.given, **changes)
 
     def then(self, undone: GivenAnswer, left: float) -> str:
-        """What is to be said of the answer with its mistake undone."""
+        """Return what is to be said of the answer with its mistake undone."""
         return "this answer is right" if self.passes(undone) else f"it agrees with the right one to {digits(left)}"
 
 
@@ -400,6 +400,6 @@ def _relative(difference: Any, right: Any, mine: Any, floor: float) -> float:
 
 
 def digits(part: float) -> str:
-    """How many digits agree where this part of the largest value differs, in words."""
+    """Return how many digits agree where this part of the largest value differs, in words."""
     count = 16 if part <= 0 else max(0, min(16, int(np.floor(-np.log10(part)))))
     return f"{count} digit{'' if count == 1 else 's'}"

@@ -93,7 +93,7 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 
 def _few(stiffness: Vector) -> bool:
-    """Whether few different values occur, a third of all at most: a penalty by the area, on a regular mesh."""
+    """Return whether few different values occur, a third of all at most: a penalty by the area, on a regular mesh."""
     steps = np.diff(np.log(np.sort(stiffness)))
     return 3 * (1 + int(np.sum(steps > ONE_OF_FEW))) <= len(stiffness)
 
@@ -119,7 +119,7 @@ def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 
 def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """What is out of balance is a multiple of the load, of K u, of u, or the load of some unknowns."""
+    """Yield explanations where the residual is a multiple of the load, of K u or of u, or the load of some unknowns."""
     problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
     inner = (extended_rows(problem).stiffness @ extend(u)).double()
     part = _multiple(r, problem.load)

@@ -15,7 +15,7 @@ FEWER = 0.5
 
 
 def duplicates(evidence: Evidence) -> Iterator[Explanation]:
-    """Forces counted twice, or halved, at some contacts."""
+    """Yield forces counted twice, or halved, at some contacts."""
     yield from _rows_twice(evidence)
     if evidence.right is None or evidence.shared:
         return
@@ -89,7 +89,7 @@ RIGHT = 1e-9
 
 
 def one_value(evidence: Evidence) -> Iterator[Explanation]:
-    """All values but one are right."""
+    """Yield an explanation where all values but one are right."""
     right = evidence.right
     if right is None or evidence.shared:
         return
@@ -125,7 +125,7 @@ AREAS_DIFFER = 0.95
 
 
 def shares(evidence: Evidence) -> Iterator[Explanation]:
-    """What forces have in common with the right ones where displacements are right or were not given."""
+    """Yield what forces have in common with the right ones where displacements are right or were not given."""
     if evidence.right is None or evidence.shared:
         return
     force = evidence.given.normal_force
@@ -137,7 +137,9 @@ def shares(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """Every pushing contact has a positive factor of its own, and few different ones occur, or areas were given."""
+    """Yield an explanation where every pushing contact has a positive factor of its own: few of them differ, or areas
+    were given.
+    """
     size = float(np.max(abs(right), initial=0.0))
     acting = right > LEFT * size
     if np.sum(acting) < ENOUGH or np.any(abs(force[~acting]) > LEFT * float(np.max(abs(force)))):
@@ -163,7 +165,7 @@ def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Exp
 
 
 def _total(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """The total is right and its distribution is not."""
+    """Yield an explanation where the total is right and its distribution is not."""
     total, should = float(np.sum(force)), float(np.sum(right))
     if not should > 0 or abs(total - should) > 1e-6 * should or np.any(force < 0):
         return
@@ -179,7 +181,7 @@ def _total(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explana
 
 
 def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
-    """Every part is right but for a factor that has no name."""
+    """Yield an explanation where every part is right but for a factor that has no name."""
     known = factors(evidence)
     if known is None:
         return
@@ -210,7 +212,7 @@ def shifted(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _gaps(evidence: Evidence) -> Iterator[Explanation]:
-    """All contacts that push have one and the same gap, and with all gaps less this one the answer passes."""
+    """Yield an explanation where all pushing contacts have one gap, and with all gaps less that the answer passes."""
     found, problem = evidence.certificate.violations, evidence.problem
     if found is None:
         return
@@ -235,7 +237,7 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _displacements(evidence: Evidence) -> Iterator[Explanation]:
-    """All nodes are off by the same."""
+    """Yield an explanation where all nodes are off by the same displacement."""
     u, right = evidence.given.displacement, evidence.right
     if u is None or right is None or not np.all(np.isfinite(u)):
         return

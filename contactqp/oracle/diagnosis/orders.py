@@ -210,7 +210,7 @@ class _Undone(NamedTuple):
 
 
 def two_mistakes(evidence: Evidence, explained: Callable[[Evidence], list[Explanation]]) -> list[Explanation]:
-    """A sign or a unit, and what `explained` says of the answer with that undone."""
+    """Return a sign or a unit, and what `explained` says of the answer with that undone."""
     for undone in _undoings(evidence):
         try:
             found, completed = judge(
@@ -276,7 +276,7 @@ def _undoings(evidence: Evidence) -> Iterator[_Undone]:
 
 
 def _power(mine: float, right: float) -> int:
-    """The power of a thousand by which a size is too large, 0 where there is none."""
+    """Return the power of a thousand by which a size is too large, 0 where there is none."""
     if not 0 < mine < np.inf or not 0 < right < np.inf:
         return 0
     exponent = float(np.log10(mine) - np.log10(right))

@@ -41,7 +41,7 @@ class NamedFactor(NamedTuple):
 
 
 def named_factor(factor: float, length: bool, unit: str) -> NamedFactor | None:
-    """What a factor of displacements or of forces is called; None if it has no name.
+    """Return what a factor of displacements or of forces is called; None if it has no name.
 
     `unit` is the problem's own: a displacement 1000 times too large was given in the next smaller one.
     """
@@ -87,7 +87,8 @@ RIGHT = "this answer is right"
 
 
 def factors(evidence: Evidence) -> dict[str, float] | None:
-    """What each given part has to be divided by to be right, None where some part is not proportional to the right one.
+    """Return what each given part has to be divided by to be right, None where some part is not proportional to the
+    right one.
 
     A part that is right, or whose right value is zero, has the factor one.
     """
@@ -121,7 +122,7 @@ def _proportion(mine: Vector, right: Vector) -> float | None:
 
 
 def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
-    """What was given beside what is right, part by part; forces that are open by what they do together."""
+    """Return what was given beside what is right, part by part; forces that are open by what they do together."""
     right = evidence.right
     names = evidence.given_parts
     pairs: dict[str, tuple[Vector, Vector]] = {}
@@ -189,7 +190,7 @@ def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanatio
 
 
 def _texts(evidence: Evidence, parts: list[str], factor: float, guess: str, then: str) -> tuple[str, str]:
-    """What is wrong, and how it is undone."""
+    """Return what is wrong, and how it is undone."""
     what = "everything" if len(parts) == len(evidence.given_parts) and len(parts) > 1 else _joined(parts)
     if factor == -1:
         has = "has" if what == "everything" else "have"
@@ -256,7 +257,7 @@ LOOSEST = 1e-2
 
 
 def printed(evidence: Evidence) -> Iterator[Explanation]:
-    """Numbers of single precision or of few digits, each as near to the right one as these are."""
+    """Yield numbers of single precision or of few digits, each as near to the right one as these are."""
     if evidence.right is None or not evidence.before <= FEW_DIGITS:
         return
     values, right, noise = _side_by_side(evidence)
@@ -280,7 +281,7 @@ def _told(evidence: Evidence, kind: str, why: str) -> Explanation:
 
 
 def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:
-    """All given values, the right ones, and what is noise beside the largest of their kind."""
+    """Return all given values, the right ones, and what is noise beside the largest of their kind."""
     mine = [np.ravel(getattr(evidence.given, name)) for name in evidence.given_parts]
     right = [np.ravel(getattr(evidence.right, name)) for name in evidence.given_parts]
     noise = [np.full(len(part), NOISE * np.max(abs(part), initial=0.0)) for part in right]
@@ -301,7 +302,7 @@ def _roundings(values: Vector) -> Iterator[tuple[str, str, float]]:
 
 
 def _what_passes(evidence: Evidence) -> str:
-    """The tolerances, powers of ten, that would pass."""
+    """Return the tolerances, powers of ten, that would pass."""
     found = evidence.certificate
     sizes = [
         float(getattr(found, one.name))

@@ -71,7 +71,7 @@ class Enclosure:
 
 
 def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
-    """The proof that the system of closed contacts (c,) has one solution, and by how much.
+    """Return the proof that the system of closed contacts (c,) has one solution, and by how much.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
 
 
 def is_convex(problem: ContactProblem) -> bool:
-    """Whether the stiffness is proven to be positive definite on the motions that the ties leave."""
+    """Return whether the stiffness is proven to be positive definite on the motions that the ties leave."""
     K, scale = _scaled(problem)
     B, _ = _rows(sp.csr_matrix(problem.tie), scale)
     h = largest_row_sum(K) + largest_row_sum(abs(B).T @ abs(B))
@@ -168,7 +168,7 @@ def _power_of_two(squares: Any) -> Floats:
 
 
 def _norm(values: Fixed, scale: Floats) -> float:
-    """An upper bound of |diag(scale) x|."""
+    """Return an upper bound of |diag(scale) x|."""
     largest = values.exponent
     magnified = values.floats_at(-largest) * scale
     # What has underflown is beneath the term added.
@@ -211,7 +211,7 @@ class Held:
 
 
 def hold(problem: ContactProblem, solution: Solution) -> Held:
-    """The problem with one unknown a free motion tied to where the solution has it."""
+    """Return the problem with one unknown a free motion tied to where the solution has it."""
     motions = np.array([motion.direction for motion in solution.free_motions])
     # Column pivots are unknowns whose rows of the motions are independent, and well so.
     order = scipy.linalg.qr(motions, mode="r", pivoting=True)[1]

@@ -90,12 +90,12 @@ class Ball:
 
 
 def root(square: Any) -> Ball:
-    """The square root of a number that is not negative."""
+    """Return the square root of a number that is not negative."""
     return Ball(to_arb(square).sqrt())
 
 
 def to_arb(value: Any) -> arb:
-    """The ball of a number."""
+    """Return the ball of a number."""
     found = _arb_of(value)
     if found is None:
         raise TypeError(f"expected a number that a ball computes with, got {type(value).__name__}")
@@ -116,12 +116,12 @@ def _made(other: Any, operation: Callable[[arb], arb]) -> Any:
 
 
 def midpoint(value: arb) -> Fraction:
-    """The midpoint, a dyadic number, as it stands."""
+    """Return the midpoint, a dyadic number, as it stands."""
     return fraction(value.mid().fmpq())
 
 
 def radius(value: arb) -> float:
-    """The radius, rounded up to a double."""
+    """Return the radius, rounded up to a double."""
     exact = fraction(value.rad().fmpq())
     return rounded_up(exact)
 
@@ -167,7 +167,7 @@ class Enclosed:
 
 
 def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
-    """The answer in balls.
+    """Return the answer in balls.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
 
 
 def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclosed:
-    """The system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
+    """Return the system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
     n, m = len(balls.f), len(balls.g)
     closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
     stuck = [i for i in closed if states[i] == "stick"]
@@ -295,7 +295,7 @@ def _product(row: list[arb], u: list[arb]) -> arb:
 
 
 def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any) -> str:
-    """The first sign that is not strictly right, in words, or nothing."""
+    """Return the first sign that is not strictly right, in words, or nothing."""
     for i, word in enumerate(states):
         if word in ("open", "grazing"):
             if not found.gap[i] > 0:

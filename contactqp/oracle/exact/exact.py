@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 def read_case(path: str) -> Any:
-    """A Scene of a TOML file or standard input; whatever `contactqp.read_problem` reads of anything else."""
+    """Return a Scene of a TOML file or standard input; whatever `contactqp.read_problem` reads of anything else."""
     is_case = path == STANDARD_INPUT or case_path(path).suffix.lower() == ".toml"
     return load_scene(path) if is_case else read_problem(path)
 
 
 def tie_names(case: Any, ties: int) -> tuple[str, ...]:
-    """The names of a scene's ties, or their numbers."""
+    """Return the names of a scene's ties, or their numbers."""
     named = tuple(str(tie.name) for tie in case.ties) if isinstance(case, Scene) else ()
     return named if len(named) == ties else tuple(f"tie {i}" for i in range(ties))
 
@@ -48,7 +48,7 @@ MOST_OF_A_CASE = 1500
 
 @own_floating_point
 def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
-    """The exact answer to a contact problem.
+    """Return the exact answer to a contact problem.
 
     A floating-point method proposes which contacts are closed (and which of them stick and slip); the linear system of
     that proposal is solved in rational numbers, and every statement of the problem is checked in them, with no
@@ -215,7 +215,7 @@ def _of_scene(
 
 
 def _corners(model: NodeModel) -> list[Any]:
-    """The exact loads (n, 1) of the path's corners on the free unknowns."""
+    """Return the exact loads (n, 1) of the path's corners on the free unknowns."""
     from contactqp.linalg.rational import column
     from contactqp.scene.unknowns import end_time
 

@@ -134,7 +134,7 @@ class _Walk:
                 raise Unsupported(f"exact: {names[i]} is closed at the start, away from its slip_origin")
 
     def leg(self, start: fmpq_mat, end: fmpq_mat, time: int) -> None:
-        """All of it: the load is start + x (end - start), x from 0 to 1."""
+        """Follow one leg: the load is start + x (end - start), x from 0 to 1."""
         direction, x = end - start, fmpq(0)
         rates = replace(
             self.data,
@@ -192,7 +192,7 @@ class _Walk:
         return found[0]
 
     def _is_of(self, states: States, rate: RationalAnswer) -> bool:
-        """Whether a continuation is one in these states too, where they leave a motion free: then it rests."""
+        """Return whether a continuation is one in these states too, where they leave a motion free: then it rests."""
         approach, slips = (self.data.E * rate.displacement).entries(), (self.data.T * rate.displacement).entries()
         for i, state in enumerate(states):
             push, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
@@ -228,7 +228,9 @@ class _Walk:
         return product(*choices)
 
     def _rooms(self, states: States, rate: RationalAnswer) -> list[fmpq]:
-        """The law in rates at contacts that are at a limit: linear in the rates, none of it negative where it holds."""
+        """Return the law in rates at contacts that are at a limit: linear in the rates, none of it negative where it
+        holds.
+        """
         gaps = (-1 * self.data.E * rate.displacement).entries()
         slips = (self.data.T * rate.displacement).entries()
         now = self.data.gap(self.answer.displacement).entries()
@@ -249,7 +251,7 @@ class _Walk:
         return rooms
 
     def _ahead(self, rate: RationalAnswer) -> fmpq:
-        """How far the next limit is, as a part of the leg, or 1."""
+        """Return how far the next limit is, as a part of the leg, or 1."""
         nearest = fmpq(1)
         gaps, rates = self.data.gap(self.answer.displacement).entries(), (self.data.E * rate.displacement).entries()
         for i, state in enumerate(self.states):
@@ -265,7 +267,7 @@ class _Walk:
         return nearest
 
     def _prove(self, load: fmpq_mat, rate: RationalAnswer) -> None:
-        """Every statement, slips counted from where each contact would be without its rate of slip."""
+        """Prove every statement, slips counted from where each contact would be without its rate of slip."""
         moved = self.data.T * rate.displacement
         origin = self.data.T * self.answer.displacement
         for i, state in enumerate(self.states):

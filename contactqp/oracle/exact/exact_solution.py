@@ -31,7 +31,7 @@ WIDEST = 44
 
 
 def nearest(x: Fraction) -> float:
-    """The nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
+    """Return the nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
     try:
         return x.numerator / x.denominator
     except OverflowError:
@@ -39,7 +39,7 @@ def nearest(x: Fraction) -> float:
 
 
 def rounded_up(x: Fraction) -> float:
-    """The least double that is not smaller."""
+    """Return the least double that is not smaller."""
     near = nearest(x)
     return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
 
@@ -56,7 +56,7 @@ def ratio(x: Fraction) -> str:
 
 
 def decimal(x: Fraction, digits: int = DIGITS) -> str:
-    """A number rounded to so many significant digits.
+    """Return a number rounded to so many significant digits.
 
     >>> decimal(Fraction(2, 3), 5), decimal(Fraction(-1, 800), 5), decimal(Fraction(99999, 10000), 3)
     ('6.6667e-1', '-1.2500e-3', '1.00e1')
@@ -76,7 +76,7 @@ def decimal(x: Fraction, digits: int = DIGITS) -> str:
 
 
 def widened(x: Fraction, radius: float, digits: int) -> float:
-    """The radius around the number as it is printed, rounded up."""
+    """Return the radius around the number as it is printed, rounded up."""
     exact = Fraction(radius) + abs(x) * Fraction(1, 10 ** (digits - 1))
     return rounded_up(exact)
 
@@ -180,7 +180,7 @@ def _floats(values: Fractions) -> Floats:
 
 
 def text(answer: ExactSolution) -> str:
-    """A few lines: what is exact, the contacts, and what was proven."""
+    """Return a few lines: what is exact, the contacts, and what was proven."""
     problem = answer.problem
     kind = "exact" if answer.rational else "enclosed"
     lines = [f"{kind}, of {answer.data}: {problem.dimension} unknowns, {problem.contacts} contacts"]
@@ -193,7 +193,7 @@ def text(answer: ExactSolution) -> str:
 
 
 def remarks(answer: ExactSolution) -> Iterator[str]:
-    """What else there is to say of it."""
+    """Yield what else there is to say of it."""
     if not answer.unique_forces:
         yield "contact forces are not unique: those of least norm, with the range of each"
     if answer.equilibria is not None and answer.equilibria > 1:
@@ -226,7 +226,7 @@ SIGNS = (
 
 
 def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> dict[str, Any]:
-    """All of it, for JSON; numbers that are exact are text "p/q", doubles are the nearest to them."""
+    """Return all of it, for JSON; numbers that are exact are text "p/q", doubles are the nearest to them."""
     problem, radius = answer.problem, answer.radius
 
     def entry(name: str, *place: int) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class Asked:
 
 
 def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
-    """The answer of floats, or the one they gave up with, and why."""
+    """Return the answer of floats, or the one they gave up with, and why."""
     try:
         return solve(asked.problem, asked.method, **asked.options), None
     except (NotCertified, NotConverged) as error:
@@ -73,7 +73,7 @@ def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
 
 
 def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
-    """The exact answer.
+    """Return the exact answer.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
 
 
 def prove_path(data: RationalProblem, corners: Sequence[fmpq_mat], asked: Asked) -> ExactSolution:
-    """The exact answer at the end of a load path with friction.
+    """Return the exact answer at the end of a load path with friction.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def solution_of(
     findings: tuple[str, ...] = (),
     events: tuple[ExactEvent, ...] = (),
 ) -> ExactSolution:
-    """What was settled, in Fractions and in words."""
+    """Return what was settled, in Fractions and in words."""
     problem, answer = asked.problem, settled.answer
     u, shape = answer.displacement, None if problem.slip_origin is None else problem.slip_origin.shape
     minimum = () if data.frictional else (PROVEN_MINIMUM,)
@@ -178,7 +178,7 @@ def solution_of(
 
 
 def symmetrised(problem: ContactProblem) -> tuple[str, ...]:
-    """A note where the stiffness was given with an asymmetry that is no rounding."""
+    """Return a note where the stiffness was given with an asymmetry that is no rounding."""
     if problem.asymmetry <= ROUNDED:
         return ()
     return (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)

@@ -101,7 +101,7 @@ class System:
         return take(x, range(n)), take(x, range(n, n + rows)), only
 
     def answer(self, u: fmpq_mat, forces: fmpq_mat) -> RationalAnswer:
-        """The forces laid out contact by contact."""
+        """Return the forces laid out contact by contact."""
         data, chosen, values = self.data, self.combination, forces.entries()
         push, rub = zeros(data.contacts, 1), zeros(data.T.nrows(), 1)
         k, w = data.ties, data.width
@@ -195,7 +195,9 @@ def unit(vector: list[fmpq]) -> Direction:
 
 
 def balance(data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None) -> Balance | None:
-    """The forces that hold a displacement, None, proven, if none do; `known` are the only ones of their system."""
+    """Return the forces that hold a displacement, None, proven, if none do; `known` are the only ones of their
+    system.
+    """
     chosen = states(data, u)
     if known is not None and known[0].combination.key == chosen.key:
         system, start = known
@@ -281,7 +283,7 @@ class Settled:
 
 
 def settle(data: RationalProblem, guesses: Iterable[tuple[int, ...]], max_pivots: int) -> Settled:
-    """The equilibrium, from the first guess that leads to it, or by Lemke's method.
+    """Return the equilibrium, from the first guess that leads to it, or by Lemke's method.
 
     Raises
     ------
@@ -328,7 +330,9 @@ def _corrected(data: RationalProblem, closed: tuple[int, ...], tried: set[tuple[
 def balanced(
     data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None, way: str = ""
 ) -> Settled | None:
-    """The proven equilibrium at a displacement, or at its neighbours by free motions; None where there is none."""
+    """Return the proven equilibrium at a displacement, or at its neighbours by free motions; None where there is
+    none.
+    """
     found = balance(data, u, known)
     if found is None:
         return None
@@ -352,7 +356,7 @@ def _free_motions(data: RationalProblem, found: Balance) -> fmpq_mat:
 
 
 def _rested(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
-    """The displacement of least norm that differs by motions nothing resists and keeps the gaps."""
+    """Return the displacement of least norm that differs by motions nothing resists and keeps the gaps."""
     rows = data.E * motions
     felt = [i for i, row in enumerate(rows.tolist()) if any(x != 0 for x in row)]
     family = Family(u, motions, take(data.gap(u), felt), -1 * take(rows, felt))
@@ -455,7 +459,7 @@ def _direction(solution: Solution, contact: int) -> Direction | None:
 
 
 def _numbers(data: RationalProblem) -> dict[str, Any]:
-    """The data as arrays of Fractions, by the names of `exact_equilibria`."""
+    """Return the data as arrays of Fractions, by the names of `exact_equilibria`."""
     parts = dict(stiffness=data.K, load=data.f, normal=data.E, gap=data.g, tangent=data.T, tie=data.A)
     parts.update(tie_value=data.b, slip_origin=data.slip_origin)
     numbers: dict[str, Any] = {name: _array(part) for name, part in parts.items()}

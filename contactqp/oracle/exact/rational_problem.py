@@ -89,7 +89,7 @@ class RationalProblem:
 
 
 def of_floats(problem: ContactProblem) -> RationalProblem:
-    """The floats as they stand; K as it was symmetrised."""
+    """Return the floats as they stand; K as it was symmetrised."""
     T, friction, origin = zeros(0, problem.dimension), (fmpq(0),) * problem.contacts, zeros(0, 1)
     if problem.tangent is not None and problem.slip_origin is not None and problem.friction is not None:
         T, origin = matrix(problem.tangent), column(problem.slip_origin.ravel())
@@ -108,7 +108,7 @@ def of_floats(problem: ContactProblem) -> RationalProblem:
 
 
 def of_scene(exact: ExactProblem) -> RationalProblem:
-    """A scene's numbers on its free unknowns, all of them Fractions (`exact.rational`); K is symmetrised.
+    """Return a scene's numbers on its free unknowns, all of them Fractions (`exact.rational`); K is symmetrised.
 
     As in the problem of floats, there are tangential rows only where there is friction.
     """
@@ -188,7 +188,7 @@ STATEMENTS = (
 
 
 def wrong(data: RationalProblem, answer: RationalAnswer) -> Iterator[Wrong]:
-    """Every statement that does not hold; none is a proof that the answer solves the problem."""
+    """Yield every statement that does not hold; none is a proof that the answer solves the problem."""
     u, push, rub = answer.displacement, answer.normal_force, answer.friction_force
     left = data.K * u + data.E.transpose() * push + data.A.transpose() * answer.tie_force - data.f
     if rub.nrows():
@@ -338,7 +338,7 @@ class Family:
         return free + pull * fmpq_mat(len(push), 1, push)
 
     def ranges(self, entries: Iterable[int]) -> list[Range]:
-        """The least and the largest value of each entry of x, None where it is unbounded; a member exists."""
+        """Return the least and the largest value of each entry of x, None where it is unbounded; a member exists."""
         slopes = [[fraction(x) for x in row] for row in self.slope.tolist()]
         rooms = [fraction(x) for x in self.room.entries()]
         # A condition that no direction changes is met or there is no member.
@@ -368,7 +368,7 @@ def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
 
 
 def block_of(family: Family, columns: list[int]) -> Family:
-    """The family in which only these directions move, with the conditions that they change."""
+    """Return the family in which only these directions move, with the conditions that they change."""
     slope = take_columns(family.slope, columns)
     rows = [i for i, row in enumerate(slope.tolist()) if any(x != 0 for x in row)]
     return Family(family.start, take_columns(family.directions, columns), take(family.room, rows), take(slope, rows))
@@ -392,7 +392,7 @@ class Reduced:
         return self.u0 - self.R * force + self.Z * motion
 
     def on_set(self, closed: Iterable[int], softness: Iterable[fmpq] = ()) -> tuple[fmpq_mat, fmpq_mat] | None:
-        """Forces and motions with the contacts of the set closed and the others without force.
+        """Return forces and motions with the contacts of the set closed and the others without force.
 
         With a softness (length / force) for each contact of the set they are springs instead: the penalty answer.
         """
@@ -422,7 +422,7 @@ class Reduced:
         return fmpq_mat(m, 1, z[:m]), fmpq_mat(r, 1, motion), pivots
 
     def holds(self, force: fmpq_mat, motion: fmpq_mat) -> bool:
-        """The proof: the problem as it was stated, in rational arithmetic."""
+        """Return the proof: the problem as it was stated, in rational arithmetic."""
         data, u = self.data, self.displaced(force, motion)
         gap, pushes = data.gap(u).entries(), force.entries()
         if any(lam < 0 for lam in pushes) or any(w < 0 for w in gap):

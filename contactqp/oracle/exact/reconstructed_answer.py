@@ -62,7 +62,7 @@ class Reconstructed:
 
 
 def reconstruct(refined: Refined) -> Reconstructed | None:
-    """The exact answer near an approximation, proven; None where no small numbers are one."""
+    """Return the exact answer near an approximation, proven; None where no small numbers are one."""
     u = guessed(refined.displacement)
     push, tie = guessed(refined.normal_force), guessed(refined.tie_force)
     if u is None or push is None or tie is None:
@@ -72,7 +72,7 @@ def reconstruct(refined: Refined) -> Reconstructed | None:
 
 
 def guessed(values: Fixed) -> Column | None:
-    """Numbers of one small denominator, the nearest that are near enough; None where there are none.
+    """Return numbers of one small denominator, the nearest that are near enough; None where there are none.
 
     >>> third = Fixed(np.array([2**400 // 3, 5 * 2**399], dtype=object), 400)
     >>> [str(x) for x in guessed(third).fractions()]
@@ -92,7 +92,7 @@ def guessed(values: Fixed) -> Column | None:
 
 
 def simplest(low: Fraction, high: Fraction) -> Fraction:
-    """The fraction of least denominator in [low, high], by continued fractions.
+    """Return the fraction of least denominator in [low, high], by continued fractions.
 
     >>> simplest(Fraction(3141, 1000), Fraction(3142, 1000)), simplest(Fraction(-1, 3), Fraction(1, 9))
     (Fraction(245, 78), Fraction(0, 1))

@@ -141,13 +141,13 @@ DENSE, MOST_DENSE = 0.2, 6000
 
 
 def largest_row_sum(matrix: Any) -> float:
-    """An upper bound of |M|_inf, and with it of every eigenvalue of a symmetric M."""
+    """Return an upper bound of |M|_inf, and with it of every eigenvalue of a symmetric M."""
     sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
     return float(np.max(sums, initial=0.0)) * SAFE
 
 
 def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
-    """A number that is positive and proven not to exceed lambda_min, or None where none was found.
+    """Return a number that is positive and proven not to exceed lambda_min, or None where none was found.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _factors(matrix: Any) -> Any:
 
 
 def _left_out(matrix: Any, shift: float) -> float | None:
-    """A bound of |R|_inf, None where the matrix less the shift is not found to be positive definite."""
+    """Return a bound of |R|_inf, None where the matrix less the shift is not found to be positive definite."""
     size = matrix.shape[0]
     shifted = sp.csc_matrix(matrix - shift * sp.identity(size, format="csc"))
     forming = 4 * EPS * (largest_row_sum(matrix) + shift)

@@ -1,4 +1,4 @@
-"""Somebody else's numbers, brought into the order, the signs and the units of a problem as told, never guessed.
+"""Numbers of another code, brought into the order, the signs and the units of a problem as told, never guessed.
 
     u_j   = given displacement at dof_map[j]
     l_N,i = (+ or -) given normal force at contact_map[i], times pressure_area[i] where it is a pressure
@@ -44,7 +44,7 @@ class GivenAnswer(ReadOnly):
         return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
 
     def filled(self, problem: ContactProblem) -> Answer:
-        """The answer with zeros for what was not given."""
+        """Return the answer with zeros for what was not given."""
         width = () if problem.slip_origin is None else problem.slip_origin.shape
         none = np.zeros(width) if problem.slip_origin is not None else None
         return Answer(
@@ -174,7 +174,7 @@ def _by_name(name: str, entries: list[str], names: Sequence[str] | None, kind: s
 def _picked(
     name: str, value: Any, count: int, places: NDArray[np.intp] | None, notes: list[str], order: Any
 ) -> NDArray[np.float64]:
-    """The entries of a given vector in the problem's order."""
+    """Return the entries of a given vector in the problem's order."""
     array = read_array(name, value)
     if places is None:
         if array.shape != (count,):

@@ -96,7 +96,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class JudgedContact(ReadOnly):
-    """One contact of somebody's answer that is wrong, in the problem's units, forces positive in compression."""
+    """One contact of a given answer that is wrong, in the problem's units, forces positive in compression."""
 
     name: str
     index: int

@@ -56,7 +56,7 @@ ACTING = 1e-6
 def balancing_forces(
     rows: Any, residual: Vector, pushing_only: NDArray[np.bool_], scale: Vector, left: Vector | None = None
 ) -> tuple[Vector, bool]:
-    """Forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
+    """Return forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
 
     Unknowns are scaled by `scale` (n,), 1/sqrt(K_jj). Where rows are independent the forces are what they are; where
     they are not, those that only push share the resultant without tension if that explains it as well, and so that
@@ -111,7 +111,7 @@ def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector)
 
 
 def _without_tension(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, float]:
-    """Forces l (q,) that push where they only can, and what |B'l - r| they leave: nan where none were found."""
+    """Return forces l (q,) that push where they only can, and what |B'l - r| they leave: nan where none were found."""
     from scipy.optimize import nnls
 
     columns = np.vstack([B, -B[~pushing_only]]).T
@@ -125,7 +125,9 @@ def _without_tension(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tu
 
 
 def _of_least_work(B: Array, force: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> NDArray[np.intp]:
-    """The rows that act where forces with the same resultant B'l as some do the least work l'd, by a linear program."""
+    """Return the rows that act where forces with the same resultant B'l as some do the least work l'd, by a linear
+    program.
+    """
     from scipy.linalg import null_space
     from scipy.optimize import linprog
 
@@ -162,7 +164,8 @@ SIDES = 32
 
 
 def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied: bool) -> Answer | None:
-    """The known displacement with contact forces, and tie forces if `tied`, that obey the law; None without friction.
+    """Return the known displacement with contact forces, and tie forces if `tied`, that obey the law; None without
+    friction.
 
     `residual` (n,) is f - K u less the tie forces that are known [force].
     """
@@ -192,7 +195,7 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
 def _edges(
     touching: NDArray[np.bool_], moving: NDArray[np.bool_], along: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """The contact (q,) and the direction (q, d-1) of each edge that forces may lie along."""
+    """Return the contact (q,) and the direction (q, d-1) of each edge that forces may lie along."""
     slipping, sticking = np.flatnonzero(touching & moving), np.flatnonzero(touching & ~moving)
     if along.shape[1] == 1:
         every = np.array([[1.0], [-1.0]])
@@ -203,7 +206,7 @@ def _edges(
     return contacts, np.concatenate([along[slipping], np.tile(every, (len(sticking), 1))])
 
 
-# A gap of this part of its lengths is none, and a force of this part of the largest, in what somebody gives.
+# A gap of this part of its lengths is none, and a force of this part of the largest, in what is given.
 TOUCHING, PUSHING = 1e-6, 1e-12
 NO_CONTACTS = np.zeros(0, dtype=np.intp)
 
@@ -218,7 +221,7 @@ class Recovery:
 
 
 def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...]:
-    """The parts that the problem has and that were not given."""
+    """Return the parts that the problem has and that were not given."""
     wanted = {
         "displacement": True,
         "normal_force": problem.contacts > 0,
@@ -275,7 +278,7 @@ def _words(names: tuple[str, ...]) -> str:
 
 
 def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
-    """Forces from a displacement."""
+    """Yield forces from a displacement."""
     known = given.filled(problem)
     rows = extended_rows(problem)
     residual = extend(problem.load) - rows.stiffness @ extend(known.displacement)
@@ -321,14 +324,14 @@ class _Unknowns:
         self.rows = sp.csr_matrix(sp.vstack([sp.csr_matrix(block) for block in blocks])) if blocks else none
 
     def left(self, displacement: Vector) -> Vector:
-        """The lengths that the rows leave without friction: gaps, and what ties are open by."""
+        """Return the lengths that the rows leave without friction: gaps, and what ties are open by."""
         rows, u = extended_rows(self._problem), extend(displacement)
         gap = (extend(self._problem.gap) - rows.normal @ u).double()[self._contacts]
         tie = (extend(self._problem.tie_value) - rows.tie @ u).double()
         return np.concatenate([gap if self.normals else gap[:0], tie if "tie_force" in self._missing else tie[:0]])
 
     def filled(self, known: Answer, found: Vector) -> Answer:
-        """The known answer with the forces of these rows."""
+        """Return the known answer with the forces of these rows."""
         normal, friction, tie = known.normal_force, known.friction_force, known.tie_force
         if "normal_force" in self._missing:
             normal = np.zeros(self._problem.contacts)
@@ -344,7 +347,7 @@ class _Unknowns:
 
 
 def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
-    """A displacement, and tie forces, from contact forces."""
+    """Yield a displacement, and tie forces, from contact forces."""
     if iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
             yield from _displaced(problem, given, missing)

@@ -48,17 +48,17 @@ def transposed_times(rows: Rows, vector: Sequence[Fraction], size: int) -> Numbe
 
 
 def plus(*vectors: Sequence[Fraction]) -> Numbers:
-    """The sum of vectors of one length."""
+    """Return the sum of vectors of one length."""
     return tuple(sum(parts, ZERO) for parts in zip(*vectors, strict=True))
 
 
 def columns_are_independent(rows: Rows, size: int) -> bool:
-    """Whether rows x = 0 has no solution (size,) but zero."""
+    """Return whether rows x = 0 has no solution (size,) but zero."""
     return rank(transposed(rows, size)) == size
 
 
 def transposed(rows: Rows, size: int) -> Rows:
-    """The columns (size) as rows."""
+    """Return the columns (size) as rows."""
     columns: list[dict[int, Fraction]] = [{} for _ in range(size)]
     for i, row in enumerate(rows):
         for j, x in row.items():

@@ -81,7 +81,9 @@ def klarbring_opens() -> Contents:
 
 
 def _pad(pull: int, extension: Fraction, rubbing: Fraction, description: str) -> Contents:
-    """A plane with the normal (-3, 4) / 5, rows five times as long: forces of the rows are a fifth of those in N."""
+    """Return a plane with the normal (-3, 4) / 5, rows five times as long: forces of the rows are a fifth of those
+    in N.
+    """
     return stated(
         stiffness=[[640, 480], [480, 360]],
         load=[7200 + Fraction(4 * pull, 5), -9600 + Fraction(3 * pull, 5)],

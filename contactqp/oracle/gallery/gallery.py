@@ -59,7 +59,7 @@ LARGEST_COUNT = 100_000
 
 @lru_cache(maxsize=64)
 def problem(name: str) -> GalleryProblem:
-    """The problem of a name, such as "truss-over-floor" or "redundant-17".
+    """Return the problem of a name, such as "truss-over-floor" or "redundant-17".
 
     Raises
     ------
@@ -125,7 +125,7 @@ def chosen_problems(
     count: int | None = None,
     seed: int = 0,
 ) -> list[GalleryProblem]:
-    """The problems of the names, where there are some, else `problems` of the rest.
+    """Return the problems of the names, where there are some, else `problems` of the rest.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
 
 
 def summary(known: GalleryProblem) -> dict[str, Any]:
-    """What a list of problems says of one."""
+    """Return what a list of problems says of one."""
     data = known.data
     return {
         "name": known.name,

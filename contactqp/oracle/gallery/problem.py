@@ -61,7 +61,7 @@ class ExactProblem:
         return len(self.tangent) // len(self.normal) if self.normal else 0
 
     def floats(self) -> dict[str, Any]:
-        """The arguments of `ContactProblem`, every number rounded to the nearest double."""
+        """Return the arguments of `ContactProblem`, every number rounded to the nearest double."""
         n = self.unknowns
         stiffness = _matrix(self.stiffness, n)
         data: dict[str, Any] = dict(
@@ -81,7 +81,7 @@ class ExactProblem:
         return data
 
     def rounded(self) -> tuple[str, ...]:
-        """The names of the data that are not all doubles: their floats are the nearest ones."""
+        """Return the names of the data that are not all doubles: their floats are the nearest ones."""
         found = []
         for each in fields(self):
             value: Any = getattr(self, each.name)
@@ -228,7 +228,7 @@ def exact_answer(
     friction_force: Sequence[Numbers] = (),
     tie_force: Numbers = (),
 ) -> ExactAnswer:
-    """An answer with its gaps, slips and states."""
+    """Return an answer with its gaps, slips and states."""
     gap = tuple(g - x for g, x in zip(data.gap, times(data.normal, displacement), strict=True))
     width = data.directions
     slid = tuple(x - o for x, o in zip(times(data.tangent, displacement), data.slip_origin, strict=True))
@@ -261,7 +261,7 @@ def _matrix(rows: Rows, n: int) -> Any:
 
 
 def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
-    """Whether the displacement is proven to be the only one.
+    """Return whether the displacement is proven to be the only one.
 
     Without friction the answers form a convex set on which K u, the ties and the gaps of contacts that carry force
     are the same: one point where K, A and these rows of E_N have no common null vector. With friction see
@@ -276,7 +276,8 @@ def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
 
 
 def below_critical_friction(data: ExactProblem) -> bool:
-    """Whether friction is small enough for one answer: mu < least / largest eigenvalue of K, bounded by Gershgorin.
+    """Return whether friction is small enough for one answer: mu < least / largest eigenvalue of K, bounded by
+    Gershgorin.
 
     Let the rows of all contacts, each contact's divided by its length, be orthonormal, x be what they see of the
     difference of two answers, and H = (E K^-1 E')^-1. Signorini's and Coulomb's law give x'Hx <= mu |(Hx)_N| |x_T|
@@ -289,7 +290,7 @@ def below_critical_friction(data: ExactProblem) -> bool:
 
 
 def _orthogonal_frames(data: ExactProblem) -> bool:
-    """Whether all rows are orthogonal, those of one contact of one length."""
+    """Return whether all rows are orthogonal, those of one contact of one length."""
     width = data.directions
     rows = [row for i, normal in enumerate(data.normal) for row in (normal, *data.tangent[i * width : (i + 1) * width])]
     lengths = [sum((x * x for x in row.values()), ZERO) for row in rows]
@@ -301,7 +302,7 @@ def _orthogonal_frames(data: ExactProblem) -> bool:
 
 
 def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique: bool) -> bool:
-    """Whether the forces are proven to be the only ones.
+    """Return whether the forces are proven to be the only ones.
 
     The forces of a displacement are unique where the rows of closed contacts, their directions of slip where they have
     friction, and the ties are independent. Where only contacts that carry nothing make them dependent, without
@@ -324,7 +325,9 @@ def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique:
 
 
 def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
-    """Whether some combination of the rows is zero with nothing negative for the first ones, `weak` in number."""
+    """Return whether some combination of the rows is zero with nothing negative for the first ones, `weak` in
+    number.
+    """
     found = solutions([[row.get(j, ZERO) for j in range(len(rows))] + [ZERO] for row in transposed(rows, n)], len(rows))
     free = found.free if found is not None else []
     slopes = [[direction[i] for direction in free] for i in range(weak)]
@@ -361,7 +364,8 @@ def stated(
     one_forces: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
-    """A problem and its answer; `units` are those of length and force, one coefficient of friction holds for all.
+    """Return a problem and its answer; `units` are those of length and force, one coefficient of friction holds for
+    all.
 
     `one_displacement` and `one_forces` are said where a proof is known that `gallery_uniqueness` does not find.
     """

@@ -63,14 +63,14 @@ class _Touch:
     gap: Fraction
 
     def motion(self, axis: int) -> Fraction:
-        """The node's displacement along an axis: none of it along the tangents where it sticks."""
+        """Return the node's displacement along an axis: none of it along the tangents where it sticks."""
         return self.approach * self.frame[0][axis] + sum(
             (s * row[axis] for s, row in zip(self.slip, self.frame[1:], strict=True)), Fraction(0)
         )
 
 
 def frictional(draw: Draw, difficulty: str) -> Contents:
-    """A network of springs whose nodes stick to, slide on or hang over rough obstacles."""
+    """Return a network of springs whose nodes stick to, slide on or hang over rough obstacles."""
     dimension = draw.integer(2, 3)
     touching, others = FRICTIONAL_SIZES[difficulty]
     n = dimension * (touching + others)
@@ -123,7 +123,7 @@ def _touch(draw: Draw, dimension: int, state: str, friction: Fraction, turned: b
 
 
 def _network(draw: Draw, n: int) -> tuple[Row, ...]:
-    """A stiffness that couples every unknown with a few others, its diagonal well above its row sums."""
+    """Return a stiffness that couples every unknown with a few others, its diagonal well above its row sums."""
     springs = Springs(n)
     sums = [0] * n
     for i in range(n):
@@ -146,7 +146,7 @@ BY_CONSTRUCTION = "f = K u* + E'l* + A'nu*, g = E u* + gap* for a chosen answer"
 
 
 def well_posed(draw: Draw, difficulty: str) -> Contents:
-    """A lattice held from above over a floor that some of its nodes touch."""
+    """Return a lattice held from above over a floor that some of its nodes touch."""
     columns, _ = SIZES[difficulty]
     states = _states(draw, columns, closed=(columns + 1) // 2)
     text = "A lattice of springs, held at its upper nodes, over a floor; the closed rows are independent."
@@ -154,7 +154,7 @@ def well_posed(draw: Draw, difficulty: str) -> Contents:
 
 
 def degenerate(draw: Draw, difficulty: str) -> Contents:
-    """The same with contacts that graze."""
+    """Return the same with contacts that graze."""
     columns, _ = SIZES[difficulty]
     grazing = max(1, columns // 3)
     states = _states(draw, columns, closed=(columns - grazing + 1) // 2, grazing=grazing)
@@ -163,7 +163,7 @@ def degenerate(draw: Draw, difficulty: str) -> Contents:
 
 
 def redundant(draw: Draw, difficulty: str) -> Contents:
-    """The same with contacts that say again what others say."""
+    """Return the same with contacts that say again what others say."""
     columns, _ = SIZES[difficulty]
     states = _states(draw, columns, closed=max(1, columns // 2))
     text = "A lattice of springs over a floor; closed rows are repeated, scaled and added up: forces are not unique."
@@ -172,7 +172,7 @@ def redundant(draw: Draw, difficulty: str) -> Contents:
 
 
 def stiff(draw: Draw, difficulty: str) -> Contents:
-    """The same with springs some of which are very stiff.
+    """Return the same with springs some of which are very stiff.
 
     Doubles hold the answer to about 1e-9; plain elimination in doubles loses more the stiffer they are.
     """
@@ -185,7 +185,7 @@ def stiff(draw: Draw, difficulty: str) -> Contents:
 
 
 def tied(draw: Draw, difficulty: str) -> Contents:
-    """The same with multi-point constraints between nodes above the floor."""
+    """Return the same with multi-point constraints between nodes above the floor."""
     columns, rows = SIZES[difficulty]
     nodes = draw.some(range(columns, columns * rows), max(1, columns // 2))
     ties = []
@@ -216,7 +216,7 @@ def floating(draw: Draw, difficulty: str) -> Contents:
 
 
 def large(draw: Draw, difficulty: str) -> Contents:
-    """A membrane on soft springs over an obstacle, every node a contact."""
+    """Return a membrane on soft springs over an obstacle, every node a contact."""
     side = LARGE[difficulty]
     springs = Springs(side * side)
     for j in range(side):
@@ -279,7 +279,7 @@ def _with_answer(
     text: str,
     ties: Rows = (),
 ) -> Contents:
-    """Forces and gaps for the states; on hard problems some are a few millionths of the others."""
+    """Return forces and gaps for the states; on hard problems some are a few millionths of the others."""
     n = len(stiffness)
     force, gap = [], []
     for state in states:
@@ -311,7 +311,7 @@ def _displacement(draw: Draw, n: int) -> Numbers:
 
 
 def _nearly_rigid(draw: Draw, columns: int, rows: int, contrast: int) -> Numbers:
-    """A small rigid motion and 2^-contrast of strain.
+    """Return a small rigid motion and 2^-contrast of strain.
 
     The motion, rounded to doubles, strains a stiff spring by 2^contrast eps times its size: that is kept beneath 2^-28,
     so that doubles near the answer are nearly an answer.
