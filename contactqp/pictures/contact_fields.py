@@ -193,6 +193,11 @@ class PairingFields:
     pressure : (p,) array or None
         `Pairing.pressure` of the forces [force / length^2]; None for a pairing of bare points, which have no area. NaN
         where `status` is "held".
+    friction : (p, d) array or None
+        The friction force on the contact's own node, -E_T' l_T there [force], NaN where `status` is "held"; None
+        without friction.
+    shear : (p, d) array or None
+        `Pairing.per_area` of that, component by component [force / length^2]; None without friction or area.
     gap : (p,) array
         Gap under the load, positive when open [length].
     initial_gap : (p,) array
@@ -212,6 +217,8 @@ class PairingFields:
     direction: NDArray[np.float64]
     force: Vector
     pressure: Vector | None
+    friction: NDArray[np.float64] | None
+    shear: NDArray[np.float64] | None
     gap: Vector
     initial_gap: Vector
     status: NDArray[np.str_]
@@ -278,6 +285,10 @@ def contact_fields(
     sizes = [len(pairing.gap) for pairing in pairings]
     force, status = np.full(sum(sizes), np.nan), np.full(sum(sizes), HELD, dtype="<U8")
     force[kept], status[kept] = solution.normal_force, solution.contact_status
+    friction = None
+    if solution.friction_force is not None:
+        friction = np.full((sum(sizes), solution.friction_force.shape[1]), np.nan)
+        friction[kept] = solution.friction_force
     on_nodes = _contact_forces(pairings, kept, solution, structure.size)
     bodies = []
     for body in structure.bodies:
@@ -287,10 +298,11 @@ def contact_fields(
         own, pushed, load = (v[mine].reshape(body.mesh.points.shape) for v in (u, on_nodes, system.load))
         bodies.append(BodyFields(body, own, stress_at_nodes(body, u[mine]), pushed, load))
     ends = np.cumsum(sizes)
-    fields = [
-        _pairing_fields(system, bodies, pairing, name, u, force[end - size : end], status[end - size : end])
-        for pairing, name, size, end in zip(pairings, names, sizes, ends, strict=True)
-    ]
+    fields = []
+    for pairing, name, size, end in zip(pairings, names, sizes, ends, strict=True):
+        here = slice(end - size, end)
+        rubbed = None if friction is None else friction[here]
+        fields.append(_pairing_fields(system, bodies, pairing, name, u, force[here], rubbed, status[here]))
     return ContactFields(tuple(bodies), tuple(fields), solution.problem.units)
 
 
@@ -320,9 +332,12 @@ def _pairing_fields(
     name: str,
     u: Vector,
     force: Vector,
+    friction: Array | None,
     status: NDArray[np.str_],
 ) -> PairingFields:
     owner, node, on_obstacle = contact_nodes(system.structure, pairing, name)
+    first = np.cumsum([0, *[len(body.points) for body in bodies]])
+    rubbed = None if friction is None else _friction_on_nodes(pairing, first[owner] + node, friction)
     displacement = np.empty(pairing.points.shape)
     for number in np.unique(owner):
         mine = owner == number
@@ -336,8 +351,26 @@ def _pairing_fields(
         direction=pairing.direction,
         force=force,
         pressure=None if pairing.projection is None else pairing.pressure(force),
+        friction=rubbed,
+        shear=None
+        if rubbed is None or pairing.projection is None
+        else np.column_stack([pairing.per_area(component) for component in rubbed.T]),
         gap=np.asarray(pairing.gap - pairing.normal @ u),
         initial_gap=pairing.gap,
         status=status,
         on_obstacle=on_obstacle,
     )
+
+
+def _friction_on_nodes(pairing: Pairing, node: Index, friction: Array) -> Array:
+    """Return -sum_k t_k l_T,k (p, d) on the contacts' own nodes, t_k being the unit tangents of the rows there."""
+    count, each = friction.shape
+    d = pairing.points.shape[1]
+    rows = sp.coo_array(pairing.tangent)
+    contact = rows.row // each
+    own = rows.col // d == node[contact]
+    tangent = np.zeros((count * each, d))
+    np.add.at(tangent, (rows.row[own], rows.col[own] % d), rows.data[own])
+    length = np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = tangent / np.where(length > 0, length, 1.0)
+    return np.asarray(-np.einsum("pk,pkd->pd", friction, tangent.reshape(count, each, d)))

@@ -169,7 +169,10 @@ def _draw_obstacle(axes: Any, fields: ContactFields, pairing: PairingFields) -> 
 def _draw_arrows(
     axes: Any, fields: ContactFields, under_pressure: bool, scale: float, longest: float
 ) -> tuple[list[Array], list[Any]]:
-    """Draw pressures, or forces of contacts without area, as arrows; return their tails and the legend entries."""
+    """Draw pressures, or forces of contacts without area, as arrows; return their tails and the legend entries.
+
+    Arrows are those of the whole traction or force: friction tilts them. The shaded bars are of the pressure alone.
+    """
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
@@ -178,17 +181,21 @@ def _draw_arrows(
     largest = max((float(np.nanmax(v, initial=0.0)) for v in values), default=0.0)
     if largest <= 0:
         return [], []
-    tails = []
+    tails, tilted = [], False
     for pairing, value in zip(chosen, values, strict=True):
         heads = pairing.position + scale * pairing.displacement
         shafts = longest / largest * np.nan_to_num(value)[:, np.newaxis] * pairing.direction
-        tails.append(heads - shafts)
         if under_pressure:
             both = segments(fields, pairing)
             i, j = both[np.isfinite(value[both]).all(axis=1)].T
-            bars = np.stack([heads[i], heads[j], tails[-1][j], tails[-1][i]], axis=1)
+            bars = np.stack([heads[i], heads[j], (heads - shafts)[j], (heads - shafts)[i]], axis=1)
             look: dict[str, Any] = dict(facecolor=style.PRESSURE, alpha=0.3, edgecolor="none", zorder=3, gid="pressure")
             axes.add_collection(PolyCollection(list(bars), **look), autolim=False)
+        rubbed = pairing.shear if under_pressure else pairing.friction
+        if rubbed is not None:
+            shafts += longest / largest * np.nan_to_num(rubbed)
+            tilted = tilted or bool(np.any(np.nan_to_num(rubbed)))
+        tails.append(heads - shafts)
         pushed = style.arrows_to_draw(pairing.position, value, MOST_ARROWS)
         starts, arrows = tails[-1][pushed].T, shafts[pushed].T
         unscaled: dict[str, Any] = dict(
@@ -197,7 +204,7 @@ def _draw_arrows(
         axes.quiver(*starts, *arrows, gid="pressure arrows" if under_pressure else "force arrows", **unscaled)
     unit = style.pressure_unit(fields.units) if under_pressure else style.force_unit(fields.units)
     name = "contact pressure" if under_pressure else "contact force of a point"
-    label = f"{name}, longest arrow {style.number(largest)} {unit}"
+    label = f"{name}, at most {style.number(largest)} {unit}{', friction tilts arrows' if tilted else ''}"
     handle = (
         Patch(facecolor=style.PRESSURE, alpha=0.5, label=label)
         if under_pressure

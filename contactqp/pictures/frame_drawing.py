@@ -62,6 +62,8 @@ class FrameContact:
         Gap under the load and before it, positive when open [length].
     status : str
         "open", "closed", "grazing", "stick" or "slip".
+    friction : (1 or 2, d) array or None
+        The friction force on each of the nodes, -E_T' l_T [force]; None without friction.
     """
 
     name: str
@@ -71,6 +73,7 @@ class FrameContact:
     gap: float
     initial_gap: float
     status: str
+    friction: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,14 +292,23 @@ def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: 
 
 
 def _draw_forces(axes: Any, fields: FrameFields, scale: float, size: float) -> list[Array]:
-    """Draw the contact force on each node as an arrow that ends there, and return the tails."""
+    """Draw the contact and friction forces on each node as arrows that end there, and return the tails.
+
+    Both have the same scale, so that the picture shows how steep their resultant is.
+    """
     pushed = [contact for contact in fields.contacts if contact.force > 0]
     if not pushed:
         return []
     nodes = [node for contact in pushed for node in contact.nodes]
     forces = np.concatenate([contact.force * contact.push for contact in pushed])
     heads = fields.flat((fields.position + scale * fields.displacement)[nodes], -BELOW * size)
-    return [_draw_arrows(axes, fields, heads, forces, size, gid="contact forces", color=style.PRESSURE)]
+    longest = float(np.abs(forces).max())
+    tails = [_draw_arrows(axes, fields, heads, forces, size, longest, gid="contact forces", color=style.PRESSURE)]
+    friction = np.concatenate([np.zeros_like(c.push) if c.friction is None else c.friction for c in pushed])
+    if np.any(friction):
+        look: dict[str, Any] = dict(gid="friction", color=style.FRICTION)
+        tails.append(_draw_arrows(axes, fields, heads, friction, size, longest, **look))
+    return tails
 
 
 def _draw_loads(axes: Any, fields: FrameFields, scale: float, size: float) -> tuple[list[Array], list[Any]]:
@@ -306,13 +318,16 @@ def _draw_loads(axes: Any, fields: FrameFields, scale: float, size: float) -> tu
     if not len(loaded):
         return [], []
     heads = fields.flat((fields.position + scale * fields.displacement)[loaded], -BELOW * size)
-    tails = _draw_arrows(axes, fields, heads, fields.load[loaded], size, gid="loads", color=style.LOAD)
+    forces = fields.load[loaded]
+    tails = _draw_arrows(axes, fields, heads, forces, size, float(np.abs(forces).max()), gid="loads", color=style.LOAD)
     return [tails], [style.line_handle(style.load_label(fields.load, fields.axes, fields.units), color=style.LOAD)]
 
 
-def _draw_arrows(axes: Any, fields: FrameFields, heads: Array, forces: Array, size: float, **look: Any) -> Array:
-    """Draw forces as arrows that end at their heads, and return their tails."""
-    shafts = fields.flat(style.ARROW * size / np.abs(forces).max() * forces, 0.0)
+def _draw_arrows(
+    axes: Any, fields: FrameFields, heads: Array, forces: Array, size: float, longest: float, **look: Any
+) -> Array:
+    """Draw forces, the longest of this size, as arrows that end at their heads, and return their tails."""
+    shafts = fields.flat(style.ARROW * size / longest * forces, 0.0)
     in_space: dict[str, Any] = dict(arrow_length_ratio=0.2)
     in_plane: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, width=0.004)
     look |= in_space if shafts.shape[1] == 3 else in_plane
@@ -336,6 +351,10 @@ def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -
         largest = max(contact.force for contact in fields.contacts)
         label = f"contact force, longest arrow {style.number(largest)} {style.force_unit(fields.units)}"
         handles.append(style.line_handle(label, color=style.PRESSURE))
+    rubs = [float(np.linalg.norm(c.friction, axis=1).max()) for c in fields.contacts if c.friction is not None]
+    if any(rubs):
+        label = f"friction, on the same scale, at most {style.number(max(rubs))} {style.force_unit(fields.units)}"
+        handles.append(style.line_handle(label, color=style.FRICTION))
     return handles
 
 

@@ -84,6 +84,7 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
     figure.colorbar(coloured, ax=axes, label=label, shrink=0.6)
     axes.set_aspect("equal")
     low_corner, high_corner = window(at, shown)
+    handles += _draw_friction(axes, fields, pairing, at, float(np.max(high_corner - low_corner)))
     axes.set_xlim(low_corner[0], high_corner[0])
     axes.set_ylim(low_corner[1], high_corner[1])
     axes.set_xlabel(f"{names[0]} [{unit}]")
@@ -91,25 +92,47 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
     largest = f"{style.number(float(np.max(shown)))} {label.partition('[')[2][:-1]}"
     axes.set_title(f"{pairing.name}: at most {largest}", fontsize="medium")
     axes.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=3, fontsize="small", frameon=False
+        handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=2, fontsize="small", frameon=False
     )
 
 
-def flattened(pairing: PairingFields) -> tuple[Array, tuple[str, str]]:
-    """Return the undeformed contacts (p, 2) projected along their mean normal, and the names of the two directions.
+def _draw_friction(axes: Any, fields: ContactFields, pairing: PairingFields, at: Array, size: float) -> list[Any]:
+    """Draw the friction on the contact nodes as arrows in the map, and return the entry of the legend."""
+    friction = pairing.friction if pairing.shear is None else pairing.shear
+    if friction is None or not np.nanmax(abs(friction), initial=0.0) > 0:
+        return []
+    shown = style.arrows_to_draw(at, np.linalg.norm(np.nan_to_num(friction), axis=1), MOST_ARROWS)
+    along = np.nan_to_num(friction)[shown] @ _projection(pairing)
+    largest = float(np.nanmax(np.linalg.norm(friction, axis=1)))
+    look: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, color=style.FRICTION, width=0.006)
+    axes.quiver(*at[shown].T, *(style.ARROW * size / largest * along).T, gid="friction", zorder=5, **look)
+    unit = style.force_unit(fields.units) if pairing.shear is None else style.pressure_unit(fields.units)
+    return [style.line_handle(f"friction, at most {style.number(largest)} {unit}", color=style.FRICTION)]
 
-    Where the normal is a coordinate axis to 1 %, that coordinate is dropped; where normals have no common direction,
-    that of the shortest side is.
+
+def flattened(pairing: PairingFields) -> tuple[Array, tuple[str, str]]:
+    """Return the undeformed contacts (p, 2) projected along their mean normal, and the names of the two directions."""
+    projection = _projection(pairing)
+    dropped = [a for a in range(3) if not np.any(projection[a])]
+    if not dropped:
+        return pairing.position @ projection, ("s, along the contact", "t, along the contact")
+    first, second = (a for a in range(3) if a not in dropped)
+    return pairing.position @ projection, ("xyz"[first], "xyz"[second])
+
+
+def _projection(pairing: PairingFields) -> Array:
+    """Return the two directions of a map, (3, 2).
+
+    Where the mean normal is a coordinate axis to 1 %, that coordinate is dropped; where normals have no common
+    direction, that of the shortest side is.
     """
     mean = pairing.direction.mean(axis=0)
     size = float(np.linalg.norm(mean))
     along = np.abs(mean) if size > NO_DIRECTION else -np.ptp(pairing.position, axis=0)
     axis = int(np.argmax(along))
     if size > NO_DIRECTION and along[axis] < 0.99 * size:
-        frame = tangent_frames((mean / size)[np.newaxis])[0]
-        return pairing.position @ frame.T, ("s, along the contact", "t, along the contact")
-    kept = [a for a in range(3) if a != axis]
-    return pairing.position[:, kept], ("xyz"[kept[0]], "xyz"[kept[1]])
+        return np.asarray(tangent_frames((mean / size)[np.newaxis])[0].T)
+    return np.delete(np.eye(3), axis, axis=1)
 
 
 def window(at: Array, value: Array) -> tuple[Array, Array]:
@@ -295,7 +318,7 @@ def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float)
     if largest > 0:
         label = f"contact force of a node, longest arrow {style.number(largest)} {style.force_unit(fields.units)}"
         handles.insert(0, style.line_handle(label, color=style.PRESSURE))
-    axes.legend(handles=handles, loc="lower left", fontsize="small", frameon=False)
+    axes.legend(handles=handles, loc="lower left", fontsize="small", framealpha=0.85, edgecolor="none")
     return tails
 
 
@@ -306,7 +329,7 @@ def _set_axes(axes: Any, fields: ContactFields, seen: Array) -> None:
         getattr(axes, f"set_{name}lim")(a, b)
         getattr(axes, f"set_{name}label")(f"{name} [{unit}]")
     axes.set_proj_type("ortho")
-    axes.set_box_aspect(high - low, zoom=1.05)
+    axes.set_box_aspect(high - low, zoom=0.92)
     axes.locator_params(nbins=5)
     axes.view_init(elev=FROM_BELOW if _seen_from_below(fields.pairings) else FROM_ABOVE, azim=AZIMUTH)
 

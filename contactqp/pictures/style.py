@@ -27,6 +27,7 @@ COLOUR_MAP = "viridis"
 # Colours of Okabe and Ito (2008), distinct to colour-blind readers and from those of the colour map.
 PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
 LOAD = "#AA3377"  # of P. Tol's bright scheme
+FRICTION = "#117733"  # of his muted one
 # Colours of curves, without the yellow of Okabe and Ito, which is too light for a line on white; and dashes, which
 # distinguish curves in print.
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -211,9 +212,10 @@ def check_picture(file: str | Path) -> Path:
 
 def save(figure: Figure, file: Path) -> None:
     """Write the figure to a file, completely or not at all."""
-    # The layout is right from the second time on: the first one does not have the ticks yet.
+    # The layout is right from the second time on: the first one does not have the ticks yet. It may cut labels of axes
+    # whose scales are equal, which a tight box around everything does not.
     figure.draw_without_rendering()
-    write_whole(file, lambda beside: figure.savefig(beside, dpi=160))
+    write_whole(file, lambda beside: figure.savefig(beside, dpi=160, bbox_inches="tight"))
 
 
 # The largest displacement is magnified to at most this part of the picture's size...
@@ -221,7 +223,7 @@ LARGEST = 0.06
 # ... and at least this part counts as visible without magnification.
 VISIBLE = 0.02
 # A gap that goes from g_0 to g is drawn as g_0 + scale (g - g_0), which magnified is an overlap for contacts that have
-# closed: of at most this part of the picture's size.
+# closed, and a gap for bodies that overlapped and press: of at most this part of the picture's size.
 OVERLAP = 0.002
 
 
@@ -247,6 +249,8 @@ def magnification(scale: float | None, size: float, displacement: Array, initial
     500.0
     >>> magnification(None, 100.0, np.array([[0.0, -0.01]]), np.array([0.01]), np.zeros(1))
     20.0
+    >>> magnification(None, 100.0, np.array([[0.0, -0.01]]), np.array([-0.01]), np.zeros(1))
+    20.0
     >>> magnification(None, 100.0, np.array([[0.0, -3.0]]), np.zeros(1), np.zeros(1))
     1.0
     """
@@ -258,8 +262,10 @@ def magnification(scale: float | None, size: float, displacement: Array, initial
     if largest >= VISIBLE * size or largest == 0:
         return 1.0
     closing = initial_gap - gap
-    closes = closing > 0
-    allowed = (np.maximum(initial_gap, 0.0) + OVERLAP * size)[closes] / closing[closes]
+    # A gap that closes, or an overlap that is pushed apart.
+    touching = (closing > 0) | ((closing < 0) & (initial_gap < 0))
+    start = np.where(closing > 0, np.maximum(initial_gap, 0.0), abs(initial_gap))
+    allowed = (start + OVERLAP * size)[touching] / abs(closing[touching])
     return max(1.0, _rounded_down(min([LARGEST * size / largest, *allowed])))
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -130,7 +130,23 @@ def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
             gap=float(gaps[i]),
             initial_gap=initial_gap,
             status=str(solution.contact_status[i]),
+            friction=_friction(scene, contact, form, solution, i),
         )
+
+
+def _friction(scene: SceneData, contact: Any, form: Any, solution: Solution, i: int) -> Array | None:
+    """Return -E_T' l_T of one contact on each of its nodes (1 or 2, d); None without friction, or where it has moved.
+
+    The tangents of large deformation are those of the place that a node has reached.
+    """
+    if solution.friction_force is None or isinstance(solution, LargeSolution):
+        return None
+    force = solution.friction_force[i]
+    along = [
+        [sum(-float(row.get(name, 0)) * part for row, part in zip(form.tangent, force, strict=True)) for name in names]
+        for names in map(scene.displacements, contact.touched)
+    ]
+    return np.array(along)
 
 
 def _places(scene: SceneData) -> dict[str, int]:

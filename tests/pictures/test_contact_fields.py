@@ -129,6 +129,31 @@ def test_friction_pushes_against_the_slip_on_the_body():
     solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])
     fields = contact_fields(found.system, found.pairings, solution)
     np.testing.assert_allclose(fields.bodies[0].contact_force.sum(axis=0), [-PRESSURE, 2 * PRESSURE], rtol=1e-11)
+    (pairing,) = fields.pairings
+    np.testing.assert_allclose(pairing.friction, np.outer(pairing.force, [-0.5, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(pairing.shear, np.tile([-0.5 * PRESSURE, 0.0], (len(pairing.force), 1)), atol=1e-10)
+    assert found.fields.pairings[0].friction is None
+
+
+def test_friction_of_a_mortar_is_that_of_the_nodes_that_it_belongs_to():
+    found = stack()
+    forces = found.solution.normal_force
+    fields = contact_fields(
+        found.system, found.pairings, replace(found.solution, friction_force=0.25 * forces[:, None])
+    )
+    for pairing in fields.pairings:
+        np.testing.assert_allclose(np.linalg.norm(pairing.friction, axis=1), 0.25 * pairing.force, rtol=1e-10)
+        np.testing.assert_allclose(np.sum(pairing.friction * pairing.direction, axis=1), 0.0, atol=1e-12)
+
+
+def test_friction_in_space_lies_in_the_plane_of_contact():
+    found = cube("hex8")
+    friction = found.solution.normal_force[:, None] * [0.3, -0.4]
+    fields = contact_fields(found.system, found.pairings, replace(found.solution, friction_force=friction))
+    (pairing,) = fields.pairings
+    np.testing.assert_allclose(np.linalg.norm(pairing.friction, axis=1), 0.5 * pairing.force, rtol=1e-10)
+    np.testing.assert_allclose(pairing.friction[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(fields.bodies[0].contact_force.sum(axis=0)[:2], pairing.friction.sum(axis=0)[:2])
 
 
 def test_what_does_not_belong_together_is_refused():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from contactqp.elements.geometry import Block
 from contactqp.elements.reference_elements import REFERENCES
 from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
-from contactqp.pictures.contact_fields import edge_points, edges, outline_points, pieces, sample
+from contactqp.pictures.contact_fields import contact_fields, edge_points, edges, outline_points, pieces, sample
 from contactqp.pictures.drawing import contact_zone, draw, figure, segments, triangles
 from contactqp.pictures.space_drawing import facets, fans, sharp_edges, surface
 from contactqp.pictures.style import MARKERS, arrows_to_draw, magnification
@@ -62,6 +63,37 @@ def test_positions_and_values_are_those_of_the_fields(kind, scale):
     np.testing.assert_allclose(triangles(fields, "von mises", scale).values, PRESSURE, rtol=1e-10)
 
 
+def test_friction_tilts_the_arrows_and_not_the_pressure():
+    found = block()
+    solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])
+    result = figure(contact_fields(found.system, found.pairings, solution), scale=10.0)
+    drawn = {artist.get_gid(): artist for artist in result.axes[0].collections}
+    arrows, plain = drawn["pressure arrows"], drawn["pressure"].get_paths()
+    np.testing.assert_allclose(arrows.V, 0.14 * 2, rtol=1e-9)
+    np.testing.assert_allclose(arrows.U, -0.5 * arrows.V, rtol=1e-9)
+    assert plain
+    assert all(np.ptp(path.vertices[[0, 3, 4], 0]) <= 1e-12 for path in plain)  # the side from the surface is upright
+    labels = [text.get_text() for text in result.legends[0].get_texts()]
+    assert "contact pressure, at most 3 N/mm², friction tilts arrows" in labels
+
+
+def test_the_map_of_a_pairing_in_space_has_arrows_of_friction():
+    found = cube("hex8")
+    friction = found.solution.normal_force[:, None] * [0.3, -0.4]
+    fields = contact_fields(found.system, found.pairings, replace(found.solution, friction_force=friction))
+    (arrows,) = [c for axes in figure(fields).axes for c in axes.collections if c.get_gid() == "friction"]
+    along = fields.pairings[0].friction[:, :2] / np.linalg.norm(fields.pairings[0].friction, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1) / np.hypot(arrows.U, arrows.V)[:, None], along)
+
+
+def test_bodies_that_overlapped_and_press_are_drawn_without_a_gap_between_them():
+    """An interference of 1 % of the size, pushed apart: magnified as it would be without, it were a gap."""
+    moved, size = np.array([[0.0, 0.01]]), 1.0
+    assert magnification(None, size, moved, np.array([1.0]), np.array([1.0])) > 2.0
+    scale = magnification(None, size, moved, np.array([-0.01]), np.array([0.0]))
+    assert abs(-0.01 + scale * 0.01) <= 0.002 * size
+
+
 def test_the_picture_of_two_bodies():
     fields = stack().fields
     result = figure(fields, colour="von mises", scale=10.0, title="Two blocks")
@@ -85,7 +117,7 @@ def test_the_picture_of_two_bodies():
     assert labels == [
         "undeformed",
         "rigid obstacle",
-        "contact pressure, longest arrow 3 N/mm²",
+        "contact pressure, at most 3 N/mm²",
         "load, in all 0 and -6 N along x and y",
         "closed (9)",
     ]

@@ -75,6 +75,16 @@ def test_the_picture_of_the_truss():
     assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
 
 
+def test_friction_is_an_arrow_on_the_scale_of_the_contact_force():
+    figure = structure_figure(fields("truss_friction"), scale=100.0)
+    drawn = {c.get_gid(): c for c in figure.axes[0].collections}
+    push, rub = drawn["contact forces"], drawn["friction"]
+    assert push.V[0] > 0
+    assert (rub.U[0] / push.V[0], rub.V[0]) == (pytest.approx(-0.3), 0.0)  # against the slip to the right
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "friction, on the same scale, at most 8.774 kN" in labels
+
+
 def test_the_load_of_the_truss_is_an_arrow_that_ends_at_its_foot():
     figure = structure_figure(fields("truss_floor"), scale=100.0)
     (arrow,) = [c for c in figure.axes[0].collections if c.get_gid() == "loads"]
