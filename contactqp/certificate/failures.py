@@ -186,8 +186,17 @@ def _with_unit(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
+# Of an answer without friction; with it `contactqp.certificate.uniqueness` says so.
+FORCES_NOT_UNIQUE = (
+    "forces are not unique: closed contacts or ties depend on each other, and other answers share their forces "
+    "differently (contactqp.exact gives the range of each)"
+)
+
+
 def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
     said = list(said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]]))
+    if known.redundant and not problem.frictional:
+        said.append(FORCES_NOT_UNIQUE + (": those that graze here may press in another" if np.any(grazing) else ""))
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if known.cleared > WORTH_SAYING:

@@ -130,7 +130,9 @@ class Certificate(ReadOnly, Printed):
     grazing: tuple[int, ...]  # contacts whose gap and force both vanish
     failures: tuple[str, ...]  # what failed, where, by how much
     notes: tuple[str, ...]
-    uniqueness: tuple[str, ...]  # with friction, what speaks against this being the only answer
+    # With friction, what speaks against this being the only answer; without it displacements and strains are unique,
+    # and a note says so where forces are not.
+    uniqueness: tuple[str, ...]
     contraction: float | None  # from 1 on, Tresca's fixed point cycles without damping; None beyond 100 closed contacts
     tolerance: float
     error_tolerance: float
@@ -146,12 +148,16 @@ class Certificate(ReadOnly, Printed):
         repr=False, default=None
     )  # contact by contact; None where the answer is not finite
 
+    def __bool__(self) -> bool:
+        """Return `passed`, so that ``assert contactqp.certify(...)`` fails where the answer is refused."""
+        return self.passed
+
     def __str__(self) -> str:
         verdict = "passed" if self.passed else "REFUSED"
         lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
         if self.basis == STATE and self.distance is not None:
-            near = "with its contacts open, sticking and slipping as here"
-            lines.append(f"  the equilibrium {near} is {self.distance:.3g} of its size away")
+            same = "with the same contacts open, sticking and slipping"
+            lines.append(f"  relative distance to the equilibrium {same}: {self.distance:.3g}")
         if self.scope == LOCALLY and self.radius is not None:
             within = f"within {self.radius:.3g} of this answer, in the square root of energy"
             lines.append(f"  proven is that it is the only one {within}; others further away are not excluded")
@@ -192,6 +198,10 @@ class LocalCertificate(ReadOnly, Printed):
     passed: bool
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
+
+    def __bool__(self) -> bool:
+        """Return `passed`, so that ``assert contactqp.certify_local(...)`` fails where the forces are refused."""
+        return self.passed
 
     @property
     def basis(self) -> str:

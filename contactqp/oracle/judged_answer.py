@@ -107,7 +107,7 @@ class JudgedAnswer(Certificate):
 @own_floating_point
 def certify(
     problem: ContactProblem,
-    displacement: ArrayLike | None = None,
+    displacement: ArrayLike | Solution | None = None,
     normal_force: ArrayLike | None = None,
     friction_force: ArrayLike | None = None,
     tie_force: ArrayLike | None = None,
@@ -132,8 +132,8 @@ def certify(
 
     Parameters
     ----------
-    displacement : (n,) array [length], optional
-        Longer, if `dof_map` says where each unknown stands.
+    displacement : (n,) array [length] or Solution, optional
+        Longer, if `dof_map` says where each unknown stands. A solution brings its own forces.
     normal_force : (m,) array [force], optional
         With the sign that `compression` says.
     friction_force : (m, d-1) or flat array [force], optional
@@ -182,6 +182,11 @@ def certify(
         )
     refuse_other("certify", problem, ContactProblem)
     parts = (displacement, normal_force, friction_force, tie_force)
+    if isinstance(displacement, Solution):
+        if any(part is not None for part in parts[1:]):
+            raise InvalidProblem("certify: a Solution brings its own forces; expected it alone, or arrays")
+        own = displacement
+        parts = (own.displacement, own.normal_force, own.friction_force, own.tie_force)
     given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)
     found, completed = judge(problem, given, tolerance, error_tolerance, factorization)
     known = {one.name: getattr(found, one.name) for one in fields(found)}

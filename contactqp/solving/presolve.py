@@ -182,12 +182,15 @@ def presolved(problem: ContactProblem) -> Presolved | None:
     if len(contacts.kept) == problem.contacts and len(ties.kept) == problem.ties:
         return None
     aside = np.setdiff1d(np.arange(problem.contacts), np.concatenate([contacts.kept, idle]))
-    for names, said in (
-        ([problem.contact_name(int(i)) for i in aside[:NAMED]], _more(len(aside), "parallel to nearer or equal ones")),
-        ([problem.contact_name(int(i)) for i in idle[:NAMED]], _more(len(idle), "out of reach within bounds")),
+    equal = np.diff(contacts.matrix.indptr)[aside] > 0
+    for rows, said in (
+        (aside[~equal], "parallel to nearer ones"),
+        (aside[equal], "parallel to equal ones"),
+        (idle, "out of reach within bounds"),
     ):
+        names = [problem.contact_name(int(i)) for i in rows[:NAMED]]
         if names:
-            notes.append(f"set aside: {', '.join(names)}{said}")
+            notes.append(f"set aside: {', '.join(names)}{_more(len(rows), said)}")
     dropped = np.setdiff1d(np.arange(problem.ties), ties.kept)
     if dropped.size:
         names = [problem.tie_name(int(i)) for i in dropped[:NAMED]]

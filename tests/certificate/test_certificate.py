@@ -450,7 +450,7 @@ def test_a_reason_stands_once_for_all_bounds_that_it_is_a_reason_for() -> None:
     problem = cq.ContactProblem([[1.0]], [5.0], [[1.0]], [0.0], tangent=[[0.0]], friction=[0.3])
     lines = str(cq.solve(problem).certificate).splitlines()
     assert lines[0] == "passed, not proven"
-    assert lines[1] == "  the equilibrium with its contacts open, sticking and slipping as here is 0 of its size away"
+    assert lines[1] == "  relative distance to the equilibrium with the same contacts open, sticking and slipping: 0"
     bounds = [line for line in lines if line.startswith("  no bound: ")]
     assert len(bounds) == 1
     assert bounds[0].startswith(

@@ -233,3 +233,27 @@ def test_a_body_that_touches_on_all_sides_stays_where_it_is(method: str) -> None
         assert np.min(found.gap) >= -1e-15
         held += np.max(abs(found.displacement - fall)) <= 1e-12
     assert held >= 10
+
+
+def table_on_four_legs() -> cq.ContactProblem:
+    """A rigid table, 10 in its middle: legs NE, SE, NW, SW, whose forces are 5 - x, x, x, 5 - x for x from 0 to 5."""
+    at = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    rows = np.column_stack([-np.ones(4), -at[:, 1], at[:, 0]])
+    return cq.ContactProblem(np.zeros((3, 3)), [-10.0, 0.0, 0.0], rows, np.zeros(4))
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke", "piqp"])
+def test_forces_that_are_not_unique_are_said_to_be_so(method: str) -> None:
+    solution = cq.solve(table_on_four_legs(), method=method)
+    (note,) = [note for note in solution.certificate.notes if note.startswith("forces are not unique")]
+    assert bool(solution.certificate.grazing) == ("may press in another" in note)
+    assert "forces are not unique" in str(solution)
+    lowest, highest = np.array(cq.exact(table_on_four_legs()).force_range, dtype=float).T
+    assert (lowest.tolist(), highest.tolist()) == ([0.0] * 4, [5.0] * 4)
+
+
+def test_unique_forces_have_no_such_note() -> None:
+    problem = table_on_four_legs()
+    three = problem.with_contacts(np.array([0, 1, 2]))
+    solution = cq.solve(three.replace(load=[-10.0, -2.0, 2.0]))
+    assert not any("not unique" in note for note in solution.certificate.notes)

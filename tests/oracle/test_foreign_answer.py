@@ -234,3 +234,32 @@ def test_the_tolerance_is_named_where_forces_are_recovered_by_it() -> None:
     assert named is not None, judged.diagnosis
     assert not judged.passed
     assert cq.certify(problem, displacement=off, tolerance=float(named[1])).passed
+
+
+@pytest.mark.parametrize("friction", [None, 0.3])
+def test_a_certificate_is_true_where_it_passed_and_false_where_it_refuses(friction: float | None) -> None:
+    """So that ``assert cq.certify(...)`` in somebody's tests fails for a wrong answer."""
+    tangent = {} if friction is None else {"tangent": [[1.0, 0.0]], "friction": friction}
+    problem = cq.ContactProblem([[4.0, -1.0], [-1.0, 3.0]], [1.0, -2.0], [[0.0, -1.0]], [0.0], **tangent)
+    solution = cq.solve(problem)
+    assert solution.certificate
+    judged = cq.certify(problem, solution)
+    assert judged
+    assert judged.passed
+    np.testing.assert_array_equal(judged.answer.normal_force, solution.normal_force)
+    wrong = cq.certify(problem, solution.displacement, 1.01 * solution.normal_force, solution.friction_force)
+    assert not wrong
+    assert not wrong.passed
+
+
+def test_a_local_certificate_is_false_where_it_refuses() -> None:
+    problem = cq.LocalProblem(delassus=np.eye(2), offset=[-1.0, 0.0], friction=0.3, dimension=2)
+    assert cq.certify_local(problem, [1.0, 0.0])
+    assert not cq.certify_local(problem, [1.1, 0.0])
+
+
+def test_a_solution_with_other_forces_beside_it_is_refused() -> None:
+    problem = cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0])
+    solution = cq.solve(problem)
+    with pytest.raises(cq.InvalidProblem, match="a Solution brings its own forces"):
+        cq.certify(problem, solution, normal_force=[1.0])
