@@ -14,9 +14,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.linalg.exact_algebra import rank
-from contactqp.oracle.gallery.algebra import rows_of
 from contactqp.oracle.gallery.gallery import DIFFICULTIES, KINDS, NAMED, RANDOM, problem, problems
-from contactqp.oracle.gallery.problem import GalleryProblem
+from contactqp.oracle.gallery.problem import GalleryProblem, rows_of
 from tests.oracle.exact_conditions import broken_conditions, doubles, is_semidefinite
 
 EVERY = problems("named") + [known for kind in RANDOM for known in problems(kind, count=6)]

@@ -35,10 +35,9 @@ import numpy as np
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.problem_folder import write_problem
 from contactqp.oracle.gallery import random_problems as plain
-from contactqp.oracle.gallery.algebra import Draw, times
 from contactqp.oracle.gallery.classical import CLASSICAL
-from contactqp.oracle.gallery.problem import Contents, GalleryProblem
-from contactqp.oracle.gallery.random_problems import frictional
+from contactqp.oracle.gallery.problem import Contents, GalleryProblem, times
+from contactqp.oracle.gallery.random_problems import Draw, frictional
 from contactqp.oracle.gallery.seed_examples import SEED
 
 DIFFICULTIES = ("easy", "moderate", "hard")

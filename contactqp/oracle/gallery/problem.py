@@ -1,8 +1,11 @@
-"""A problem whose exact answer is known, in rational numbers, and the same in doubles."""
+"""A problem whose exact answer is known, in rational numbers, and the same in doubles.
+
+Its matrices are sparse rows of Fractions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cached_property
@@ -15,22 +18,79 @@ from numpy.typing import NDArray
 from contactqp.linalg.exact_algebra import Polyhedron, rank, solutions
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.oracle.gallery.algebra import (
-    ZERO,
-    Given,
-    Numbers,
-    Rows,
-    columns_are_independent,
-    dominance,
-    largest_row_sum,
-    numbers,
-    rows_of,
-    times,
-    transposed,
-)
 
+Row = Mapping[int, Fraction]
+Rows = tuple[Row, ...]
+Numbers = tuple[Fraction, ...]
+Given = int | str | Fraction
+
+ZERO = Fraction(0)
 # Up to this size a stiffness is a dense array.
 DENSE = 128
+
+
+def numbers(values: Iterable[Given]) -> Numbers:
+    """Return Fractions of integers, fractions and strings such as "3/7" and "6883.1"."""
+    return tuple(Fraction(value) for value in values)
+
+
+def rows_of(values: Iterable[Sequence[Given]]) -> Rows:
+    """Return the sparse rows of dense ones."""
+    return tuple({j: Fraction(x) for j, x in enumerate(row) if Fraction(x)} for row in values)
+
+
+def clean(rows: Iterable[Mapping[int, Given]]) -> Rows:
+    """Return the rows without their zeros, columns in order."""
+    return tuple({j: Fraction(row[j]) for j in sorted(row) if row[j]} for row in rows)
+
+
+def times(rows: Rows, vector: Sequence[Fraction]) -> Numbers:
+    """Return rows @ vector."""
+    return tuple(sum((x * vector[j] for j, x in row.items()), ZERO) for row in rows)
+
+
+def transposed_times(rows: Rows, vector: Sequence[Fraction], size: int) -> Numbers:
+    """Return rows' @ vector, (size,)."""
+    total = [ZERO] * size
+    for row, value in zip(rows, vector, strict=True):
+        if value:
+            for j, x in row.items():
+                total[j] += x * value
+    return tuple(total)
+
+
+def plus(*vectors: Sequence[Fraction]) -> Numbers:
+    """Return the sum of vectors of one length."""
+    return tuple(sum(parts, ZERO) for parts in zip(*vectors, strict=True))
+
+
+def columns_are_independent(rows: Rows, size: int) -> bool:
+    """Return whether rows x = 0 has no solution (size,) but zero."""
+    return rank(transposed(rows, size)) == size
+
+
+def transposed(rows: Rows, size: int) -> Rows:
+    """Return the columns (size) as rows."""
+    columns: list[dict[int, Fraction]] = [{} for _ in range(size)]
+    for i, row in enumerate(rows):
+        for j, x in row.items():
+            columns[j][i] = x
+    return tuple(columns)
+
+
+def dominance(stiffness: Rows) -> Fraction:
+    """Return min_i (K_ii - sum |K_ij|) of a symmetric K: where positive, no eigenvalue is smaller (Gershgorin 1931)."""
+    return min(
+        2 * row.get(i, ZERO) - sum((abs(x) for x in row.values()), ZERO)
+        if row.get(i, ZERO) > 0
+        else -sum((abs(x) for x in row.values()), ZERO)
+        for i, row in enumerate(stiffness)
+    )
+
+
+def largest_row_sum(stiffness: Rows) -> Fraction:
+    """Return max_i sum |K_ij|: no eigenvalue of a symmetric K is larger."""
+    return max(sum((abs(x) for x in row.values()), ZERO) for row in stiffness)
 
 
 @dataclass(frozen=True)
