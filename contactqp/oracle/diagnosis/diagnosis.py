@@ -27,8 +27,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, Explanation, Finding, symptoms, unit_of
-from contactqp.oracle.diagnosis.laws import laws
-from contactqp.oracle.diagnosis.mix_ups import duplicates, one_value, shares, shifted
+from contactqp.oracle.diagnosis.explanations import duplicates, laws, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer

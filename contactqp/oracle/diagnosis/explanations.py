@@ -1,14 +1,237 @@
-"""Recognise answers that are right but for contacts counted twice, one value, a share, or an offset."""
+"""Explanations of a wrong answer for which no problem is solved: the law that it obeys, or its one mistake.
+
+Other laws are springs for contacts, barriers, other loads or moduli and other friction. What an answer leaves,
+r = f - K u - E_N'l_N - E_T'l_T - A'nu, and how its forces go with its gaps and slips show which law they obey. Single
+mistakes are contacts counted twice, one wrong value, a share, or an offset.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Vector
+from contactqp.model.coulomb import directions, lengths
+from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
 from contactqp.oracle.diagnosis.scales import CALLED, factors
+from contactqp.oracle.foreign.recovery import slips
+
+# Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
+MET = 1e-6
+# Spring stiffnesses, ratios and products that spread by this part are one.
+ONE_VALUE = 1e-3
+# The same where few different ones are looked for: printed overlaps have few digits.
+ONE_OF_FEW = 5e-3
+# One contact that is penetrated by so little, all else right to this part, tells no spring.
+STOPPED = 1e-6
+# Parts of a force that stand out by no more than this from a rule obey it.
+OBEYS = 1e-3
+
+
+def laws(evidence: Evidence) -> Iterator[Explanation]:
+    """Yield explanations by other laws that the complete answer obeys."""
+    found = evidence.certificate.violations
+    if found is None:
+        return
+    certificate = evidence.certificate
+    balanced = max(certificate.equilibrium, certificate.balance) <= MET and certificate.tie <= MET
+    if balanced:
+        yield from _springs(evidence, found)
+        yield from _barrier(evidence, found)
+        yield from _rough(evidence, found)
+    touching = max(certificate.penetration, certificate.tension, certificate.complementarity, certificate.tie) <= MET
+    if touching and certificate.equilibrium > certificate.tolerance:
+        yield from _residual(evidence, found)
+
+
+def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
+    """l_i = beta_i p_i with the penetration p_i = -gap_i, also where it pulls."""
+    problem, force = evidence.problem, evidence.answer.normal_force
+    limit = evidence.certificate.tolerance
+    pushed = found.force_measure > limit
+    off = (found.gap_measure > 1e-12) & np.isfinite(found.gap)
+    sprung = pushed & off & (force * found.gap < 0)
+    if (
+        not np.any(sprung)
+        or np.any(pushed & ~sprung)
+        or np.any((found.gap < 0) & (found.gap_measure > limit) & ~pushed)
+    ):
+        return
+    if np.sum(sprung) == 1 and evidence.before <= STOPPED:  # as likely iterations that stopped
+        return
+    stiffness = force[sprung] / -found.gap[sprung]
+    lowest, highest = float(np.min(stiffness)), float(np.max(stiffness))
+    spread = highest / lowest - 1
+    f, length = problem.units.force, problem.units.length
+    unit = unit_of(f"{f}/{length}" if f and length else "")
+    pulls = sprung & (force < 0)
+    kind = "bilateral-springs" if np.any(pulls) else "penalty"
+    far, near = float(np.max(abs(found.gap[sprung]))), float(np.min(abs(found.gap[sprung])))
+    size = f"near {far:.2g}" if far <= 2 * near else f"from {near:.2g} to {far:.2g}"
+    what = "penetration or pull" if np.any(pulls) else "penetration"
+    rule = ", proportional to the force" if spread <= ONE_VALUE else ", with every force"
+    rule = "" if np.sum(sprung) == 1 else rule
+    beta = f"about {np.median(stiffness):.3g}{unit}"
+    if spread > ONE_VALUE:
+        others = "few different ones" if _few(stiffness) else "each contact its own"
+        beta = f"{lowest:.3g} to {highest:.3g}{unit}, {others}"
+    also = ", of springs that also pull" if np.any(pulls) else ""
+    where = "everywhere" if np.sum(sprung) > 1 else f"at {problem.contact_name(int(np.flatnonzero(sprung)[0]))}"
+    text = f"{what} {where} {size}{unit_of(length)}{rule}: looks like a penalty of {beta}{also}"
+    if np.sum(sprung) == 1 and not np.any(pulls):
+        text += ", or like a gap that is larger by as much"
+    one_stiffness = (spread <= ONE_VALUE and np.sum(sprung) > 1) or _few(stiffness)
+    # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
+    noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))
+    strict = evidence.certificate.equilibrium <= noise and not evidence.recovered
+    if one_stiffness or strict:
+        yield Explanation(Finding(kind, text, True), MET if one_stiffness else LATER)
+
+
+def _few(stiffness: Vector) -> bool:
+    """Return whether few different values occur, a third of all at most: a penalty by the area, on a regular mesh."""
+    steps = np.diff(np.log(np.sort(stiffness)))
+    return 3 * (1 + int(np.sum(steps > ONE_OF_FEW))) <= len(stiffness)
+
+
+# How far from right an explanation is said to leave an answer that others may explain better.
+LATER = 0.9e-3
+
+
+def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
+    """l_i gap_i one and the same for all contacts, none of them closed: an interior point."""
+    force, gap = evidence.answer.normal_force, found.gap
+    if len(gap) < 2 or np.any(force <= 0) or np.any(gap <= 0) or evidence.problem.frictional:
+        return
+    product = force * gap
+    if float(np.max(product) / np.min(product)) - 1 > 0.1:
+        return
+    unit = unit_of(evidence.problem.units.force), unit_of(evidence.problem.units.length)
+    text = (
+        f"every contact is open and pushes, force times gap being {np.median(product):.3g}{unit[0]}{unit[1]} at all of "
+        "them: an interior-point method that stopped early?"
+    )
+    yield Explanation(Finding("barrier", text, True), MET)
+
+
+def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
+    """Yield explanations where the residual is a multiple of the load, of K u or of u, or the load of some unknowns."""
+    problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
+    inner = (extended_rows(problem).stiffness @ extend(u)).double()
+    part = _multiple(r, problem.load)
+    if part is not None and evidence.passes_with(load=(1 - part) * problem.load):
+        factor = 1 - part
+        said = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
+        text = f"it is the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
+        yield Explanation(Finding("load", text, True), 0.0)
+    missing = abs(r - problem.load) <= OBEYS * abs(problem.load)
+    missing &= problem.load != 0
+    if np.any(missing) and np.all(abs(r[~missing]) <= MET * found.meeting[~missing]):
+        without = np.where(missing, 0.0, problem.load)
+        if evidence.passes_with(load=without):
+            names = ", ".join(problem.dof_name(int(j)) for j in np.flatnonzero(missing)[:5])
+            text = f"it is the right answer without the load of {names}"
+            yield Explanation(Finding("load-missing", text, True), 0.0)
+            return
+    part = _multiple(r, inner)
+    if part is not None and part > -1 and _passes_with(evidence, (1 + part) * problem.stiffness):
+        text = f"the bodies are {1 + part:.6g} times as stiff as the problem's: another modulus?"
+        yield Explanation(Finding("stiffness", text, True), MET)
+        return
+    diagonal = problem.diagonal
+    for added, what in ((np.ones_like(u), "u"), (diagonal, "diag(K) u")):
+        part = _multiple(r, added * u)
+        if part is not None and part > 0 and _passes_with(evidence, problem.stiffness + sp.diags(part * added)):
+            text = (
+                f"what is out of balance is {part:.3g} {what}: the stiffness was regularised (that much was added to "
+                "its diagonal)"
+            )
+            yield Explanation(Finding("regularised", text, True), MET)
+            return
+
+
+def _passes_with(evidence: Evidence, stiffness: Any) -> bool:
+    return evidence.passes_with(stiffness=sp.csr_matrix(stiffness))
+
+
+def _multiple(vector: Vector, of: Vector) -> float | None:
+    """c with vector = c of, None if there is none."""
+    largest, scale = (float(np.max(abs(one), initial=0.0)) for one in (vector, of))
+    if not (0 < largest < np.inf and 0 < scale < np.inf):
+        return None
+    shape, along = vector / largest, of / scale  # the squares of values that are doubles need not be
+    part = float(shape @ along) / float(along @ along)
+    return part * (largest / scale) if float(np.max(abs(shape - part * along))) <= OBEYS else None
+
+
+def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
+    """Friction of another coefficient, another direction, another cone."""
+    problem, answer, limit = evidence.problem, evidence.answer, evidence.certificate.tolerance
+    slip = slips(problem, answer.displacement)
+    if not problem.frictional or problem.friction is None or slip is None or answer.friction_force is None:
+        return
+    normal_law = max(evidence.certificate.penetration, evidence.certificate.tension) <= MET
+    force, mu = answer.friction_force, problem.friction
+    slides, push = found.slip_measure > max(limit, MET), answer.normal_force
+    bound = mu * np.maximum(push, 0.0)
+    acting = found.force_measure > limit
+    sliding = slides & acting & (mu > 0)
+    size, way = lengths(force), directions(slip)
+    if normal_law and np.any(sliding) and np.any(found.gap_measure[sliding] > MET):
+        dilated = mu * lengths(slip)
+        if np.all(abs(found.gap - dilated)[sliding] <= OBEYS * dilated[sliding]):
+            text = "what slides also rises, by mu times its slip: the associated relaxation, and not Coulomb's law"
+            yield Explanation(Finding("associated", text, True), MET)
+            return
+    if not normal_law or evidence.certificate.complementarity > MET:
+        return
+    beyond = (found.cone > limit) & acting
+    if np.any(sliding) and np.max(lengths(force + bound[:, None] * way)[sliding] / bound[sliding]) <= OBEYS:
+        text = "friction pushes along where it should hold back: its sign is reversed wherever something slides"
+        yield Explanation(Finding("friction-reversed", text, True), MET)
+        return
+    if np.any(beyond) and not np.any(sliding):
+        names = ", ".join(problem.contact_name(int(i)) for i in np.flatnonzero(beyond)[:3])
+        text = f"everything sticks, also {names}, where mu l_N cannot hold it: no slip was allowed"
+        yield Explanation(Finding("stuck", text, True), MET)
+        return
+    if np.any(sliding):
+        yield from _other_cone(evidence, sliding, size, bound, slip)
+
+
+def _other_cone(
+    evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bound: Vector, slip: NDArray[np.float64]
+) -> Iterator[Explanation]:
+    problem, force = evidence.problem, evidence.answer.friction_force
+    assert problem.friction is not None
+    assert force is not None
+    ratio = size[sliding] / np.maximum(bound[sliding], np.finfo(float).tiny)
+    factor = float(np.median(ratio))
+    if abs(factor - 1) > OBEYS and np.max(abs(ratio - factor)) <= OBEYS * factor:
+        other = factor * problem.friction
+        if evidence.passes_with(friction=other):
+            values = np.unique(np.round(other[other > 0], 9))
+            said = f"mu = {values[0]:.4g}" if len(values) == 1 else f"{factor:.4g} times mu"
+            mine = f"{problem.friction[sliding][0]:.4g}"
+            text = f"it is the right answer with {said}, where the problem has mu = {mine}"
+            yield Explanation(Finding("friction-coefficient", text, True), 0.0)
+            return
+    if force.shape[1] > 1:
+        # Of a square each component that slips is at the bound.
+        at_bound = abs(abs(force) - bound[:, None]) <= OBEYS * bound[:, None]
+        still = abs(slip) <= OBEYS * lengths(slip)[:, None]
+        square = np.all(at_bound | still, axis=1)[sliding]
+        diamond = abs(np.sum(abs(force), axis=1) - bound)[sliding] <= OBEYS * bound[sliding]
+        if np.all(square) or np.all(diamond):
+            text = "friction is bounded direction by direction: a pyramid instead of Coulomb's round cone"
+            yield Explanation(Finding("pyramid", text, True), MET)
+
 
 # Of all pushing contacts, at most this part may be counted otherwise.
 FEWER = 0.5
