@@ -14,9 +14,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.history import Energies, History
-from contactqp.distributed.pieces.nodes import ContactSurfaces, gather_surfaces, number_nodes
-from contactqp.distributed.pieces.partition_mesh import FileSource, LatticeSource, MeshPiece, Source, partition_meshes
-from contactqp.distributed.pieces.system import PieceSystem, prescribed_displacements
+from contactqp.distributed.mesh_nodes import ContactSurfaces, gather_surfaces, number_nodes
+from contactqp.distributed.mesh_system import PieceSystem, prescribed_displacements
+from contactqp.distributed.partition_mesh import FileSource, LatticeSource, MeshPiece, Source, partition_meshes
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.geometry import Block

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.distributed.environment import Product, petsc
-from contactqp.distributed.pieces.nodes import ContactSurfaces, Nodes, assemble_stiffness, connected_parts, incidence
-from contactqp.distributed.pieces.partition_mesh import number_codes
+from contactqp.distributed.mesh_nodes import ContactSurfaces, Nodes, assemble_stiffness, connected_parts, incidence
+from contactqp.distributed.partition_mesh import number_codes
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows, chosen_rows

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from contactqp.distributed.environment import block_type, petsc
-from contactqp.distributed.pieces.partition_mesh import MeshPiece
+from contactqp.distributed.partition_mesh import MeshPiece
 from contactqp.distributed.ranks import Ranks, ask_ranks
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pairing import Pairing
