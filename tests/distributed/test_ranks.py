@@ -1,4 +1,4 @@
-"""The harness itself: ranks are there, what fails is seen, what hangs ends."""
+"""Ranks are there, what fails is seen, what hangs ends, and arrays go from rank to rank as they are."""
 
 from __future__ import annotations
 
@@ -27,3 +27,9 @@ def test_a_run_that_hangs_fails_the_test(start_ranks):
     hangs = "from mpi4py import MPI; c = MPI.COMM_WORLD; c.rank and c.recv(); c.barrier()"
     with pytest.raises(pytest.fail.Exception, match="no end after 3 s"):
         finished(start_ranks(2, "-c", hangs), limit=3)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("ranks", [1, 2, 3, 4])
+def test_rows_come_where_they_are_sent(on_ranks, ranks):
+    assert on_ranks("exchanged.py", ranks) == f"the same on {ranks}\n"

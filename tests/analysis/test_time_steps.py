@@ -1,0 +1,205 @@
+"""The parts of a time step: mass matrices, contact forces with Coulomb friction, certificates of many steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.linalg import block_diag
+
+import contactqp as cq
+from contactqp.analysis.motion import step_friction
+from contactqp.analysis.motion.step_certificate import FIGURES, StepJudge
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.analysis.motion.step_friction import frictional_forces, states_of
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
+from tests.analysis.motions import rod_at_wall
+
+
+@pytest.mark.parametrize("lumped", [True, False])
+def test_a_rod_keeps_its_mass(lumped: bool) -> None:
+    problem, mass = rod_at_wall(10, lumped=lumped)
+    moved = cq.redistributed_mass(mass, problem)
+    assert moved.sum() == pytest.approx(mass.sum(), rel=1e-14)
+    assert abs(moved[0]).sum() == 0.0
+    assert abs(moved - mass)[3:, 3:].sum() == 0.0  # what is far from the contact stays
+
+
+def test_a_plane_body_keeps_mass_centre_and_inertia() -> None:
+    """A frame of springs in the plane: three rigid motions, and z'Mz of all of them as before."""
+    rng = np.random.default_rng(3)
+    points = np.array([[x, y] for x in range(5) for y in range(4)], float) + 0.1 * rng.normal(size=(20, 2))
+    K = np.zeros((40, 40))
+    for a in range(20):
+        for b in range(a):
+            way = points[a] - points[b]
+            if np.linalg.norm(way) < 1.8:
+                row = np.zeros(40)
+                row[[2 * a, 2 * a + 1]], row[[2 * b, 2 * b + 1]] = way, -way
+                K += np.outer(row, row)
+    M = np.diag(np.repeat(rng.uniform(1.0, 2.0, 20), 2))
+    normal = np.zeros((2, 40))
+    normal[0, [0, 1]], normal[1, 9] = [0.6, 0.8], -1.0
+    problem = cq.ContactProblem(K, np.zeros(40), normal, [1.0, 1.0])
+    moved = cq.redistributed_mass(M, problem)
+    turn = np.column_stack([-points[:, 1], points[:, 0]]).ravel()
+    Z = np.column_stack([np.tile([1.0, 0], 20), np.tile([0, 1.0], 20), turn])
+    np.testing.assert_allclose(Z.T @ moved @ Z, Z.T @ M @ Z, rtol=1e-9, atol=1e-9 * np.trace(M))
+    assert abs(moved.toarray()[[0, 1, 9]]).sum() == 0.0
+    assert np.linalg.eigvalsh(moved.toarray())[0] >= 0.0
+
+
+def test_each_body_keeps_its_own_and_a_held_one_too() -> None:
+    free, M = rod_at_wall(6)
+    K = free.stiffness.toarray()
+    held = K[1:, 1:]  # its first node is a support
+    both, masses = block_diag(K, held), sp.block_diag([M, M.toarray()[1:, 1:]])
+    rows = np.zeros((1, 13))
+    rows[0, [6, 12]] = 1.0, -1.0
+    problem = cq.ContactProblem(both, np.zeros(13), rows, [1.0])
+    moved = cq.redistributed_mass(masses, problem).toarray()
+    assert moved[:7, :7].sum() == pytest.approx(M.sum())
+    assert moved[7:, 7:].sum() == pytest.approx(M.toarray()[1:, 1:].sum())
+    assert abs(moved[[6, 12]]).sum() == 0.0
+
+
+def test_what_has_no_neighbours_left_is_refused() -> None:
+    pair = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [0, 0], np.eye(2), [1.0, 1.0])
+    with pytest.raises(cq.InvalidProblem, match="cannot be moved to others of the same body"):
+        cq.redistributed_mass([1.0, 1.0], pair)
+
+
+ONE = np.array([[1.0, 0.5], [0.5, 2.0]])  # u_N, u_T of r_N, r_T
+
+
+def still(m: int) -> np.ndarray:
+    return np.full(m, OPEN, dtype=np.int8)
+
+
+@pytest.mark.parametrize(
+    ("free", "coefficient", "expected"),
+    [
+        ([1.0, 3.0], 0.5, (0.0, 0.0)),  # open
+        ([-1.0, -0.5], 0.5, (1.0, 0.0)),  # r_N = 1 alone stops it
+        ([-1.0, 2.0], 0.6, (1 / 0.7, 0.6 / 0.7)),  # slips on: u_N = r_N + r_T / 2 - 1 = 0, r_T = -0.6 r_N
+        ([-1.0, -3.0], 0.5, (1 / 1.25, -0.5 / 1.25)),  # slips back
+    ],
+)
+def test_one_contact_by_hand(
+    free: list[float], coefficient: float, expected: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step_friction, "solve", None)  # no local problem is needed
+    normal, friction = frictional_forces(ONE, np.array(free), np.array([coefficient]), still(1), "active-set", {})
+    np.testing.assert_allclose([normal[0], friction[0, 0]], expected, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_states_find_what_the_algorithms_find(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = 3
+    root = rng.normal(size=(2 * m, 8))
+    W, c = root @ root.T / 8 + np.eye(2 * m), rng.normal(size=2 * m)
+    coefficient = rng.choice([0.0, 0.1, 0.3], size=m)
+    start = rng.integers(SLIP_BACK, STICK + 1, size=m).astype(np.int8)
+    normal, friction = frictional_forces(W, c, coefficient, start, "active-set", {})
+    local = cq.LocalProblem(delassus=W, offset=c, friction=coefficient, dimension=2)
+    known = cq.solve(local)
+    np.testing.assert_allclose(np.column_stack([normal, -friction]), known.force, atol=1e-10)
+    assert cq.certify_local(local, np.column_stack([normal, -friction])).passed
+
+
+def test_states_that_cycle_are_left_to_an_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(step_friction, "MAX_CHANGES", 0)
+    normal, friction = frictional_forces(ONE, np.array([-1.0, 2.0]), np.array([0.6]), still(1), "active-set", {})
+    np.testing.assert_allclose([normal[0], friction[0, 0]], [1 / 0.7, 0.6 / 0.7], rtol=1e-12)
+
+
+def test_contacts_that_say_the_same_are_left_to_an_algorithm() -> None:
+    W = np.kron(np.ones((2, 2)), ONE)
+    normal, friction = frictional_forces(
+        W, np.array([-1.0, 2.0, -1.0, 2.0]), np.array([0.6, 0.6]), still(2), "active-set", {}
+    )
+    np.testing.assert_allclose([normal.sum(), friction.sum()], [1 / 0.7, 0.6 / 0.7], rtol=1e-9)
+
+
+def test_the_states_of_forces() -> None:
+    found = states_of(
+        np.array([0.0, 1, 1, 1, 1]), np.array([[0.0], [0.1], [0.5], [-0.5], [0.0]]), np.r_[0.5 * np.ones(4), 0]
+    )
+    assert found.tolist() == [OPEN, STICK, SLIP_ON, SLIP_BACK, SLIP_ON]
+
+
+rng = np.random.default_rng(7)
+ROOT = rng.normal(size=(6, 6))
+PROBLEM = cq.ContactProblem(
+    stiffness=ROOT @ ROOT.T + np.eye(6),
+    load=np.zeros(6),
+    normal=rng.normal(size=(2, 6)),
+    gap=np.zeros(2),
+    tangent=rng.normal(size=(4, 6)),
+    friction=[0.3, 0.5],
+    tie=rng.normal(size=(1, 6)),
+)
+
+
+def step(seed: int) -> tuple[StepProblem, StepResult]:
+    rng = np.random.default_rng(seed)
+    posed = StepProblem(rng.normal(size=6), rng.normal(size=2), None, rng.normal(size=4), rng.normal(size=1))
+    x = rng.normal(size=6)
+    return posed, StepResult(x, rng.normal(size=2), rng.normal(size=4), rng.normal(size=1), x)
+
+
+def test_the_figures_are_those_of_the_certificate() -> None:
+    """Of answers that are wrong in every way: cone and slip are bounded from above, the others alike."""
+    steps = [step(seed) for seed in range(20)]
+    found = StepJudge(PROBLEM).figures([p for p, _ in steps], [a for _, a in steps])
+    for k, (posed, answer) in enumerate(steps):
+        problem = PROBLEM.replace(
+            load=posed.load, gap=posed.gap, slip_origin=posed.slip_origin, tie_value=posed.tie_value
+        )
+        known = cq.certify(problem, answer.unknown, answer.normal, answer.friction, answer.tie)
+        for name in FIGURES:
+            mine, theirs = getattr(found, name)[k], getattr(known, name)
+            if name in ("cone", "slip_direction"):
+                assert theirs * (1 - 1e-9) <= mine <= 5 * theirs + 1e-12, name
+            else:
+                assert mine == pytest.approx(theirs, rel=1e-9), name
+
+
+def test_each_figure_names_its_step() -> None:
+    problem = PROBLEM.replace(load=rng.normal(size=6), gap=[0.1, 0.2], tie_value=[0.3])
+    right = cq.solve(problem)
+    assert right.friction_force is not None
+    posed = StepProblem(problem.load, problem.gap, None, None, problem.tie_value)
+    x = right.displacement
+    answer = StepResult(x, right.normal_force, right.friction_force.ravel(), right.tie_force, x)
+    judge = StepJudge(PROBLEM)
+    assert judge.figures([posed] * 3, [answer] * 3).first_above(1e-12) is None
+    spoiled = {
+        "equilibrium": (posed, replace(answer, unknown=x * (1 + 1e-6))),
+        "tie": (replace(posed, tie_value=np.array([0.4])), answer),
+        "penetration": (replace(posed, gap=posed.gap - 1.0), answer),
+        "tension": (posed, replace(answer, normal=answer.normal - 1.0)),
+        "complementarity": (replace(posed, gap=posed.gap + 1.0), replace(answer, normal=answer.normal + 1.0)),
+        "cone": (posed, replace(answer, friction=answer.friction + 5.0)),
+    }
+    for name, (asked, wrong) in spoiled.items():
+        found = judge.figures([posed, asked, posed], [answer, wrong, answer])
+        assert getattr(found, name)[1] > 1e-8, name
+        refused = found.first_above(1e-9)
+        assert refused is not None
+        assert refused[0] == 1
+
+
+def test_what_is_no_number_fails_and_a_contact_that_was_not_looked_at_has_no_force() -> None:
+    judge, (posed, answer) = StepJudge(PROBLEM), step(3)
+    nan = replace(answer, unknown=np.full(6, np.nan))
+    refused = judge.figures([posed], [nan]).first_above(1e-9)
+    assert refused is not None
+    assert refused[2] == np.inf
+    unseen = replace(posed, closable=np.array([False, False]), gap=np.array([-9.0, -9.0]))
+    quiet = replace(answer, normal=np.zeros(2), friction=np.zeros(4))
+    assert judge.figures([unseen], [quiet]).penetration[0] == 0.0
+    assert judge.figures([unseen], [replace(quiet, normal=np.array([1.0, 0.0]))]).tension[0] > 0.0
