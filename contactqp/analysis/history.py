@@ -19,6 +19,7 @@ from typing import Any, NoReturn, Protocol, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.contact_table import ContactTable, contact_table
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
@@ -77,6 +78,8 @@ class History(ReadOnly, Printed, Sequence[Solution]):
     with contact springs, where their sliders were then.
     `linear` says that nothing changes its state between two instants.
     """
+
+    time_label = "time [legs]"  # of `times` in tables
 
     def __init__(
         self,
@@ -185,9 +188,21 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         """Draw the history, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
         return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
+    def table(self, time_label: str = "") -> ContactTable:
+        """Return time, status, normal force, friction and gap of every contact at every instant, a row each.
+
+        `time_label` is the heading of the column of times where the default does not say their unit: "time [ms]".
+        """
+        return contact_table(self, self.times.tolist(), time_label or self.time_label)
+
+    def write_csv(self, file: str | Path, time_label: str = "") -> None:
+        """Write `table` to a file of comma-separated values; InvalidProblem where it cannot be written."""
+        self.table(time_label).write_csv(file)
+
     def summary(self) -> str:
         """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
-        table = history_table(self.times, self, self.normal_forces, self.events, exact=self._linear)
+        forces, events = self.normal_forces, self.events
+        table = history_table(self.times, self, forces, events, exact=self._linear, time_label=self.time_label)
         return "\n".join([table, *(line for note in self.notes for line in wrapped(f"note: {note}"))])
 
     def __str__(self) -> str:

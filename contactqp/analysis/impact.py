@@ -261,10 +261,14 @@ class _MotionOfAllRows(MotionHistory):
 
     def resume(self, duration: float) -> MotionHistory:
         """Continue this motion, as `MotionHistory.resume`."""
-        return _MotionOfAllRows(self._rows, self._history.resume(duration))
+        return self._labelled(_MotionOfAllRows(self._rows, self._history.resume(duration)))
 
     def __copy__(self) -> MotionHistory:
-        return _MotionOfAllRows(self._rows, copy.copy(self._history))
+        return self._labelled(_MotionOfAllRows(self._rows, copy.copy(self._history)))
+
+    def _labelled(self, other: MotionHistory) -> MotionHistory:
+        other.time_label = self.time_label
+        return other
 
     def __getstate__(self) -> dict[str, Any]:
         state = History.__getstate__(self)

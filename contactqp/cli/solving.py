@@ -46,6 +46,7 @@ MANY = 4
 @click.option("--checkpoint", metavar="DIR", help="With petsc: keep the steps of a load path, go on from them.")
 @click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
+@click.option("--csv", metavar="FILE", help="Write status, forces and gap of each contact at each instant: .csv.")
 @strict_option
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--quiet", is_flag=True, help="Print what is not met or has no answer, and no more.")
@@ -64,6 +65,7 @@ def run_command(
     checkpoint: str | None,
     plot: str | None,
     vtu: str | None,
+    csv: str | None,
     verbose: bool,
     quiet: bool,
     jobs: int | None,
@@ -77,7 +79,7 @@ def run_command(
     Without --method: by active-set, and by every method that the case itself says something about. Of one case the
     answer is printed, and of what it claims how much is met; of several each has a line.
 
-    --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
+    --plot, --vtu and --csv show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
     displacements, forces and energies with its events, to FILE with "history" before the suffix.
 
@@ -94,7 +96,9 @@ def run_command(
         if checkpoint is not None and engine == SERIAL:
             raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
         knobs = read_knobs(penalty, perturbation, options)
-        scenes, files = _read(named, plot, vtu, every_method=bool(methods))
+        if csv is not None and engine != SERIAL:
+            raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
+        scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
         if knobs and scenes and not methods and engine == SERIAL:
             raise InvalidProblem(f"run: {', '.join(knobs)} belong to a method; state it by --method")
         if time_limit is not None and not time_limit > 0:
@@ -117,7 +121,7 @@ def run_command(
         from contactqp.study.friction_files import run_files
 
         shows = speakers.speaks and sys.stderr.isatty()
-        drawn = bool(plot or vtu)
+        drawn = bool(plot or vtu or csv)
         solved = run_files(foreign, methods, knobs, drawn=drawn, progress=shows, engine=engine, time_limit=time_limit)
         speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
@@ -140,18 +144,18 @@ def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _read(
-    named: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
+    named: Sequence[str], plot: str | None, vtu: str | None, csv: str | None, *, every_method: bool
 ) -> tuple[list[Scene], AnswerFiles | None]:
     """Return the scenes, and the files that answers are drawn to."""
     from contactqp.scene.judging import case_files
     from contactqp.scene.scene import load_scene
 
     scenes = [load_scene(file) for file in case_files(named)]
-    if plot is None and vtu is None:
+    if plot is None and vtu is None and csv is None:
         return scenes, None
     from contactqp.study.answer_pictures import answer_files
 
-    return scenes, answer_files(scenes, plot, vtu, every_method=every_method)
+    return scenes, answer_files(scenes, plot, vtu, csv, every_method=every_method)
 
 
 @dataclass(frozen=True)

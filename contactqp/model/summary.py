@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,10 @@ from contactqp.model.unknown_names import plain_name
 # Rows of a table, at most; of more the largest are shown.
 MOST = 10
 MOST_INSTANTS = 12
-# Gaps below this part of the lengths that meet are the rounding of zero.
+# Events that are told one by one; of more, those of one kind at one time are told together, and so many of these.
+FEW_EVENTS, MOST_EVENTS = 8, 16
+# Gaps and slips below this part of the lengths that meet, and forces below it of those that meet, are the rounding of
+# zero.
 ROUNDING = 1e-14
 # Forces below this part of the largest of a history are the rounding of zero.
 ROUNDING_OF_FORCES = 1e-12
@@ -112,19 +118,39 @@ def tables_of(solution: Any) -> list[Table]:
 
 def _contacts(solution: Any, force: str, gap: str, slip: str) -> Table:
     problem = solution.problem
-    gaps = _without_rounding(solution.gap, problem, solution.displacement)
-    shown = _largest(solution.normal_force, -np.where(np.isfinite(gaps), gaps, np.inf))
-    columns, parts = ["", "status", force, gap], [solution.normal_force, gaps]
-    if problem.frictional and solution.friction_force is not None and solution.slip is not None:
+    clean = without_rounding(solution)
+    shown = _most_telling(solution.contact_status, clean.normal_force, clean.gap)
+    columns, parts = ["", "status", force, gap], [clean.normal_force, clean.gap]
+    if problem.frictional and clean.friction_force is not None and clean.slip is not None:
         columns[3:3] = [force.replace("force", "friction")]
         columns.append(slip)
-        parts = [parts[0], _along_one_axis(solution.friction_force), gaps, _along_one_axis(solution.slip)]
-    closed = int(np.sum(np.isin(solution.contact_status, ("closed", "stick", "slip"))))
+        parts = [parts[0], _along_one_axis(clean.friction_force), clean.gap, _along_one_axis(clean.slip)]
     rows = tuple(
         (problem.contact_name(i), str(solution.contact_status[i]), *(number(part[i]) for part in parts)) for i in shown
     )
-    title = f"{_counted('contact', problem.contacts, len(shown))}; {closed} closed"
+    title = _title_of_contacts(solution.contact_status, problem.frictional, len(shown))
     return Table(title, tuple(columns), rows)
+
+
+def _most_telling(status: Any, force: Vector, gap: Vector | None = None) -> Sequence[int]:
+    """Return the contacts to be shown in their own order: of many those that slip, then those of the largest forces."""
+    nearness = [] if gap is None else [-np.where(np.isfinite(gap), gap, np.inf)]
+    return _largest((np.asarray(status) == "slip").astype(float), force, *nearness)
+
+
+def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
+    """Return how many contacts there are in each state, and how many of them are shown."""
+    if not frictional:
+        return f"{_counted('contact', len(status), shown)}; {closed_contacts(status)} closed"
+    count = {name: int(np.sum(np.asarray(status) == name)) for name in ("slip", "stick", "open", "closed", "grazing")}
+    told = [f"{n} {name}" for name, n in count.items() if n or name in ("slip", "stick", "open")]
+    few = f"; {shown} shown, slip first" if shown < len(status) else ""
+    return f"{_counted('contact', len(status), len(status))}: {', '.join(told)}{few}"
+
+
+def closed_contacts(status: Any) -> int:
+    """Return how many of the statuses are those of a contact that is closed, whether it sticks or slips."""
+    return int(np.sum(np.isin(status, ("closed", "stick", "slip"))))
 
 
 def _along_one_axis(vectors: Any) -> Vector:
@@ -132,9 +158,46 @@ def _along_one_axis(vectors: Any) -> Vector:
     return np.asarray(vectors[:, 0] if vectors.shape[1] == 1 else np.linalg.norm(vectors, axis=1))
 
 
-def _without_rounding(gap: Vector, problem: Any, displacement: Vector) -> Vector:
-    meeting = abs(problem.normal) @ abs(displacement) + np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
-    return np.asarray(np.where(abs(gap) <= ROUNDING * meeting, 0.0, gap))
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Forces, gaps and slips of the contacts of a solution, zero where they are rounding."""
+
+    normal_force: Vector  # (m,)
+    friction_force: Array | None  # (m, d-1)
+    gap: Vector  # (m,)
+    slip: Array | None  # (m, d-1)
+
+
+def without_rounding(solution: Any) -> Contacts:
+    """Return what a solution says of its contacts, with zeros for what is rounding beside the terms it is the sum of.
+
+    A gap g - E_N u is measured by |g| + |E_N||u|, a slip E_T u - slip_origin likewise, and a force by
+    |E_i|(|K||u| + |f| + |E_N|'|l_N|) / |E_i|^2: the forces that meet at the unknowns which the contact touches.
+    """
+    problem, u = solution.problem, abs(solution.displacement)
+    meeting = problem.stiffness_sizes @ u + abs(problem.load) + abs(problem.normal).T @ abs(solution.normal_force)
+    gap = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0) + abs(problem.normal) @ u
+    friction, slip = solution.friction_force, solution.slip
+    if friction is not None and problem.tangent is not None:
+        friction = _nothing_below(_meeting_on(problem.tangent, meeting).reshape(friction.shape), friction)
+    if slip is not None and problem.tangent is not None:
+        slip = _nothing_below(abs(problem.slip_origin) + (abs(problem.tangent) @ u).reshape(slip.shape), slip)
+    return Contacts(
+        _nothing_below(_meeting_on(problem.normal, meeting), solution.normal_force),
+        friction,
+        _nothing_below(gap, solution.gap),
+        slip,
+    )
+
+
+def _meeting_on(rows: Any, forces: Vector) -> Vector:
+    """Return |E_i| F / |E_i|^2 for each row, the forces F (n,) at unknowns as forces on rows; 0 for a row of zeros."""
+    squared = np.asarray(rows.multiply(rows).sum(axis=1)).ravel()
+    return np.asarray(abs(rows) @ forces / np.where(squared > 0, squared, 1.0))
+
+
+def _nothing_below(sizes: Array, values: Array) -> Array:
+    return np.asarray(np.where(abs(values) <= ROUNDING * sizes, 0.0, values))
 
 
 def _largest(*sizes: Vector) -> Sequence[int]:
@@ -172,37 +235,109 @@ def wrapped(text: str) -> list[str]:
 
 @own_floating_point
 def history_table(
-    times: Vector, solutions: Sequence[Any], normal_forces: Array, events: Sequence[Any], exact: bool = False
+    times: Vector,
+    solutions: Sequence[Any],
+    normal_forces: Array,
+    events: Sequence[Any],
+    exact: bool = False,
+    time_label: str = "time",
 ) -> str:
-    """Return instants of a history with their largest forces, and its events.
+    """Return instants of a history with the states and largest forces of their contacts, and its events.
 
     Of many instants some are shown, evenly chosen, and that of the largest force. Where events are not `exact` they are
     told at the first instant that has them.
+
+    Parameters
+    ----------
+    times : (steps,) array
+    solutions : sequence of Solution
+        Of these only those that are shown are looked at.
+    normal_forces : (steps, m) array
+    events : sequence of Event
+    exact : bool
+    time_label : str
+        The heading of the column of times, with their unit.
     """
-    force = _named("largest force", solutions[0].problem.units.force)
     chosen = np.arange(len(times))
     if len(times) > MOST_INSTANTS:
         evenly = np.linspace(0, len(times) - 1, MOST_INSTANTS - 1).round().astype(int)
-        largest = int(np.argmax(np.max(normal_forces, axis=1, initial=0.0)))
-        chosen = np.unique([*evenly, largest])
-    rows, noise = [], ROUNDING_OF_FORCES * float(np.max(normal_forces, initial=0.0))
-    for k in chosen.tolist():
-        status = solutions[k].contact_status
-        pushed = solutions[k].normal_force
-        at = int(np.argmax(pushed)) if len(pushed) else -1
-        largest_force = float(np.max(pushed, initial=0.0))
-        largest_force = largest_force if largest_force > noise else 0.0
-        name = solutions[k].problem.contact_name(at) if largest_force > 0 else ""
-        closed = int(np.sum(np.isin(status, ("closed", "stick", "slip"))))
-        rows.append((number(times[k]), str(closed), number(largest_force), name))
-    told = [f"{event.name or event.contact} {event.kind} at {number(event.time)}" for event in events[:MOST]]
-    more = [f"and {len(events) - MOST} events more"] if len(events) > MOST else []
+        hardest = int(np.argmax(np.max(normal_forces, axis=1, initial=0.0)))
+        chosen = np.unique([*evenly, hardest])
+    noise = ROUNDING_OF_FORCES * float(np.max(normal_forces, initial=0.0))
+    problem = solutions[0].problem
+    states = ("slip", "stick", "open") if problem.frictional else ("closed",)
+    largest = "max force" if problem.frictional else "largest force"
+    columns = [time_label, *states, _named(largest, problem.units.force), "at"]
+    if problem.frictional:
+        columns.append(_named("max friction", problem.units.force))
+    rows = tuple((number(times[k]), *_instant(solutions[k], states, noise)) for k in chosen.tolist())
+    told = events_together(events, problem.contact_name)
+    lines = [f"{names} {kind} at {number(time)}" for kind, names, time, _ in told[:MOST_EVENTS]]
+    if len(told) > MOST_EVENTS:
+        lines.append(f"and {sum(count for *_, count in told[MOST_EVENTS:])} events more")
     shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"
-    title = f"{len(times)} instants{shown}; {len(events)} event{'' if len(events) == 1 else 's'}"
+    title = f"{_counted('instant', len(times), len(times))}{shown}; {_counted('event', len(events), len(events))}"
     if events and not exact:
-        title += ", each told at the first instant that has it"
-    table = Table(title, ("time", "closed", force, "at"), tuple(rows)).text()
-    return "\n".join([table, *(f"  {text}" for text in (*told, *more))])
+        lines.insert(0, "each event is told at the first instant that has it")
+    return "\n".join([Table(title, tuple(columns), rows).text(), *(f"  {line}" for line in lines)])
+
+
+def _instant(solution: Any, states: Sequence[str], noise: float) -> list[str]:
+    """Return how many contacts are in each state, the largest normal force and where, and the largest friction."""
+    status, force = np.asarray(solution.contact_status), solution.normal_force
+    count = {name: int(np.sum(status == name)) for name in ("slip", "stick")}
+    count["closed"] = closed_contacts(status)
+    count["open"] = len(status) - count["closed"]
+    at = int(np.argmax(force)) if len(force) else -1
+    largest = float(np.max(force, initial=0.0))
+    pushes = largest > noise
+    cells = [*(str(count[name]) for name in states), number(largest if pushes else 0.0)]
+    cells.append(solution.problem.contact_name(at) if pushes else "")
+    if "slip" in states:
+        friction = np.zeros((0, 1)) if solution.friction_force is None else solution.friction_force
+        rubs = float(np.max(np.linalg.norm(friction, axis=1), initial=0.0))
+        cells.append(number(rubs if rubs > noise else 0.0))
+    return cells
+
+
+def events_together(
+    events: Sequence[Any], contact_name: Callable[[int], str], few: int = FEW_EVENTS
+) -> list[tuple[str, str, float, int]]:
+    """Return kind, contacts in words, time and number of the events of a history.
+
+    Of more than a few those of one kind at one time are one: ``("closed", "foot 0 and 20 others", 1.0, 21)``.
+    """
+    named = [(event.kind, event.name or contact_name(event.contact), event.time) for event in events]
+    if len(named) <= few:
+        return [(kind, name, time, 1) for kind, name, time in named]
+    found = []
+    for _, at_once in groupby(named, key=lambda event: f"{event[2]:.12g}"):
+        together: dict[str, list[tuple[str, float]]] = {}
+        for kind, name, time in at_once:
+            together.setdefault(kind, []).append((name, time))
+        found += [
+            (kind, _some_of([name for name, _ in same]), same[0][1], len(same)) for kind, same in together.items()
+        ]
+    return found
+
+
+def _some_of(names: Sequence[str]) -> str:
+    return f"{names[0]} and {len(names) - 1} others" if len(names) > 2 else " and ".join(names)
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return comma-separated values with a header; numbers have all their digits, None is empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(map(_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
 @own_floating_point
@@ -211,14 +346,14 @@ def local_summary(solution: Any) -> str:
     certificate, (m, d) = solution.certificate, solution.force.shape
     verdict = "passed" if certificate.passed else "REFUSED"
     said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
-    shown = _largest(solution.force[:, 0])
+    shown = _most_telling(solution.contact_status, solution.force[:, 0])
     axes = ("N", "T") if d == 2 else ("N", "T1", "T2")
     columns = ("", "status", *(f"r_{axis}" for axis in axes), *(f"u_{axis}" for axis in axes))
     meeting = abs(solution.problem.delassus) @ abs(solution.force.ravel()) + abs(solution.problem.offset)
     velocity = np.where(abs(solution.velocity.ravel()) <= ROUNDING * meeting, 0.0, solution.velocity.ravel())
     values = np.hstack([solution.force, velocity.reshape(m, d)])
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
-    title = _counted("contact", m, len(shown))
+    title = _title_of_contacts(solution.contact_status, True, len(shown))
     first = f"{solution.method}: {verdict}; {1e3 * solution.seconds:.3g} ms"
     return "\n".join([first, *(line for text in said for line in wrapped(text)), Table(title, columns, rows).text()])
 

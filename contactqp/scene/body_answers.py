@@ -250,7 +250,9 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
             }
         )
         if model.problem.frictional:
-            total = model.friction_vectors(contact.name, solution).sum(axis=0)
+            vectors = model.friction_vectors(contact.name, solution)
+            total, size = vectors.sum(axis=0), float(np.linalg.norm(vectors, axis=1).sum())
+            total[abs(total) <= ROUNDING * max(size, float(rows[-1]["normal_force"]))] = 0.0
             rows[-1]["sticking"] = int(model.stuck(contact.name, solution).sum())
             rows[-1] |= {f"friction_{axis}": float(f) for axis, f in zip(model.scene.axes, total, strict=True)}
     return rows

@@ -13,7 +13,7 @@ from contactqp.analysis.impact import impact
 from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.elements.loads import solid_mass
 from contactqp.elements.scalars import Number
-from contactqp.errors import InvalidProblem, SceneError, Unsupported
+from contactqp.errors import InvalidProblem, NotConverged, SceneError, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
@@ -56,6 +56,9 @@ def free_places(model: Model) -> NDArray[np.int64]:
 # What `impact` takes beside the options of a method.
 OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "start_time", "load")
 
+# Times of scenes are in seconds.
+TIME_LABEL = "time [s]"
+
 
 def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> MotionHistory:
     """Follow the motion that the scene states, of the model's own problem or a copy of it.
@@ -84,7 +87,7 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
     mass = mass_on_all(model)[free][:, free]
     displacement, velocity = start_of(model, "displacements"), start_of(model, "velocities")
     try:
-        return impact(
+        history = impact(
             problem,
             mass,
             displacement[free],
@@ -99,6 +102,12 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
         )
     except InvalidProblem as error:
         raise SceneError(f"motion.{error}") from None
+    except NotConverged as error:
+        if isinstance(error.history, MotionHistory):
+            error.history.time_label = TIME_LABEL
+        raise
+    history.time_label = TIME_LABEL
+    return history
 
 
 def start_of(model: Model, key: str) -> Vector:

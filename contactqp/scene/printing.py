@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from contactqp.analysis import is_moving
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate, Solution
+from contactqp.model.summary import FEW_EVENTS, MOST_EVENTS, events_together, without_rounding
 from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
@@ -29,7 +30,6 @@ from contactqp.scene.unknowns import is_rotation
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 # Rows of a table that are printed where not all are asked for.
 FEW_ROWS = 8
-MOST_EVENTS = 16
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement], verbose: bool = True) -> None:
@@ -99,12 +99,14 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         header, shown = _unknowns(judgement)
         moved = np.array([value for _, value in shown])
         _print_largest(console, header, [row for row, _ in shown], moved, [(2, moved)], most)
-        contacts = zip(names, solution.contact_status, solution.normal_force, _gaps(solution), strict=True)
+        clean = without_rounding(solution)
+        contacts = zip(names, solution.contact_status, clean.normal_force, _gaps(solution), strict=True)
         rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
         if solution.problem.frictional:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
-            vectors = friction_along_axes(judgement.model, solution)
+            vectors = friction_along_axes(judgement.model, replace(solution, friction_force=clean.friction_force))
+            vectors = np.where(abs(vectors) > ROUNDING * np.linalg.norm(vectors, axis=1)[:, None], vectors, 0.0)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, _gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
@@ -276,22 +278,13 @@ def print_failure(console: Console, failure: Failure) -> None:
 
 def print_events(console: Console, history: History, when: str, verbose: bool = True) -> None:
     """Print events and limit points; of many, unless `verbose`, those of one kind at one time in one row."""
-    names = history[-1].problem.contact_name
-    events = [(event.kind, event.name or names(event.contact), written(event.time)) for event in history.events]
-    together: dict[tuple[str, str], list[str]] = {}
-    for kind, name, time in events:
-        together.setdefault((kind, time), []).append(name)
-    rows = [list(event) for event in events]
-    if not verbose and len(events) > FEW_ROWS:
-        rows = [[kind, _some_of(named), time] for (kind, time), named in together.items()]
+    few = len(history.events) if verbose else FEW_EVENTS
+    told = events_together(history.events, history[-1].problem.contact_name, few)
+    rows = [[kind, names, written(time)] for kind, names, time, _ in told]
     print_table(console, ["event", "contact", when], rows, most=MOST_ROWS if verbose else MOST_EVENTS)
     if isinstance(history, LargeHistory):
         points = [[point.kind, written(point.load_factor), _shape(point.smooth)] for point in history.limit_points]
         print_table(console, ["limit point", "load factor", "form"], points)
-
-
-def _some_of(names: Sequence[str]) -> str:
-    return f"{names[0]} and {len(names) - 1} others" if len(names) > 2 else " and ".join(names)
 
 
 def _shape(smooth: bool) -> str:
@@ -388,13 +381,24 @@ def _energy_data(judgement: Judgement) -> dict[str, Any]:
 
 
 def _history_data(judgement: Judgement) -> dict[str, Any]:
-    """Return the normal force of each contact at every instant of a path or a motion; of many nodes their sum."""
+    """Return the forces of contacts at every instant of a path or a motion, and on a path their statuses.
+
+    The normal force is that of each contact of the scene, of many nodes their sum; friction and status are those of
+    each contact of the problem. A motion has no statuses, which only a certificate of every step would tell.
+    """
     history = judgement.history
     if len(history) < 2:
         return {}
     forces = {contact: [_finite(float(x)) for x in force] for contact, force in of_contacts(judgement, history)}
     times = [float(t) for t in history.times]
-    return {"history": {"over": time_label(judgement.scene), "at": times, "normal_force": forces}}
+    data: dict[str, Any] = {"over": time_label(judgement.scene), "at": times, "normal_force": forces}
+    names, friction = judgement.solution.problem.contact_names or (), history.friction_forces
+    if friction is not None:
+        data["friction_force"] = {name: friction[:, i].tolist() for i, name in enumerate(names)}
+    if judgement.scene.motion is None:
+        statuses = np.array([solution.contact_status for solution in history])
+        data["contact_status"] = {name: statuses[:, i].tolist() for i, name in enumerate(names)}
+    return {"history": data}
 
 
 def large_data(history: History) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
-from contactqp.exchange.files import check_installed
+from contactqp.exchange.files import check_file, check_installed, write_whole
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
@@ -310,7 +310,7 @@ class AnswerFiles:
 
     Parameters
     ----------
-    plot, vtu : Path or None
+    plot, vtu, csv : Path or None
         The files that were asked for. With several cases the name of the case is put before the suffix, with several
         answers of one case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a
         picture of its own, ``bar.history.png``.
@@ -322,13 +322,14 @@ class AnswerFiles:
 
     plot: Path | None
     vtu: Path | None
+    csv: Path | None
     several_cases: bool
     every_method: bool
 
     def write(self, outcomes: Sequence[Judgement | Failure]) -> list[Path]:
         """Write the files of one scene's outcomes, and return them.
 
-        A trial without an answer has no files, except the picture of a history that was cut short.
+        A trial without an answer has no files, except the picture and the table of a history that was cut short.
         """
         chosen = outcomes if self.every_method else outcomes[:1]
         written = []
@@ -340,6 +341,7 @@ class AnswerFiles:
             elif outcome.history is not None:
                 title = f"{outcome.scene.title}, {outcome.trial}, as far as it came"
                 written += self._write_history(outcome.history, title, names)
+                written += self._write_table(outcome, names)
         return written
 
     def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
@@ -352,7 +354,16 @@ class AnswerFiles:
         if self.vtu is not None:
             written.append(_named(self.vtu, names))
             write_vtu(fields_of(judgement.scene, judgement.solution), written[-1])
-        return written
+        return [*written, *self._write_table(judgement, names)]
+
+    def _write_table(self, outcome: Judgement | Failure, names: Sequence[str]) -> list[Path]:
+        """Write every contact at every instant and return the file."""
+        history = outcome.history
+        if self.csv is None or history is None:
+            return []
+        file = _named(self.csv, names)
+        write_whole(file, history.write_csv)
+        return [file]
 
     def _write_history(self, history: History, title: str, names: Sequence[str]) -> list[Path]:
         """Draw a path or a motion and return the file; a history of one instant has none."""
@@ -363,15 +374,17 @@ class AnswerFiles:
         return [file]
 
 
-def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
+def answer_files(
+    scenes: Sequence[SceneData], plot: str | None, vtu: str | None, csv: str | None, *, every_method: bool
+) -> AnswerFiles:
     """Check the files that the command line asks for, before anything is solved.
 
     Parameters
     ----------
     scenes : sequence of Scene
         The cases.
-    plot, vtu : str or None
-        The files of pictures and of fields.
+    plot, vtu, csv : str or None
+        The files of pictures, of fields, and of tables of contacts.
     every_method : bool
         Write all answers of a case, not the first one alone.
 
@@ -386,7 +399,7 @@ def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None,
     stems += [f"{stem}.{HISTORY}" for stem in stems if plot is not None]
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
-        asked = Path(plot if plot is not None else str(vtu))
+        asked = Path(next(str(file) for file in (plot, vtu, csv) if file is not None))
         raise InvalidProblem(
             f"{asked}: expected cases whose files have distinct names, got {twice!r} more than once: they would all be "
             f"written to {_named(asked, [twice])}"
@@ -394,6 +407,7 @@ def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None,
     return AnswerFiles(
         None if plot is None else check_picture(plot),
         None if vtu is None else check_vtu(vtu),
+        None if csv is None else check_file(csv, (".csv",)),
         len(scenes) > 1,
         every_method,
     )

@@ -204,7 +204,7 @@ def run_files(
     knobs : mapping
         Options of the methods.
     drawn : bool
-        Whether a picture was asked for, which these files cannot have.
+        Whether a picture or another file of the answer was asked for, which these files cannot have.
     progress : bool
         Show a bar on stderr.
     engine : str
@@ -218,7 +218,7 @@ def run_files(
         A picture was asked for, or a stiffness with a unit: these files have no geometry and no units.
     """
     if files and drawn:
-        raise InvalidProblem(f"{files[0]}: --plot and --vtu need a case file, this file has no geometry")
+        raise InvalidProblem(f"{files[0]}: --plot, --vtu and --csv need a case file, this file has no geometry")
     stiffness = next((name for name in ("penalty", "perturbation") if files and name in knobs), None)
     if stiffness is not None:
         raise InvalidProblem(f"{files[0]}: --{stiffness} needs a case file, this file has no units")

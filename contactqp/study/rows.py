@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from contactqp.model.summary import csv_text
+
 RIGHT = "right"
 REFUSED = "refused"
 APPROXIMATE = "approximate"
@@ -117,23 +119,13 @@ def as_dicts(rows: Iterable[Any]) -> list[dict[str, Any]]:
 
 def to_csv(rows: Iterable[Any], columns: Mapping[str, str] = COLUMNS) -> str:
     """Return comma-separated values with a header; numbers have all their digits, None is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in as_dicts(rows))
-    return text.getvalue()
+    return csv_text(tuple(columns), ((getattr(row, name) for name in columns) for row in rows))
 
 
 def from_csv(text: str) -> tuple[Row, ...]:
     """Return the rows that `to_csv` wrote."""
     lines = csv.DictReader(io.StringIO(text))
     return tuple(Row(**{name: _parsed(name, cell) for name, cell in line.items()}) for line in lines)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
 _TYPES = {column.name: str(column.type).removesuffix(" | None") for column in fields(Row)}

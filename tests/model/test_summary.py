@@ -53,6 +53,41 @@ def test_of_many_contacts_those_with_the_largest_forces_are_shown() -> None:
     assert len(lines) <= 40
 
 
+def test_of_contacts_with_friction_all_states_are_counted_and_those_that_slip_are_shown_first() -> None:
+    """Twelve pushed down hard that stick, and four pushed less that slip: by force alone none of them was shown."""
+    m, slips = 16, 4
+    normal, tangent = np.kron(np.eye(m), [[0.0, -1.0]]), np.kron(np.eye(m), [[1.0, 0.0]])
+    load = np.tile([0.1, -10.0], m).astype(float)
+    load[: 2 * slips] = np.tile([5.0, -1.0], slips)
+    problem = cq.ContactProblem(
+        stiffness=np.eye(2 * m), load=load, normal=normal, gap=np.zeros(m), tangent=tangent, friction=0.3
+    )
+    lines = str(cq.solve(problem)).splitlines()
+    title = next(k for k, line in enumerate(lines) if line.startswith("16 contacts"))
+    assert lines[title] == "16 contacts: 4 slip, 12 stick, 0 open; 10 shown, slip first"
+    shown = [line.split()[1:3] for line in lines[title + 2 : title + 12]]
+    assert shown[:slips] == [[str(i), "slip"] for i in range(slips)]
+    assert {status for _, status in shown[slips:]} == {"stick"}
+
+
+def test_what_is_rounding_beside_the_forces_that_meet_is_printed_as_zero() -> None:
+    """Friction of 2e-15 kN stood beside a normal force of 30 kN, and slips of 1e-19 m beside 1e-3 m."""
+    rough = cq.solve(TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3))
+    noisy = replace(rough, friction_force=np.array([[1.96490428095e-15]]))
+    assert str(noisy).splitlines()[3].split() == ["floor", "slip", "29.2452", "0", "0", "0.000971683"]
+    small = replace(rough, friction_force=np.array([[1.96490428095e-8]]))
+    assert str(small).splitlines()[3].split()[3] == "1.9649e-08"
+    held = TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3, slip_origin=rough.displacement[:1] * (1 + 1e-16))
+    stuck = replace(rough, problem=held)
+    assert str(stuck).splitlines()[3].split()[5] == "0"
+
+
+def test_a_small_force_far_from_large_ones_is_printed() -> None:
+    """What meets at a contact's own unknowns decides, not the largest force of the problem."""
+    apart = cq.ContactProblem(stiffness=np.eye(2), load=[1e9, 2e-9], normal=np.eye(2), gap=[0.0, 1e-9])
+    assert str(cq.solve(apart)).splitlines()[4].split()[3] == "1e-09"
+
+
 def test_a_local_problem_prints_its_forces_and_velocities() -> None:
     slides = cq.LocalProblem(delassus=np.eye(3), offset=[-2.0, 5.0, 0.0], friction=0.5, dimension=3)
     lines = str(cq.solve(slides)).splitlines()
@@ -111,9 +146,35 @@ def test_a_history_prints_its_instants_and_events() -> None:
     history = cq.follow_path(TRUSS, [TRUSS.load], events="exact")
     lines = str(history).splitlines()
     assert lines[0] == f"{len(history)} instants; 1 event"
-    assert lines[1].split() == ["time", "closed", "largest", "force", "[kN]", "at"]
+    assert lines[1].split() == ["time", "[legs]", "closed", "largest", "force", "[kN]", "at"]
     assert lines[-2].split() == ["1", "1", "30.255", "floor"]
     assert lines[-1].startswith("  floor closed at 0.7")
+
+
+def sled(feet: int = 21) -> cq.History:
+    """Feet on springs, pressed down and then pushed: those that carry least slip first."""
+    normal, tangent = np.kron(np.eye(feet), [[0.0, -1.0]]), np.kron(np.eye(feet), [[1.0, 0.0]])
+    pressed = np.ravel([[0.0, -(1.0 + i)] for i in range(feet)])
+    pushed = pressed + np.tile([3.0, 0.0], feet)
+    problem = cq.ContactProblem(
+        stiffness=np.eye(2 * feet), load=np.zeros(2 * feet), normal=normal, gap=np.full(feet, 0.5), tangent=tangent,
+        friction=0.3, units={"length": "mm", "force": "N"},
+    )  # fmt: skip
+    return cq.follow_path(problem, [pressed, pushed], steps=4)
+
+
+def test_a_history_with_friction_prints_its_states_its_friction_and_its_events_together() -> None:
+    lines = str(sled()).splitlines()
+    assert lines[0] == "9 instants; 31 events"
+    assert lines[1].split() == [
+        "time", "[legs]", "slip", "stick", "open", "max", "force", "[N]", "at", "max", "friction", "[N]"
+    ]  # fmt: skip
+    assert lines[-1].endswith("slip at 2")
+    last = next(line.split() for line in reversed(lines) if line.split()[0] == "2")
+    assert last[1:4] == ["10", "11", "0"]
+    assert "  contact 2 and 18 others closed at 0.25" in lines
+    assert max(map(len, lines)) <= 80
+    assert len(lines) <= 40
 
 
 def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_not_passed_off_as_all() -> None:
@@ -123,7 +184,8 @@ def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_
     lines = str(history).splitlines()
     shown = [line.split() for line in lines[2:] if line.strip()[0].isdigit()]
     assert lines[0].startswith(f"{len(history)} instants, {len(shown)} shown, that of the largest force among them; ")
-    assert lines[0].endswith("each told at the first instant that has it")
+    assert "  each event is told at the first instant that has it" in lines
+    assert max(map(len, lines)) <= 80
     largest = np.max(history.normal_forces)
     assert f"{largest:.6g}" in {row[2] for row in shown}
     few = cq.follow_path(TRUSS, [TRUSS.load], steps=11)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 
 import pytest
@@ -158,3 +159,31 @@ def test_a_trial_without_an_answer_has_no_picture(capsys, tmp_path):
     code, _, _ = run(capsys, "run", file, "--plot", tmp_path / "a.png")
     assert code == 1
     assert names(tmp_path) == ["loose.toml"]
+
+
+def test_a_table_of_contacts_over_a_path_is_written(capsys, tmp_path):
+    path = str(CASES / "jenkins_loop.toml")
+    code, out, _ = run(capsys, "run", path, "--csv", tmp_path / "a.csv")
+    assert code == 0
+    assert f"written: {tmp_path / 'a.csv'}" in out
+    header, first, *_ = (tmp_path / "a.csv").read_text().splitlines()
+    assert header.startswith("instant,time [legs],contact,status,normal_force [")
+    assert first.split(",")[:2] == ["0", "0.0"]
+    history = json.loads(run(capsys, "run", path, "--json")[1])[0]["history"]
+    (contact, statuses), *_ = history["contact_status"].items()
+    assert len(statuses) == len(history["friction_force"][contact]) == len(history["at"])
+    assert {"slip", "stick"} <= set(statuses)
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize("name", ["a.txt", "none/a.csv"])
+def test_a_table_that_cannot_be_written_is_told_before_anything_is_solved(capsys, tmp_path, name):
+    code, _, err = run(capsys, "run", WALL, "--csv", tmp_path / name)
+    assert code == 2
+    assert err.count("\n") == 1
+
+
+def test_friction_that_is_rounding_is_printed_as_zero(capsys):
+    _, out, _ = run(capsys, "run", CASES / "truss_friction_horizontal_first.toml")
+    row = next(line for line in out.splitlines() if line.split()[:2] == ["foot", "stick"])
+    assert row.split()[-2:] == ["0", "0"]

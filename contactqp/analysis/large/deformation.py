@@ -272,6 +272,8 @@ class LargeHistory(History):
     `limit_points` are those of arc length and displacement control, `snaps` the jumps of load control.
     """
 
+    time_label = "load factor"
+
     def __init__(
         self,
         solutions: Sequence[LargeSolution],

@@ -48,7 +48,9 @@ class Moving(Solution):
 
 
 class MotionHistory(History):
-    """A `History` of a motion, the start included; `times` are in the user's unit of time."""
+    """A `History` of a motion, the start included; `times` are in the user's unit of time, that of the time step."""
+
+    time_label = "time [as time_step]"
 
     def __init__(
         self,
@@ -76,12 +78,14 @@ class MotionHistory(History):
         InvalidProblem, NotConverged
             As `impact`.
         """
-        return self._resume(self.motion.states, duration)
+        longer = self._resume(self.motion.states, duration)
+        longer.time_label = self.time_label
+        return longer
 
     def __copy__(self) -> MotionHistory:
         """Return the same motion, which shares its states and the solutions that were finished."""
         twin = MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
-        twin._solutions = self._solutions
+        twin._solutions, twin.time_label = self._solutions, self.time_label
         return twin
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MotionHistory:
