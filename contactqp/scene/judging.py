@@ -35,7 +35,7 @@ from contactqp.scene.schema import SceneData
 from contactqp.scene.shipped import case_path
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.scene.unknowns import end_time, has_corners
-from contactqp.solving.methods import find
+from contactqp.solving.methods import find, options_of
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def judge_all(
     methods : sequence of str
         Names of methods; without any, those that `trials` finds in the case.
     knobs : mapping of str to Knob, optional
-        Options of the methods; quantities carry their units.
+        Options of the methods, each for those that take it; quantities carry their units.
     engine : str
         "serial" or "petsc", as for `contactqp.run`.
     checkpoint : str, optional
@@ -145,7 +145,9 @@ def judge_all(
             asked = (Trial(method, dict(knobs or {}), engine, checkpoint) for method in methods or (Trial.method,))
             return [_outcome(scene, trial, where) for trial in asked]
         return [
-            _outcome(scene, trial, where) for method in methods or (None,) for trial in trials(scene, method, knobs)
+            _outcome(scene, trial, where)
+            for method in methods or (None,)
+            for trial in trials(scene, method, knobs if method is None else options_of(method, methods, knobs or {}))
         ]
     except (InvalidProblem, Unsupported, BackendMissing, SceneError) as error:
         raise type(error)(f"{where}{error}") from None

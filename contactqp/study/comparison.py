@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
@@ -23,9 +23,10 @@ from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.model.summary import Printed
+from contactqp.solving.methods import Method, meant_option, takes
 from contactqp.solving.solve import seconds_to_answer, solve
 from contactqp.study import rows
-from contactqp.study.rows import Row, as_dicts, finite, text_table, to_csv
+from contactqp.study.rows import Row, as_dicts, brief_comparison, finite, to_csv
 from contactqp.study.settings import (
     STIFFNESSES,
     Setting,
@@ -374,7 +375,7 @@ class Comparison(Printed, Sequence[Row]):
         return len(self.rows)
 
     def __str__(self) -> str:
-        return f"{text_table(self.rows)}\nerrors against: {self.truth}"
+        return brief_comparison(self.rows, self.truth)
 
     def to_dicts(self) -> list[dict[str, Any]]:
         """Return rows as plain data; `contactqp.study.rows.COLUMNS` has the meaning of each key."""
@@ -388,23 +389,26 @@ class Comparison(Printed, Sequence[Row]):
 @own_floating_point
 def compare(
     problem: ContactProblem,
-    methods: Sequence[str] | None = None,
+    methods: str | Sequence[str] | None = None,
     reference: Reference | None = None,
     *,
     knobs: Mapping[str, Sequence[float]] | None = None,
+    **options: Any,
 ) -> Comparison:
     """Solve one problem by many methods and compare every answer with the truth.
 
     Parameters
     ----------
     problem : ContactProblem
-    methods : sequence of names, optional
+    methods : name or sequence of names, optional
         All of `contactqp.methods()` by default; those that are not installed are listed as missing.
     reference : Solution, or (displacement, normal_force[, tie_force]), optional
         The truth. By default the active-set solution, if its certificate proves it; without a truth, errors are None.
     knobs : mapping of method names to values, optional
         Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
         the contact stiffness (`contactqp.study.settings.contact_stiffness`); the others are run as `solve` runs them.
+    **options
+        Of `solve`, each for the methods that take it: ``penalty=1e4``, ``tolerance=1e-6``.
 
     Returns
     -------
@@ -417,7 +421,8 @@ def compare(
     Unsupported
         There is no method of that name.
     InvalidProblem
-        The reference has wrong shapes; a knob is given for a method that is not compared or has none.
+        The reference has wrong shapes; a knob is given for a method that is not compared or has none; an option that
+        none of the methods takes.
 
     Examples
     --------
@@ -432,13 +437,29 @@ def compare(
     for name in values:
         if name not in {method.name for method in chosen if method.knob}:
             raise InvalidProblem(f"knobs: {name!r} is no compared method with a knob")
+    for name in options:
+        if not any(takes(method.name, name) for method in chosen):
+            known = [option for method in chosen for option in method.options]
+            raise InvalidProblem(f"compare: none of the methods takes an option {name!r}{meant_option(name, known)}")
     refuse_far_from_one("compare", problem)
     if (rows := acting_rows(problem)) is not None and rows.met:
         problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
     truth = truth_of(problem, reference)
-    settings = (setting for method in chosen for setting in single_settings(problem, method, values.get(method.name)))
+    settings = (setting for method in chosen for setting in _settings(problem, method, values, options))
     source = "nothing, as the active-set method proves no answer" if truth is None else truth.source
     return Comparison(tuple(attempt(problem, setting, truth) for setting in settings), source)
+
+
+def _settings(
+    problem: ContactProblem, method: Method, knobs: Mapping[str, Sequence[float]], options: Mapping[str, Any]
+) -> Iterator[Setting]:
+    """Yield what is tried of a method: the values of its knob, each with the other options that it takes."""
+    own = {name: value for name, value in options.items() if takes(method.name, name)}
+    values = knobs.get(method.name)
+    if values is None and method.knob in own:
+        values = [own.pop(method.knob)]
+    for setting in single_settings(problem, method, values):
+        yield replace(setting, options={**setting.options, **own})
 
 
 def _on_acting_rows(rows: ActingRows, reference: Reference) -> Reference:

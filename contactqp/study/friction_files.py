@@ -44,6 +44,7 @@ from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Certificate, LocalCertificate, Solution
+from contactqp.solving.methods import options_of
 from contactqp.solving.solve import solve
 from contactqp.study.rows import finite
 
@@ -232,7 +233,7 @@ def run_files(
     outcomes = []
     for file, method in shown:
         with within_time(time_limit):
-            outcomes.append(run_file(file, method, knobs, engine))
+            outcomes.append(run_file(file, method, options_of(method, methods or (method,), knobs), engine))
     return outcomes
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from contactqp.model.summary import csv_text
+from contactqp.model.summary import WIDTH as COLUMNS_OF_TEXT
+from contactqp.model.summary import csv_text, wrapped
+from contactqp.study.settings import DEFAULT_TOLERANCE
 
 RIGHT = "right"
 REFUSED = "refused"
@@ -182,11 +185,66 @@ def _rounded(name: str, value: Any) -> str:
     return f"{value:.1e}" if isinstance(value, float) else str(value)
 
 
-def text_table(rows: Iterable[Row], widest: int = 60) -> str:
-    """Return a table for a terminal; messages are cut at `widest` letters."""
-    cells = [list(READABLE.values())]
-    cells += [[shortened_text(cell, widest) for cell in readable(row).values()] for row in rows]
-    return aligned(cells)
+def brief_comparison(rows: Sequence[Row], truth: str) -> str:
+    """Return rows for a terminal of 80 columns: who is fastest and who is not right, then all of them by their times.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    truth : str
+        What the errors are measured against.
+    """
+    ran = sorted((row for row in rows if row.seconds is not None), key=lambda row: (row.seconds, row.verdict != RIGHT))
+    cells = [("method", "error in u", "error in λ", "time [ms]", "verdict")]
+    for row in ran:
+        shown = readable(row)
+        cells.append(
+            (_with_knob(row), shown["error_displacement"], shown["error_force"], _milliseconds(row), row.verdict)
+        )
+    said = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
+    missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
+    said += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
+    table = aligned(cells) if ran else ""
+    parts = [*_in_lines(_in_short(rows)), table, *(line for text in said for line in wrapped(text))]
+    return "\n".join([*filter(None, parts), *_in_lines(f"errors against: {truth}")])
+
+
+# Letters of a message in a comparison.
+MESSAGE = 150
+
+
+def _in_short(rows: Sequence[Row]) -> str:
+    """Return which of the right answers came first, and which rows are wrong, refused or without an answer."""
+    right = [row for row in rows if row.verdict == RIGHT and row.seconds is not None]
+    first = "no method has a right answer"
+    if right:
+        fastest = min(right, key=lambda row: row.seconds or 0.0)
+        of = f"the fastest of {len(right)} right answers" if len(right) > 1 else "the only right answer"
+        first = f"{fastest.method}: {of}, {_milliseconds(fastest)} ms"
+    wrong = {
+        verdict: list(dict.fromkeys(row.method for row in rows if row.verdict == verdict))
+        for verdict in (WRONG, REFUSED, NOT_CONVERGED, BACKEND_FAILED, CRASHED, UNSUPPORTED, APPROXIMATE)
+    }
+    return "; ".join([first, *(f"{verdict}: {', '.join(names)}" for verdict, names in wrong.items() if names)])
+
+
+def _with_knob(row: Row) -> str:
+    """Return the method with its variant and the value of its knob, where these are not the usual ones."""
+    variant = [row.variant] if row.variant not in ("", "polished") else []
+    usual = row.knob_value is None or (row.knob == "tolerance" and row.knob_value == DEFAULT_TOLERANCE)
+    return " ".join([row.method, *variant, *([] if usual else [f"{row.knob_value:.3g}"])])
+
+
+def _milliseconds(row: Row) -> str:
+    return "" if row.seconds is None else f"{1e3 * row.seconds:.3g}"
+
+
+def _says_why(row: Row) -> bool:
+    return row.verdict not in (RIGHT, APPROXIMATE, MISSING) and bool(row.message)
+
+
+def _in_lines(text: str) -> list[str]:
+    return textwrap.wrap(text, COLUMNS_OF_TEXT, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def aligned(cells: Sequence[Sequence[str]]) -> str:

@@ -441,3 +441,17 @@ def test_options_of_no_method_are_not_dropped(capsys):
         code, _, err = run(capsys, "run", WALL, *option)
         assert code == 2
         assert "belong to a method; state it by --method" in err
+
+
+def test_an_option_goes_to_the_methods_that_take_it(capsys):
+    code, out, err = run(
+        capsys, "run", WALL, "--method", "penalty", "--penalty", "1e8 kN/m", "--method", "osqp", "--json"
+    )
+    assert err == ""
+    assert [(one["method"], sorted(one["knobs"])) for one in json.loads(out)] == [
+        ("penalty", ["penalty"]),
+        ("osqp", []),
+    ]
+    code, _, err = run(capsys, "run", WALL, "--method", "osqp", "--method", "lemke", "--penalty", "1e8 kN/m")
+    assert code == 2
+    assert "osqp: unknown option 'penalty'; options of its own: none; of every method: tolerance, " in err

@@ -211,11 +211,54 @@ def test_the_table_is_readable_and_goes_round_through_csv() -> None:
     text = str(table)
     assert "active-set" in text
     assert "error in λ" in text
+    assert max(map(len, text.splitlines())) <= 80
     assert "errors against: active-set, proven" in text
     assert rows.from_csv(table.to_csv()) == table.rows
     assert [rows.Row(**row) for row in table.to_dicts()] == list(table.rows)
     with pytest.raises(dataclasses.FrozenInstanceError):
         table.rows[0].verdict = rows.RIGHT  # type: ignore[misc]
+
+
+def test_it_says_first_who_is_fastest_and_who_is_not_right_and_goes_by_their_times() -> None:
+    row = rows.Row(method="slow", verdict=rows.RIGHT, seconds=0.2, error_displacement=0.0, error_force=0.0)
+    found = [
+        row,
+        dataclasses.replace(row, method="quick", seconds=1e-3),
+        dataclasses.replace(row, method="liar", seconds=1e-4, verdict=rows.WRONG, message="the force is off"),
+        dataclasses.replace(row, method="soft", seconds=0.1, verdict=rows.APPROXIMATE, knob="penalty", knob_value=1e4),
+        rows.Row(method="absent", verdict=rows.MISSING, message="pip install absent"),
+        rows.Row(method="unable", verdict=rows.UNSUPPORTED, message="it takes no friction " * 20),
+    ]
+    lines = rows.brief_comparison(found, "the truth").splitlines()
+    assert lines[0] == "quick: the fastest of 2 right answers, 1 ms; wrong but passed: liar;"
+    assert lines[1] == "  unsupported: unable; approximate: soft"
+    assert [line.split()[0] for line in lines[3:7]] == ["liar", "quick", "soft", "slow"]
+    assert lines[5].split()[:2] == ["soft", "1e+04"]
+    assert "  liar: the force is off" in lines
+    assert any(line.startswith("  not installed: absent") for line in lines)
+    assert max(map(len, lines)) <= 80
+    none = rows.brief_comparison(found[2:3], "the truth").splitlines()
+    assert none[0] == "no method has a right answer; wrong but passed: liar"
+
+
+def test_options_go_to_the_methods_that_take_them() -> None:
+    table = cq.compare(two_bars(), ["active-set", "penalty", "augmented-lagrangian"], penalty=1e6, tolerance=1e-6)
+    assert [(row.method, row.knob_value) for row in table] == [
+        ("active-set", None),
+        ("penalty", 1e6),
+        ("augmented-lagrangian", 1e6),
+    ]
+    assert len(cq.compare(two_bars(), "penalty", penalty=1e6)) == 1
+    with pytest.raises(
+        cq.InvalidProblem, match=r"none of the methods takes an option 'penalti' .do you mean 'penalty'"
+    ):
+        cq.compare(two_bars(), ["active-set", "penalty"], penalti=1e6)
+    with pytest.raises(cq.InvalidProblem, match="none of the methods takes an option 'penalty'"):
+        cq.compare(two_bars(), "active-set", penalty=1e6)
+    with pytest.raises(
+        cq.InvalidProblem, match=r"methods: expected names, got .*compare.problem, methods=\['penalty'\], pen"
+    ):
+        cq.compare(two_bars(), [("penalty", {"penalty": 1e4})])
 
 
 def test_a_solution_as_reference() -> None:

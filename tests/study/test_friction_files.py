@@ -133,7 +133,7 @@ def test_bad_files_and_options_without_meaning_are_exit_2(capsys, tmp_path, slid
         ): "none.hdf5: expected a folder or .npz of matrices, a file of FCLIB (HDF5) or "
         "Siconos (text), or a quadratic program, and there is none",
         ("run", sliding, "--penalty", "1e8 kN/m"): "--penalty needs a case file, this file has no units",
-        ("run", sliding, "--plot", tmp_path / "a.png"): "--plot and --vtu need a case file",
+        ("run", sliding, "--plot", tmp_path / "a.png"): "--plot, --vtu and --csv need a case file",
         ("run", sliding, "--option", "algorithm=magic"): "sliding.dat: algorithm: expected one of",
     }.items():
         code, _, err = run(capsys, *arguments)

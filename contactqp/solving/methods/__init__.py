@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
@@ -30,6 +30,7 @@ __all__ = [
     "find",
     "methods",
     "of_same_letters",
+    "options_of",
     "refuse_arguments",
     "refuse_unsupported",
     "register",
@@ -137,6 +138,24 @@ ELSEWHERE = {"tol": "tolerance", "eps": "tolerance", "eps_abs": "tolerance", "rt
              "initvals": "warm_start", "x0": "warm_start", "beta": "penalty", "kappa": "perturbation"}  # fmt: skip
 
 
+def options_of(name: str, names: Iterable[str], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the options stated for several methods that one of them takes.
+
+    An option that none of the methods takes is among them: whoever solves refuses it.
+    """
+    return {key: value for key, value in options.items() if takes(name, key) or not any(takes(n, key) for n in names)}
+
+
+def takes(name: str, option: str) -> bool:
+    """Return whether a method takes an option of `solve`, on some problem."""
+    method = _REGISTRY[registered_name(name)]
+    return option in (*ARGUMENTS, *method.options, *_polygon_options(method))
+
+
+def _polygon_options(method: Method) -> tuple[str, ...]:
+    return POLYGON_OPTIONS if method.solve_friction is None else ()
+
+
 def meant_option(name: str, options: Sequence[str]) -> str:
     """Return a hint at the argument of `solve` or the option of a method that a name may stand for."""
     meant = ELSEWHERE.get(name.casefold())
@@ -178,12 +197,15 @@ def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None
 def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:
     """Raise on options that the method does not have or misses, and on what it cannot do."""
     in_space = problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
-    options = (*method.options, *(POLYGON_OPTIONS if in_space and method.solve_friction is None else ()))
+    options = (*method.options, *(_polygon_options(method) if in_space else ()))
     unknown = sorted(set(settings.options) - set(options))
     if unknown:
         known = ", ".join(options) or "none"
         hint = meant_option(unknown[0], options)
-        raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}{hint}; its own options: {known}")
+        every = ", ".join(name for name in ARGUMENTS if name != "method")
+        raise InvalidProblem(
+            f"{method.name}: unknown option {unknown[0]!r}{hint}; options of its own: {known}; of every method: {every}"
+        )
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
         raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
