@@ -14,10 +14,12 @@ from typing import Any
 class ContactQPError(Exception):
     """Every error that contactqp raises on purpose; pickled and copied with all that it carries.
 
-    `code` is its kind in one word, the same in every version: `--json` prints it for programs.
+    `code` is its kind in one word, the same in every version: `--json` prints it for programs. Of a load path or a
+    motion that ended, `history` is the `History` until then.
     """
 
     code = "error"
+    history: Sequence[Any] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle and copy make it of again: its class, its message and its attributes.
@@ -62,7 +64,7 @@ class SeveralEquilibria(ContactQPError):
 class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any.
 
-    Of a motion or a path of large deformations `history` is the `History` until then.
+    Of a path or a motion `history` is the `History` until then.
     """
 
     code = "not-converged"

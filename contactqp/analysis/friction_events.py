@@ -50,6 +50,9 @@ NOTHING = 1e-12
 STEADY = 1e-12
 # Rates that fail by more than this part fail by more than rounding of the data: all do where absence is claimed.
 CLEARLY = 1e-8
+# Rates that leave this part of the load's rate unbalanced are none, however large they are: those of a system that is
+# singular, whose motion the load drives, are without end.
+UNBALANCED = 1e-4
 # Rates that differ by this part of the largest are two continuations.
 DISTINCT = 1e-7
 # Combinations of undecided contacts up to which all are tried, so that several continuations are seen.
@@ -107,10 +110,12 @@ class ExactPath:
         self.status = self.system.plain(combination_of(first.problem, first))
         self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
         self.anchor = self._position(self.answer)
+        self.events: list[Event] = []
+        self.segments: list[Segment] = []
 
-    def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> tuple[list[Event], list[Segment]]:
-        """Find the events of a leg, or of a part of it, from a pseudo-time on, and return its segments; times are
-        fractions of the leg.
+    def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> None:
+        """Follow a leg, or a part of it, from a pseudo-time on; `events` and `segments` are those of this leg until it
+        ended or the path did, their times fractions of the leg.
 
         Raises
         ------
@@ -121,24 +126,24 @@ class ExactPath:
         still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
         direction = self._problem.replace(load=end - start, **still)
         rates = self.system.lengths(direction, self._condensation.reduce_load(end - start)[0])
-        fraction, events, segments = 0.0, list[Event](), list[Segment]()
+        fraction, self.events, self.segments = 0.0, [], []
         hit = np.zeros((4, len(zero)), dtype=bool)
         limit = 40 * len(zero) + 40
         for _ in range(limit):
             standing = self._standing(hit)
             at = f"at t = {time + lasts * fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)
-            events += self._decided(standing.status, status, fraction)
+            self.events += self._decided(standing.status, status, fraction)
             rate = answer_in(direction, self._condensation, self.system.rows, status, _nothing(direction))
             self._go_on_in(status)
             following, hit = self._next(standing, rate)
             reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
-            segments.append(Segment(fraction, reached, status, self.anchor, self.answer, rate))
+            self.segments.append(Segment(fraction, reached, status, self.anchor, self.answer, rate))
             fraction = reached
             load = end if fraction == 1 else start + fraction * (end - start)
-            self.answer = self.at(load, fraction, segments[-1])
+            self.answer = self.at(load, fraction, self.segments[-1])
             if fraction == 1:
-                return events, segments
+                return
         raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
 
     def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
@@ -347,6 +352,8 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
 def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
     """Return by how much a combination fails as an answer or in its signs, as a part of the largest rate."""
     size = _size(answer, rates)
+    if np.any(rates.load) and answer.left > UNBALANCED * rates.size:
+        return np.inf
     wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.left)
     return wrong / size if size > 0 else float(np.where(wrong > 0, np.inf, 0.0))
 

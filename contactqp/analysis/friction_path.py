@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, pairwise
 from typing import Any
 
@@ -25,8 +26,17 @@ from contactqp.analysis.history import Event, History, LazySolutions, contact_ch
 from contactqp.certificate.figures import holds
 from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.certificate.uniqueness import SEVERAL
-from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.errors import (
+    ContactQPError,
+    InvalidProblem,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    Unsupported,
+)
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.friction_states import STICK
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import one_blas_thread
@@ -79,12 +89,20 @@ def follow_with_friction(
         with one_blas_thread(problem):
             return _between_events(problem, corners, count, steps[0])
     times = [0.0]
-    for leg, (start, end) in enumerate(pairwise(corners)):
-        steps.turn(start, end)
-        for i in range(count):
-            steps.go_to((i + 1) / count)
-            times.append(leg + (i + 1) / count)
-    return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
+
+    def history() -> History:
+        return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
+
+    try:
+        for leg, (start, end) in enumerate(pairwise(corners)):
+            steps.turn(start, end)
+            for i in range(count):
+                steps.go_to((i + 1) / count)
+                times.append(leg + (i + 1) / count)
+    except ContactQPError as error:
+        error.history = history()
+        raise
+    return history()
 
 
 def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: int, first: Solution) -> History:
@@ -93,16 +111,39 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
     if jump:
         raise Unsupported(f"follow_path(events='exact'): {jump}: it would jump; give steps")
     events: list[Event] = []
+    history = partial(History, instants, times, lambda: events, linear=True)
     for leg, (start, end) in enumerate(pairwise(corners)):
-        found, segments = path.leg(start, end, leg)
-        events += [replace(event, time=leg + event.time) for event in found]
-        fractions = sorted({(i + 1) / count for i in range(count)} | {segment.end for segment in segments})
-        for fraction in fractions:
-            here = [segment for segment in segments if segment.start <= fraction <= segment.end]
+        ended = _ended(path, problem, start, end, leg)
+        events.extend(replace(event, time=leg + event.time) for event in path.events)
+        reached = path.segments[-1].end if path.segments else 0.0
+        fractions = {(i + 1) / count for i in range(count)} | {segment.end for segment in path.segments}
+        for fraction in sorted(one for one in fractions if one <= reached):
+            here = [segment for segment in path.segments if segment.start <= fraction <= segment.end]
             load = end if fraction == 1 else start + fraction * (end - start)
             instants.add(path, problem.replace(load=load), fraction, here)
             times.append(leg + fraction)
-    return History(instants, times, lambda: events, linear=True)
+        if ended is not None:
+            ended.history = history()
+            raise ended
+    return history()
+
+
+def _ended(path: ExactPath, problem: ContactProblem, start: Vector, end: Vector, leg: int) -> ContactQPError | None:
+    """Follow one leg, and return what ended the path in it, if anything did.
+
+    Where no continuation was found, the load at the end of the leg may be proven to have no equilibrium.
+    """
+    try:
+        path.leg(start, end, leg)
+    except NotConverged as error:
+        try:
+            refuse_driven_motion(problem.replace(load=end), condense(problem))
+        except NoEquilibrium as driven:
+            return NoEquilibrium(f"{error}; at t = {leg + 1}: {driven}", driven.proof)
+        return error
+    except ContactQPError as error:
+        return error
+    return None
 
 
 class _Instants(LazySolutions):
@@ -175,8 +216,11 @@ class FrictionSteps(LazySolutions):
             with one_blas_thread(self._problem):
                 state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
                 self._keep(state, Anchors(state.position, state.touching))
-        except (NoEquilibrium, SeveralEquilibria) as error:
-            raise type(error)(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
+        except NoEquilibrium as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NoEquilibrium(message, error.proof) from error
+        except SeveralEquilibria as error:
+            raise SeveralEquilibria(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
         except NotConverged as error:
             message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
             raise NotConverged(message, error.history, error.solution) from error
@@ -310,10 +354,18 @@ def follow_on_springs(
         if stiffness is not None:
             _refuse_rigid(problem, chosen.name, stiffness, option)
     loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
-    whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
-    bodies = LazySolutions(_WithoutSprings(problem, whole, i, chosen.name) for i in range(len(whole)))
-    times = whole.times.tolist()
-    return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
+
+    def of_bodies(whole: History) -> History:
+        bodies = LazySolutions(_WithoutSprings(problem, whole, i, chosen.name) for i in range(len(whole)))
+        times = whole.times.tolist()
+        return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
+
+    try:
+        return of_bodies(follow_with_friction(springs, loads, count, exactly, "active-set", others))
+    except ContactQPError as error:
+        if isinstance(error.history, History):
+            error.history = of_bodies(error.history)
+        raise
 
 
 def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:

@@ -22,7 +22,7 @@ from contactqp.analysis.history import (
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.certificate.subset_bounds import contacts_are_many
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import one_blas_thread
@@ -125,7 +125,12 @@ def follow_path(
     refuse_far_from_one("follow_path", problem)
     if (rows := acting_rows(problem)) is not None:
         rows.refuse_conflict()
-        return _of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
+        try:
+            return _of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
+        except ContactQPError as error:
+            if isinstance(error.history, History):
+                error.history = _of_all_rows(rows, error.history)
+            raise
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     with problem.lock, one_blas_thread(problem):
@@ -141,18 +146,44 @@ def _follow_steps(
     solutions: _Steps, problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str
 ) -> History:
     """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event."""
-    times, found = [0.0], []
-    for leg, (start, end) in enumerate(pairwise(corners)):
-        solutions.turn(start, end)
-        fractions = [(i + 1) / count for i in range(count)]
-        if exactly:
-            exact = events_of_leg(problem, start, end, solutions[-1], method)
-            found += [Event(e.kind, e.contact, leg + e.time, problem.contact_name(e.contact)) for e in exact]
-            fractions = sorted({*fractions, *(e.time for e in exact if e.time > 0)})
-        for fraction in fractions:
-            solutions.go_to(fraction)
-            times.append(leg + fraction)
-    return History(solutions, times, lambda: found if exactly else changes(solutions, times), linear=exactly)
+    times: list[float] = [0.0]
+    found: list[Event] = []
+
+    def history() -> History:
+        return History(solutions, times, lambda: found if exactly else changes(solutions, times), linear=exactly)
+
+    try:
+        for leg, ends in enumerate(pairwise(corners)):
+            _follow_leg(solutions, problem, leg, ends, count, method if exactly else None, times, found)
+    except ContactQPError as error:
+        error.history = history()
+        raise
+    return history()
+
+
+def _follow_leg(
+    solutions: _Steps,
+    problem: ContactProblem,
+    leg: int,
+    ends: tuple[Vector, Vector],
+    count: int,
+    method: str | None,
+    times: list[float],
+    found: list[Event],
+) -> None:
+    """Follow one leg from its first load to its last in `count` steps, and append the times of its instants.
+
+    With a method its exact events are found by that, appended, and instants of their own.
+    """
+    solutions.turn(*ends)
+    fractions = {(i + 1) / count for i in range(count)}
+    if method is not None:
+        exact = events_of_leg(problem, *ends, solutions[-1], method)
+        found += [Event(e.kind, e.contact, leg + e.time, problem.contact_name(e.contact)) for e in exact]
+        fractions |= {e.time for e in exact if e.time > 0}
+    for fraction in sorted(fractions):
+        solutions.go_to(fraction)
+        times.append(leg + fraction)
 
 
 class _Steps(LazySolutions):

@@ -91,9 +91,13 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
             f"; the loads along it balance but for {found.work:.3g} ({found.work / size:.2g} of their size): if they "
             "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
         )
+    else:
+        lower = ", a load within what friction holds" if problem.frictional else ""
+        advice = f"; it takes a support, tie or contact against it{lower}, or the load's other sign"
     held = "no contact, friction or tie holds back" if problem.frictional else "no contact or tie holds back"
+    lifted = " (what slides by s counts as lifted by mu s)" if problem.frictional else ""
     raise NoEquilibrium(
-        f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{advice}",
+        f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{lifted}{advice}",
         found,
     )
 
@@ -115,8 +119,22 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
+    for stated in _stated_ahead(problem):  # a translation says more than what gains most
+        if (simple := _proven_drive(problem, condensation, resisting, stated)) is not None:
+            return simple
     motion = Z @ coordinates
     return _proven_drive(problem, condensation, resisting, motion / np.max(abs(motion)))
+
+
+def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
+    """Yield the stated rigid motions, each in the direction in which the load does work, the largest work first."""
+    if problem.near_null_space is None:
+        return
+    Z = problem.near_null_space / np.max(abs(problem.near_null_space), axis=0)
+    work = problem.load @ Z
+    for k in np.argsort(-abs(work)).tolist():
+        if work[k] != 0:
+            yield np.sign(work[k]) * Z[:, k]
 
 
 def resisting_rows(problem: ContactProblem) -> Any:
@@ -262,9 +280,10 @@ def _refuse(problem: ContactProblem, found: Conflict | None) -> None:
         return
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
     names += [problem.tie_name(int(i)) for i in np.flatnonzero(found.tie)]
+    unit = f" {problem.units.length}" if problem.units.length else ""
     raise NoEquilibrium(
-        f"no displacement satisfies these constraints together: {listed(names)} (weighted they ask for 0 <= "
-        f"{-found.excess:.3g}, rounding {found.rounding:.1g})",
+        f"no displacement satisfies these constraints together: {listed(names)} (weighted, they overlap by "
+        f"{found.excess:.3g}{unit}, rounding {found.rounding:.1g})",
         found,
     )
 

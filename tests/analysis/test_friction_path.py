@@ -373,3 +373,42 @@ def test_a_path_that_begins_small_is_not_measured_by_a_far_seat(size: float) -> 
 
 def points_above(points: np.ndarray, height: float) -> np.ndarray:
     return points[:, 1] >= height
+
+
+def block_pushed_until_it_slides() -> tuple[cq.ContactProblem, list[Any]]:
+    """A free block, 5000 N on a floor with mu = 0.3, and loads that push it by 0, 0.75 and 0.9 of 2000 N."""
+    mesh, material = cq.rectangle(100.0, 50.0, (20, 10), "quad4"), cq.Material(modulus=210000.0, poisson=0.3)
+    structure = cq.Structure([cq.Body(mesh, material, "plane-strain", name="block")])
+    floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0], [0.0, 1.0]))
+
+    def loaded(load: cq.Traction) -> cq.ContactProblem:
+        return structure.assemble([], [load]).problem([floor], friction=0.3)
+
+    problem = loaded(cq.Traction("block", "top", [0.0, -50.0]))
+    push = loaded(cq.Traction("block", "left", [40.0, 0.0])).load
+    return problem, [problem.load + part * push for part in (0.0, 0.75, 0.9)]
+
+
+@pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 4}])
+def test_beyond_the_sliding_limit_there_is_no_path_and_what_was_is_kept(options: dict[str, Any]) -> None:
+    """mu N = 1500 N are reached at the end of the second leg, with too many contacts to try all their combinations."""
+    problem, loads = block_pushed_until_it_slides()
+    with pytest.raises(cq.NoEquilibrium, match=r"block along x by \+1") as ended:
+        cq.follow_path(problem, loads, **options)
+    assert ended.value.proof is not None
+    history = ended.value.history
+    assert isinstance(history, cq.History)
+    assert history.times[-1] == 2
+    assert history.friction_forces[-1].sum() == pytest.approx(1500.0, rel=1e-9)
+    assert all(solution.certificate.passed for solution in history)
+
+
+@pytest.mark.parametrize("method", ["active-set", "penalty"])
+def test_a_path_without_friction_keeps_what_was_before_it_ended(method: str) -> None:
+    """A block that springs hold along x alone is pressed down, and then pulled up."""
+    problem = cq.ContactProblem([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0], [[0.0, -1.0]], [0.0])
+    knob = {"penalty": 1e4} if method == "penalty" else {}
+    with pytest.raises(cq.NoEquilibrium) as ended:
+        cq.follow_path(problem, [[1.0, -1.0], [1.0, 1.0]], steps=2, method=method, **knob)
+    assert ended.value.history.times.tolist()[:3] == [0.0, 0.5, 1.0]
+    assert ended.value.history.normal_forces[2] == pytest.approx([1.0])

@@ -203,3 +203,22 @@ def test_rigid_bodies_that_overlap_are_moved_apart(seed: int) -> None:
     assert solution.certificate.passed
     assert np.all(solution.gap >= -1e-12)
     assert E.T @ solution.normal_force == pytest.approx(load, abs=1e-12)
+
+
+def test_a_stated_translation_is_named_before_what_gains_most() -> None:
+    """A free block that its load lifts off and would turn besides: up, which is simplest, is what is said."""
+    structure = cq.Structure(
+        [cq.Body(cq.rectangle(2.0, 1.0, (2, 1)), cq.Material(1.0, 0.3), "plane-strain", name="block")]
+    )
+    floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0], [0.0, 1.0]))
+    load = [cq.Traction("block", "left", [0.0, 3.0])]
+    with pytest.raises(
+        cq.NoEquilibrium, match=r"holds back: block along y by \+1 .*; it takes a support, tie or contact"
+    ):
+        cq.solve(structure.assemble([], load).problem([floor]))
+
+
+def test_an_overlap_is_said_as_a_length() -> None:
+    walls = cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [0.5, -0.55], units={"length": "mm", "force": "N"})
+    with pytest.raises(cq.NoEquilibrium, match=r"contact 0, contact 1 \(weighted, they overlap by 0.05 mm, rounding"):
+        cq.solve(walls)
