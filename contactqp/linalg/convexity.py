@@ -56,7 +56,7 @@ class StiffnessFactor:
         self._K = problem.stiffness_rows
         lifted = with_added_diagonal(self._K, CURVED * problem.diagonal)
         if problem.dimension > LARGE and pardiso.available():
-            by_pardiso = pardiso.Pardiso(lifted, np.zeros(0, dtype=np.intp))
+            by_pardiso = pardiso.elimination_order(problem).factorised(lifted, np.arange(problem.dimension))
             self._solve, self.smallest_pivot = by_pardiso.solve_all, by_pardiso.smallest_pivot
         else:
             by_superlu = SuperLU(sp.csc_matrix(lifted))

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
@@ -89,6 +90,7 @@ def _of_stiffness_times(problem: ContactProblem, twin: ContactProblem, factor: f
     if known is None or known[0] != factor:
         values = twin._values() | dict(stiffness=twin.stiffness * factor)
         scaled = ContactProblem._of_checked(values, Computed())
+        scaled._computed.of_stiffness.elimination_order = elimination_order(problem)
         known = problem._computed.equilibrated_forces = (factor, scaled)
     found: ContactProblem = known[1]
     return found
@@ -126,6 +128,7 @@ def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     stiffness = sp.csc_array(sp.diags(d) @ K @ sp.diags(d))
     nothing = np.zeros(problem.dimension)
     twin = problem.transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], np.zeros(problem.ties))
+    twin._computed.of_stiffness.elimination_order = elimination_order(problem)
     return twin, Scaling(d, 1.0 / r[:m], 1.0 / r[m:], 1.0, 1.0)
 
 

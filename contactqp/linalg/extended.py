@@ -86,6 +86,8 @@ class Extended:
         """x'y, accumulated in extended precision, rounded."""
         product, error = two_product(self.hi, other.hi)
         error = error + (self.hi * other.lo + self.lo * other.hi)
+        if len(product) > LONG:
+            return sum(_summed(product, error))
         total, carried = 0.0, 0.0
         for term, rest in zip(product.tolist(), error.tolist(), strict=True):
             partial = total + term

@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed
 from contactqp.linalg.crossover import vertex_near, with_least_forces, without_conflict
 from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, closed_in, factorised, nearest_state
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -177,7 +178,7 @@ def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Call
     below = -np.concatenate([compliance[others], np.zeros(k)]) - REGULARISATION
     stiffness = problem.stiffness_rows + sp.diags(diagonal)
     matrix = sp.bmat([[stiffness, rows.T], [rows, sp.diags(below)]], format="csc") if rows.shape[0] else stiffness
-    factor = factorised(sp.csc_matrix(matrix))
+    factor = factorised(sp.csc_matrix(matrix), INDEFINITE, elimination_order(problem), np.arange(n))
     effort.factorisations += 1
 
     def once(force: Vector, gap: Vector, tie: Vector) -> Step:

@@ -20,14 +20,16 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.linalg.runtime import free_memory
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Indices
+from contactqp.model.problem import ContactProblem
 
 POSITIVE_DEFINITE, INDEFINITE, UNSYMMETRIC = 2, -2, 11
 ANALYSE, FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 11, 22, 33, 331, 333, -1
 NOT_POSITIVE = -4
 # Places in iparm, counted from zero.
-DEFAULTS_OVERRIDDEN, ORDERING, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 9, 34, 35, 55
-NESTED_DISSECTION, SCHUR_ONLY = 2, 1
+DEFAULTS_OVERRIDDEN, ORDERING, PERMUTATION, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 4, 9, 34, 35, 55
+MINIMUM_DEGREE, NESTED_DISSECTION, SCHUR_ONLY = 0, 2, 1
+STATED_ORDER, ORDER_RETURNED = 1, 2
 # What the analysis tells, in kibibytes: its own peak, what of it stays, and what factors and solutions will take.
 PEAK_OF_ANALYSIS, STAYS, OF_FACTORS = 14, 15, 16
 # Factors that are predicted to take more than this part of the memory that is free are not begun.
@@ -38,10 +40,19 @@ SCALING, MATCHING = 10, 12
 STATED = "PYPARDISO_MKL_RT"
 # Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
 LEAST_PIVOT = 13
+# Of plane meshes, with so many entries in a row at most, minimum degree finds an order of up to so many unknowns in
+# half the time of nested dissection and fills no more; beyond, and in space, its factors take longer.
+OF_PLANES, OF_FEW_UNKNOWNS = 25, 100_000
+# Factors in a stated order that take so many times the memory of those that it was found for, row by row, fill in.
+FILLS_IN = 1.5
 
 
 class NotPositive(Exception):
     """A pivot is zero or negative."""
+
+
+class FillsIn(Exception):
+    """In the order that was stated the factors would take more memory than was allowed; nothing was factorised."""
 
 
 class TooLarge(BackendFailed):
@@ -89,17 +100,41 @@ def _installed() -> str | None:
 class Pardiso:
     """K = L L' up to the retained unknowns; of an indefinite matrix L D L', pivots of size one and two; else L U.
 
+    Parameters
+    ----------
+    matrix : (n, n) sparse matrix
+    retained : (r,) array of int
+        Unknowns that are not eliminated.
+    kind : int
+        POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC.
+    order : (n,) array of int, optional
+        The unknowns in the order in which they are eliminated, where none is retained; by default `ordering` finds one.
+    most_memory : float, optional
+        What factors in a stated order may take [KiB].
+    ordering : int, optional
+        NESTED_DISSECTION or MINIMUM_DEGREE.
+
     Raises
     ------
     NotPositive
         A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
+    FillsIn
+        In the order that was stated the factors take more than they may.
     TooLarge
         The factors are predicted to need more memory than is free.
     BackendMissing, BackendFailed
         There is no PARDISO, or it gave up.
     """
 
-    def __init__(self, matrix: Any, retained: NDArray[np.intp], kind: int = POSITIVE_DEFINITE) -> None:
+    def __init__(
+        self,
+        matrix: Any,
+        retained: NDArray[np.intp],
+        kind: int = POSITIVE_DEFINITE,
+        order: Indices | None = None,
+        most_memory: float = np.inf,
+        ordering: int = NESTED_DISSECTION,
+    ) -> None:
         upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
         upper.sort_indices()
         if upper.nnz > np.iinfo(np.int32).max:
@@ -107,11 +142,12 @@ class Pardiso:
         self.size = int(upper.shape[0])
         self._values = np.ascontiguousarray(upper.data, dtype=np.float64)
         self._starts, self._columns = upper.indptr.astype(np.int32), upper.indices.astype(np.int32)
-        self._retained = np.zeros(self.size, dtype=np.int32)
-        self._retained[retained] = 1
+        # The unknowns that are retained, else the order of elimination.
+        self._chosen = np.zeros(self.size, dtype=np.int32)
+        self._chosen[retained] = 1
         self._handle = np.zeros(64, dtype=np.int64)
         self._settings = np.zeros(64, dtype=np.int32)
-        self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, NESTED_DISSECTION
+        self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, ordering
         self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
         self._settings[PERTURBATION] = LEAST_PIVOT
         if kind == UNSYMMETRIC:
@@ -119,17 +155,33 @@ class Pardiso:
         self._kind = kind
         if len(retained):
             self._settings[SCHUR] = SCHUR_ONLY
+        elif order is not None:
+            self._settings[PERMUTATION], self._chosen = STATED_ORDER, np.ascontiguousarray(order, dtype=np.int32)
+        else:
+            self._settings[PERMUTATION] = ORDER_RETURNED
         self._release = weakref.finalize(self, _release, self._handle, self._settings, kind)
         self._call(ANALYSE, np.zeros(1), np.zeros(1))
+        if order is not None and self.memory_of_factors > most_memory:
+            raise FillsIn
         self._refuse_too_large(len(retained))
         self.schur = np.zeros((len(retained), len(retained)))
         self._call(FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
         self.smallest_pivot = self._smallest_pivot() if kind == POSITIVE_DEFINITE else np.nan
 
     @property
+    def order(self) -> Indices:
+        """(n,) the unknowns in the order in which they were eliminated, where none is retained."""
+        return self._chosen.astype(np.intp)
+
+    @property
+    def memory_of_factors(self) -> int:
+        """What factors and solutions are predicted to take [KiB]."""
+        return int(self._settings[OF_FACTORS])
+
+    @property
     def predicted_memory(self) -> int:
         """Bytes that analysis, factors and solutions take at their peak, as the analysis tells."""
-        kibibytes = max(self._settings[PEAK_OF_ANALYSIS], int(self._settings[STAYS]) + int(self._settings[OF_FACTORS]))
+        kibibytes = max(self._settings[PEAK_OF_ANALYSIS], int(self._settings[STAYS]) + self.memory_of_factors)
         return 1024 * int(kibibytes)
 
     def _refuse_too_large(self, retained: int) -> None:
@@ -165,7 +217,7 @@ class Pardiso:
         _library().pardiso(
             *(_pointer(self._handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind)),
             *(ctypes.byref(ctypes.c_int32(phase)), ctypes.byref(ctypes.c_int32(self.size))),
-            *(_pointer(self._values), _pointer(self._starts), _pointer(self._columns), _pointer(self._retained)),
+            *(_pointer(self._values), _pointer(self._starts), _pointer(self._columns), _pointer(self._chosen)),
             *(ctypes.byref(count), _pointer(self._settings), ctypes.byref(ctypes.c_int32(0))),
             *(_pointer(right), _pointer(solution), ctypes.byref(error)),
         )
@@ -185,6 +237,66 @@ class Pardiso:
             raise BackendFailed(f"pardiso: error {error.value} when its pivots were asked for")
         eliminated = self.size - len(self.schur)  # in the order of elimination, the retained unknowns last
         return float(np.min(pivots[:eliminated] / before[:eliminated], initial=1.0))
+
+
+class EliminationOrder:
+    """The order in which the unknowns of a stiffness are eliminated, alone and in its saddle points; found once.
+
+    To find it takes most of the time of a factorisation in the plane. Rows below the stiffness, those of contacts and
+    ties, come after the last of their unknowns: pivots are positive up to there and negative then, and the small
+    number on the diagonal of a row never is one, as it may be in an order that is found for the saddle point.
+    """
+
+    def __init__(self, unknowns: int) -> None:
+        self._place = np.full(unknowns, np.nan)  # of each unknown in the order, NaN where that is not known
+        self._memory = 0.0  # of the factors that it was found for, for each row of a symmetric one [KiB]
+        self._of_saddle = False  # whether it was found with rows below the stiffness
+
+    def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:
+        """Return the factors of a matrix whose first rows are those of these unknowns of the stiffness.
+
+        Raises
+        ------
+        NotPositive, TooLarge, BackendMissing, BackendFailed
+            As `Pardiso`.
+        """
+        nothing, rows = np.zeros(0, dtype=np.intp), matrix.shape[0] * (2 if kind == UNSYMMETRIC else 1)
+        order = self._known(matrix, unknowns)
+        if order is not None:
+            try:
+                return Pardiso(matrix, nothing, kind, order, FILLS_IN * self._memory * rows)
+            except FillsIn:
+                pass
+        in_the_plane = matrix.nnz <= OF_PLANES * matrix.shape[0] <= OF_PLANES * OF_FEW_UNKNOWNS
+        found = Pardiso(matrix, nothing, kind, ordering=MINIMUM_DEGREE if in_the_plane else NESTED_DISSECTION)
+        place = np.empty(found.size)
+        place[found.order] = np.arange(found.size)
+        self._place[:] = np.nan
+        self._place[unknowns], self._memory = place[: len(unknowns)], found.memory_of_factors / rows
+        self._of_saddle = found.size > len(unknowns)
+        return found
+
+    def _known(self, matrix: Any, unknowns: Indices) -> Indices | None:
+        """The order of the rows of a matrix, where that of its unknowns is known."""
+        place = self._place[unknowns]
+        if np.any(np.isnan(place)) or (self._of_saddle and matrix.shape[0] == len(unknowns)):
+            return None  # bodies that ties join are cut in other places than bodies one by one
+        by_rows, first = matrix if matrix.format == "csr" else matrix.T, len(unknowns)
+        entries = sp.csr_array(by_rows[first:, :first])
+        last = np.full(entries.shape[0], np.inf)
+        filled = np.flatnonzero(np.diff(entries.indptr))
+        if filled.size:
+            last[filled] = np.maximum.reduceat(place[entries.indices], entries.indptr[filled])
+        return np.argsort(np.concatenate([place, last]), kind="stable")
+
+
+def elimination_order(problem: ContactProblem) -> EliminationOrder:
+    """Return the order of the unknowns of a problem's stiffness, shared by its equilibrated twin."""
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.elimination_order is None:
+        of_stiffness.elimination_order = EliminationOrder(problem.dimension)
+    order: EliminationOrder = of_stiffness.elimination_order
+    return order
 
 
 def _pointer(array: Any) -> ctypes.c_void_p:

@@ -41,6 +41,9 @@ FINE, WORTH_ANOTHER = 1e-22, 0.1
 GROWS = 4.0
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
 SWEEPS, CONTRACTS = 20, 0.3
+# Corrections in double precision before residuals are formed in extended precision: with the first solution they come
+# near to what the rounding of doubles leaves.
+CORRECTIONS = 2
 # Residuals of this part of the forces and lengths that meet are nothing in extended precision.
 SOLVED = 2.0**-88
 # Rows that leave more than this part of the largest length are not met: nothing solves them together.
@@ -169,7 +172,8 @@ class SparseSaddle:
         upper = with_added_diagonal(stiffness, np.full(len(self._free), regularisation))
         lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
-        self._factor = factorised(matrix, pardiso.INDEFINITE if rows.shape[0] else pardiso.POSITIVE_DEFINITE)
+        kind = pardiso.INDEFINITE if rows.shape[0] else pardiso.POSITIVE_DEFINITE
+        self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), self._free)
 
     def solve(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector]:
         """Return u (n,), l (c,) and nu (k,) of the regularised system with this right-hand side."""
@@ -187,6 +191,24 @@ class SparseSaddle:
         u += moved
         return u, carried[: self._contacts], carried[self._contacts :]
 
+    def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
+        """Return u, l and nu that take up residuals, refined in double precision, and the back-substitutions it took.
+
+        Residuals in doubles cost a small part of those in extended precision, and tell the first digits as well.
+        """
+        found = self.solve(force, gap, tie)
+        lengths = np.concatenate([gap, tie])
+        last = max(float(np.max(abs(part), initial=0.0)) for part in (force, lengths))
+        for corrections in range(CORRECTIONS):
+            carried = np.concatenate(found[1:])
+            left, open_rows = force - self._K @ found[0] - self._rows.T @ carried, lengths - self._rows @ found[0]
+            size = max(float(np.max(abs(part), initial=0.0)) for part in (left, open_rows))
+            if not size < CONTRACTS * last:
+                return *found, 1 + corrections
+            du, dl, dn = self.solve(left, open_rows[: self._contacts], open_rows[self._contacts :])
+            found, last = (found[0] + du, found[1] + dl, found[2] + dn), size
+        return *found, 1 + CORRECTIONS
+
 
 def _fixing_rows(rows: Any) -> tuple[Indices, Indices]:
     """The rows that have one entry, each alone with it on its unknown, and these unknowns: eliminated beforehand."""
@@ -197,8 +219,21 @@ def _fixing_rows(rows: Any) -> tuple[Indices, Indices]:
     return single[alone], unknown[alone].astype(np.intp)
 
 
-def factorised(matrix: Any, kind: int = pardiso.INDEFINITE) -> Callable[[Vector], Vector]:
+def factorised(
+    matrix: Any, kind: int, order: pardiso.EliminationOrder, unknowns: Indices
+) -> Callable[[Vector], Vector]:
     """Return what solves with a sparse matrix of a PARDISO kind: by it where it is installed and pays, else SuperLU.
+
+    Parameters
+    ----------
+    matrix : (p, p) sparse matrix
+        Its first rows are those of the unknowns.
+    kind : int
+        `pardiso.INDEFINITE` and the like.
+    order : EliminationOrder
+        Of the unknowns of the stiffness.
+    unknowns : (q,) array of int
+        Those of the stiffness that the matrix contains.
 
     Raises
     ------
@@ -208,13 +243,11 @@ def factorised(matrix: Any, kind: int = pardiso.INDEFINITE) -> Callable[[Vector]
     if not matrix.shape[0]:
         return np.copy
     if matrix.shape[0] > LARGE and pardiso.available():
-        nothing = np.zeros(0, dtype=np.intp)
         try:
-            return pardiso.Pardiso(matrix, nothing, kind).solve_all
-        except (
-            pardiso.NotPositive
-        ):  # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells
-            return pardiso.Pardiso(matrix, nothing, pardiso.INDEFINITE).solve_all
+            return order.factorised(matrix, unknowns, kind).solve_all
+        except pardiso.NotPositive:
+            # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells.
+            return order.factorised(matrix, unknowns, pardiso.INDEFINITE).solve_all
     from scipy.sparse.linalg import splu
 
     try:
@@ -367,8 +400,8 @@ def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedSt
     for _ in range(SWEEPS):
         if not state.residual > SOLVED:
             break
-        effort.back_substitutions += 1
-        du, dl, dn = saddle.solve(*state.left.double(closed))
+        du, dl, dn, solved = saddle.correction(*state.left.double(closed))
+        effort.back_substitutions += solved
         after = ClosedState.of(state.problem, state.closed, state.answer.corrected(du, closed, dl, dn))
         if not after.better_than(state):
             break

@@ -103,7 +103,8 @@ class SparseStateSystem:
         upper = rows.S + REGULARISATION * sp.identity(held.shape[1])
         lower = -REGULARISATION * sp.identity(held.shape[0])
         matrix = sp.bmat([[upper, pushed.T], [held, lower]], format="csc")
-        self._factor = factorised(matrix, pardiso.UNSYMMETRIC if np.any(drag) else pardiso.INDEFINITE)
+        kind = pardiso.UNSYMMETRIC if np.any(drag) else pardiso.INDEFINITE
+        self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), np.arange(problem.dimension))
         self.back_substitutions = 0
         response = self._solve(np.random.default_rng(0).uniform(0.5, 1.0, matrix.shape[0]))
         self.regular = bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)

@@ -20,6 +20,7 @@ class OfStiffness:
     sizes: Any = None  # |K|
     bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
+    elimination_order: Any = None  # linalg.pardiso: that of the unknowns, found with the first sparse factorisation
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
     supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature

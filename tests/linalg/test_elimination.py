@@ -16,7 +16,7 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, holding_unknowns, pardiso, schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.factorization import DenseCholesky, connected_parts, null_space, with_added_diagonal
-from contactqp.linalg.pardiso import NotPositive, Pardiso, available
+from contactqp.linalg.pardiso import EliminationOrder, NotPositive, Pardiso, available
 from contactqp.linalg.schur import BackSubstitution, LastBlock, TrailingBlock, eliminate
 
 needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso")
@@ -304,6 +304,63 @@ def test_connected_parts_are_those_of_the_graph(rows):
     count, label = connected_parts(sp.block_diag([chain, sp.identity(rows)], format="csr"))
     assert count == 1 + rows
     assert np.all(label[:6] == label[0])
+
+
+def strip_with_rows(cells, share):
+    """The stiffness of a strip and rows that close every so many of the nodes beneath it, as one saddle point."""
+    problem = pressed_block(cells)
+    rows = sp.csr_matrix(problem.normal[::share])
+    lower = -1e-9 * sp.identity(rows.shape[0])
+    return problem.dimension, sp.bmat([[problem.stiffness_rows, rows.T], [rows, lower]], format="csc")
+
+
+@needs_pardiso
+def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monkeypatch):
+    n, matrix = strip_with_rows(40, 1)
+    asked = []
+    plain = Pardiso.__init__
+
+    def seen(self, *given, **named):
+        asked.append(given[3] if len(given) > 3 else None)
+        plain(self, *given, **named)
+
+    monkeypatch.setattr(Pardiso, "__init__", seen)
+    order, unknowns = EliminationOrder(n), np.arange(n)
+    first = order.factorised(matrix[:n, :n], unknowns)
+    second = order.factorised(matrix, unknowns, pardiso.INDEFINITE)
+    held = np.setdiff1d(unknowns, [0, 5, 90])
+    third = order.factorised(matrix[held][:, held], held)
+    assert asked[0] is None
+    assert sorted(asked[1]) == list(range(matrix.shape[0]))
+    assert asked[2] is not None
+    right = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    for factor, of in ((first, unknowns), (second, np.arange(matrix.shape[0])), (third, held)):
+        found = factor.solve_all(right[of])
+        assert np.max(abs(matrix[of][:, of] @ found - right[of])) <= 1e-11 * np.max(abs(found))
+    # An order that is found for the saddle point eliminates some rows before their unknowns: pivots of 1e-9.
+    assert np.max(abs(matrix @ second.solve_all(right) - right)) <= 1e-13 * np.max(abs(second.solve_all(right)))
+
+
+@needs_pardiso
+def test_an_order_that_would_fill_in_is_found_anew():
+    n, matrix = strip_with_rows(40, 1)
+    order, unknowns = EliminationOrder(n), np.arange(n)
+    order.factorised(matrix[:n, :n], unknowns)
+    joined = sp.csr_matrix(
+        (np.ones(n), (np.arange(n) // 2, np.random.default_rng(0).permutation(n))), shape=(n // 2, n)
+    )
+    tied = sp.bmat([[matrix[:n, :n], joined.T], [joined, -1e-9 * sp.identity(n // 2)]], format="csc")
+    found = order.factorised(tied, unknowns, pardiso.INDEFINITE)
+    assert (
+        found.memory_of_factors
+        < Pardiso(
+            tied, np.zeros(0, dtype=np.intp), pardiso.INDEFINITE, order=np.arange(tied.shape[0])
+        ).memory_of_factors
+    )
+    right = np.random.default_rng(1).standard_normal(tied.shape[0])
+    assert np.max(abs(tied @ found.solve_all(right) - right)) <= 1e-5 * np.max(abs(right))
+    # What was found for bodies joined is not taken for them alone.
+    assert order._known(matrix[:n, :n].tocsc(), unknowns) is None
 
 
 @needs_pardiso

@@ -116,7 +116,12 @@ def test_where_factors_are_a_help_alone_none_are_had_for_want_of_memory(monkeypa
     """Sparse saddle points catch what a solver has no memory for, and go on without."""
     monkeypatch.setattr(pardiso, "free_memory", lambda: 2**20)
     with pytest.raises(cq.BackendFailed, match="need about"):
-        sparse_saddle.factorised(sp.identity(20_000, format="csc"))
+        sparse_saddle.factorised(
+            sp.identity(20_000, format="csc"),
+            pardiso.INDEFINITE,
+            pardiso.EliminationOrder(20_000),
+            np.arange(20_000),
+        )
 
 
 @pytest.mark.parametrize(("limit", "free"), [("max", None), (str(2**34), 2**34 - 2**33 + 2**32)])
