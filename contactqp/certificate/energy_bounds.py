@@ -26,6 +26,7 @@ units. Where rows repeat, these are the nearest of many.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -39,7 +40,7 @@ from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import settled
 from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, uniqueness
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, rows_alone, uniqueness
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
@@ -144,18 +145,28 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
     stiff reaches it may be more.
     """
     left, closed = np.zeros(problem.contacts), np.flatnonzero(held.closed)
-    if len(closed) + problem.ties > MOST_DENSE or not len(closed):
+    if not len(closed):
         return left
-    held_rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
-    touched = np.unique(held_rows.indices)
-    if held_rows.shape[0] * len(touched) > MOST_DENSE**2:
-        return left
-    rows, residual = held_rows[:, touched].toarray(), held.left.force.double()[touched]
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(residual))):
-        return left
-    taken = abs(np.linalg.pinv(rows.T)) @ abs(residual)
+    rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
+    residual, taken = abs(held.left.force.double()), np.zeros(rows.shape[0])
+    # Rows that have an unknown for themselves, alone: their forces follow from it one by one.
+    alone, unknown = rows_alone(rows)
+    taken[alone] = residual[unknown] / abs(rows.data[rows.indptr[alone]])
+    others = np.delete(np.arange(rows.shape[0]), alone)
+    taken[others] = _taken_by(rows[others], residual)
     left[closed] = CAUTION * taken[: len(closed)]
     return left
+
+
+def _taken_by(rows: Any, residual: Vector) -> Vector:
+    """(a,) the sizes of forces on rows that take up residuals of at most these sizes (n,), where rows are not many."""
+    touched, none = np.unique(rows.indices), np.zeros(rows.shape[0])
+    if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
+        return none
+    entries = rows[:, touched].toarray()
+    if not (np.all(np.isfinite(entries)) and np.all(np.isfinite(residual[touched]))):
+        return none
+    return np.asarray(abs(np.linalg.pinv(entries.T)) @ residual[touched])
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:

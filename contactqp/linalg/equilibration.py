@@ -124,12 +124,17 @@ def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
             break
     d, r = _power_of_two(d), _power_of_two(r)
     m = problem.contacts
-    scaled = sp.csr_array(sp.diags(r) @ rows @ sp.diags(d))
-    stiffness = sp.csc_array(sp.diags(d) @ K @ sp.diags(d))
+    scaled, stiffness = sp.csr_array(scaled_by(r, rows, d)), sp.csc_array(scaled_by(d, K, d))
     nothing = np.zeros(problem.dimension)
     twin = problem.transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], np.zeros(problem.ties))
     twin._computed.of_stiffness.elimination_order = elimination_order(problem)
     return twin, Scaling(d, 1.0 / r[:m], 1.0 / r[m:], 1.0, 1.0)
+
+
+def scaled_by(left: Array, matrix: Any, right: Array) -> Any:
+    """Return diag(left) M diag(right) of a CSR matrix, in its pattern."""
+    data = matrix.data * np.repeat(left, np.diff(matrix.indptr)) * right[matrix.indices]
+    return sp.csr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _largest(sizes: Any, scale: Array) -> Array:

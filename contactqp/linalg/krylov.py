@@ -206,18 +206,19 @@ class AssembledRows:
 
     def __init__(self, entries: Any, columns: NDArray[np.intp], limit: Vector, compliance: Vector) -> None:
         self._entries, self._columns, self._compliance, self._limit = entries, columns, compliance, limit
+        self._spread = entries.T  # transposed once, not in every projection
         self._gram = IndependentRows(entries, compliance)
         self.redundant = len(self._gram.kept) < entries.shape[0]
 
     def close(self, x: Vector) -> None:
         """Move x so that E x = g, in place."""
         missing = self._limit - self._entries @ x[self._columns]
-        x[self._columns] += self._compliance * (self._entries.T @ self._gram.solve(missing))
+        x[self._columns] += self._compliance * (self._spread @ self._gram.solve(missing))
 
     def admit(self, z: Vector) -> None:
         """Take out of z what moves the rows, in place."""
         moved = self._gram.solve(self._entries @ z[self._columns])
-        z[self._columns] -= self._compliance * (self._entries.T @ moved)
+        z[self._columns] -= self._compliance * (self._spread @ moved)
 
     def forces(self, r: Vector) -> Vector:
         """(a,) l, zero on dependent rows."""
@@ -226,5 +227,5 @@ class AssembledRows:
     def balanced(self, r: Vector) -> Vector:
         """What the forces on the rows leave of r."""
         left = r.copy()
-        left[self._columns] -= self._entries.T @ self.forces(r)
+        left[self._columns] -= self._spread @ self.forces(r)
         return left

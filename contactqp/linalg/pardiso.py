@@ -40,9 +40,10 @@ SCALING, MATCHING = 10, 12
 STATED = "PYPARDISO_MKL_RT"
 # Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
 LEAST_PIVOT = 13
-# Of plane meshes, with so many entries in a row at most, minimum degree finds an order of up to so many unknowns in
-# half the time of nested dissection and fills no more; beyond, and in space, its factors take longer.
-OF_PLANES, OF_FEW_UNKNOWNS = 25, 100_000
+# Of plane meshes, with so many entries in a row on average, and at most, minimum degree finds an order of up to so many
+# unknowns in half the time of nested dissection and fills no more; beyond, and in space, its factors take longer, and
+# on saddle points of programs it may take minutes.
+OF_PLANES, LONGEST_ROW, OF_FEW_UNKNOWNS = 25, 50, 100_000
 # Factors in a stated order that take so many times the memory of those that it was found for, row by row, fill in.
 FILLS_IN = 1.5
 
@@ -267,8 +268,8 @@ class EliminationOrder:
                 return Pardiso(matrix, nothing, kind, order, FILLS_IN * self._memory * rows)
             except FillsIn:
                 pass
-        in_the_plane = matrix.nnz <= OF_PLANES * matrix.shape[0] <= OF_PLANES * OF_FEW_UNKNOWNS
-        found = Pardiso(matrix, nothing, kind, ordering=MINIMUM_DEGREE if in_the_plane else NESTED_DISSECTION)
+        by_degree = matrix.shape[0] == len(unknowns) and _in_the_plane(matrix)
+        found = Pardiso(matrix, nothing, kind, ordering=MINIMUM_DEGREE if by_degree else NESTED_DISSECTION)
         place = np.empty(found.size)
         place[found.order] = np.arange(found.size)
         self._place[:] = np.nan
@@ -288,6 +289,12 @@ class EliminationOrder:
         if filled.size:
             last[filled] = np.maximum.reduceat(place[entries.indices], entries.indptr[filled])
         return np.argsort(np.concatenate([place, last]), kind="stable")
+
+
+def _in_the_plane(matrix: Any) -> bool:
+    """Whether a compressed matrix has the rows of a stiffness of few unknowns in the plane."""
+    longest = int(np.max(np.diff(matrix.indptr), initial=0))
+    return bool(matrix.nnz <= OF_PLANES * matrix.shape[0] <= OF_PLANES * OF_FEW_UNKNOWNS and longest <= LONGEST_ROW)
 
 
 def elimination_order(problem: ContactProblem) -> EliminationOrder:

@@ -163,7 +163,7 @@ class SparseSaddle:
         self._K = sp.csr_matrix(problem.stiffness_rows)
         self._rows = sp.csr_matrix(sp.vstack([problem.normal[closed], problem.tie]))
         self._contacts = len(closed)
-        self._fixing, self._fixed = _fixing_rows(self._rows)
+        self._fixing, self._fixed = rows_alone(self._rows)
         self._entries = self._rows.data[self._rows.indptr[self._fixing]]
         self._free = np.delete(np.arange(problem.dimension), self._fixed)
         self._left = np.delete(np.arange(self._rows.shape[0]), self._fixing)
@@ -210,8 +210,8 @@ class SparseSaddle:
         return *found, 1 + CORRECTIONS
 
 
-def _fixing_rows(rows: Any) -> tuple[Indices, Indices]:
-    """The rows that have one entry, each alone with it on its unknown, and these unknowns: eliminated beforehand."""
+def rows_alone(rows: Any) -> tuple[Indices, Indices]:
+    """Return the rows that have one entry and an unknown for themselves, and these unknowns."""
     single = np.flatnonzero(np.diff(rows.indptr) == 1)
     single = single[rows.data[rows.indptr[single]] != 0]
     unknown = rows.indices[rows.indptr[single]]

@@ -8,21 +8,24 @@
 is the system of `contactqp.linalg.friction_states` before condensation, in the same scale: unknowns by 1/sqrt(K_jj),
 rows of unit length in the energy. The d on the diagonal, as in `contactqp.linalg.sparse_saddle`, let it be eliminated
 in an order that keeps it sparse; residuals in extended precision take them back. It is meant for bodies that are held.
+Combinations that follow each other differ in few contacts, and the factors of one serve for the next.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg import pardiso
+from contactqp.linalg.equilibration import scaled_by
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
-from contactqp.linalg.sparse_saddle import factorised
-from contactqp.model.arrays import Array, Vector
+from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS, factorised
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -31,12 +34,21 @@ from contactqp.model.solution import Answer
 REGULARISATION = 1e-9
 # Systems that are kept: that of an answer, and the one without contacts that measures forces.
 KEPT = 2
+# Equations that differ from those of a factorised combination, up to which its factors serve: beyond, that many
+# back-substitutions take as long as new ones.
+MOST_CHANGES = 32
 # Responses to right-hand sides of one that reach this part of 1/d are those of a system without an inverse.
 ALMOST_FREE = 1e-3
 
+# Of unknowns (n,), normal forces and friction of contacts (m,), and ties (k,): a solution, or a right-hand side.
+_Parts = tuple[Vector, Vector, Vector, Vector]
+
 
 class SparseFrictionalRows:
-    """A frictional problem in the plane in all its unknowns; attributes as those of `FrictionalRows`, sparse."""
+    """A frictional problem in the plane in all its unknowns; attributes as those of `FrictionalRows`, sparse.
+
+    `factorisations` says how many systems of combinations have been factorised.
+    """
 
     width = 1
 
@@ -45,22 +57,38 @@ class SparseFrictionalRows:
             raise ValueError("frictional rows of a problem without friction")
         self.scale = inverse_root(problem.diagonal)
         unknowns = sp.diags(self.scale)
-        self.S = sp.csr_matrix(unknowns @ problem.stiffness_rows @ unknowns)
-        (self.normal, self.normal_length), (self.tangent, self.tangent_length), (self.tie, self.tie_length) = (
+        self.S = scaled_by(self.scale, sp.csr_matrix(problem.stiffness_rows), self.scale)
+        ((self.normal, self.normal_length), (self.tangent, self.tangent_length), (self.tie, self.tie_length)) = (
             _unit(sp.csr_matrix(rows @ unknowns)) for rows in (problem.normal, problem.tangent, problem.tie)
         )
         self.slides = np.diff(self.tangent.indptr) > 0
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
-        self._systems: dict[bytes, SparseStateSystem] = {}
+        self._systems: dict[bytes, StateSystem] = {}
+        self._factorised: SparseStateSystem | None = None
+        self.factorisations = 0
 
-    def system(self, problem: ContactProblem, status: Status) -> SparseStateSystem:
-        """The factorised system of a combination; the last are kept, since polish and certificate ask alike."""
+    def system(self, problem: ContactProblem, status: Status) -> StateSystem:
+        """The system of a combination; the last are kept, since polish and certificate ask alike."""
         key = status.tobytes()
         if key not in self._systems:
             if len(self._systems) == KEPT:
                 self._systems.pop(next(iter(self._systems)))
-            self._systems[key] = SparseStateSystem(problem, self, status)
+            self._systems[key] = self._made(problem, status)
         return self._systems[key]
+
+    def _made(self, problem: ContactProblem, status: Status) -> StateSystem:
+        """The system of a combination by the factors of the last one, where it differs from that in few equations."""
+        last = self._factorised
+        if last is not None and last.regular and np.any(status != OPEN):
+            few = sum(len(some) for some in _changes(last.status, status)) <= MOST_CHANGES
+            changed = ChangedStateSystem(self, last, status) if few else None
+            if changed is not None and changed.regular:
+                return changed
+        made = SparseStateSystem(problem, self, status)
+        self.factorisations += 1
+        if np.any(status != OPEN):
+            self._factorised = made
+        return made
 
 
 def _unit(rows: Any) -> tuple[Any, Vector]:
@@ -80,8 +108,82 @@ def frictional_rows(problem: ContactProblem) -> SparseFrictionalRows:
     return rows
 
 
-class SparseStateSystem:
-    """The factorised system of one combination; attributes as those of `StateSystem`, and what it has been asked for.
+class StateSystem(ABC):
+    """The system of one combination, attributes as those of `friction_states.StateSystem`; what it has been asked for.
+
+    Attributes
+    ----------
+    status : (m,) array
+        The combination.
+    back_substitutions : int
+        How many it has taken.
+    regular : bool
+        Whether it has an inverse.
+    drag : (m,) array
+        Friction over normal force of contacts that slip, with the sign of their slip; zero for others.
+    """
+
+    redundant = False  # where rows depend on others the system is not regular
+    regular: bool
+
+    def __init__(self, rows: SparseFrictionalRows, status: Status) -> None:
+        self.status, self.back_substitutions = status, 0
+        self._rows, self._closed, self._stuck = rows, status != OPEN, status == STICK
+        self.drag = np.where(self._stuck, 0.0, status) * rows.coefficient
+
+    @abstractmethod
+    def _once(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
+        """Return u (n,), l_N and l_T (m,), nu (k,) of the regularised system with scaled right-hand sides.
+
+        l_T is that of contacts that stick, zero elsewhere.
+        """
+
+    def _solve(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
+        """The same without the regularisation: refined in double precision as long as that takes most of it away."""
+        right = (load, np.where(self._closed, gap, 0.0), np.where(self._stuck, slip, 0.0), tie)
+        found, last = self._once(*right), _largest(right)
+        for _ in range(CORRECTIONS):
+            left = self._left(right, found)
+            size = _largest(left)
+            if not size < CONTRACTS * last:
+                break
+            u, normal, friction, tied = self._once(*left)
+            found, last = ((found[0] + u, found[1] + normal, found[2] + friction, found[3] + tied), size)
+        return found
+
+    def _left(self, right: _Parts, found: _Parts) -> _Parts:
+        """What a solution leaves of scaled right-hand sides, in double precision."""
+        rows, (u, normal, friction, tied) = self._rows, found
+        force = right[0] - rows.S @ u - rows.normal.T @ normal - rows.tie.T @ tied
+        force -= rows.tangent.T @ (self.drag * normal + friction)
+        gap = np.where(self._closed, right[1] - rows.normal @ u, 0.0)
+        slip = np.where(self._stuck, right[2] - rows.tangent @ u, 0.0)
+        return force, gap, slip, right[3] - rows.tie @ u
+
+    def _regular(self) -> bool:
+        """Whether the response to right-hand sides at random is less than what the regularisation alone allows."""
+        random, rows = np.random.default_rng(0), self._rows
+        sizes = (len(rows.scale), len(self.status), len(self.status), len(rows.tie_length))
+        response = np.concatenate(self._once(*(random.uniform(0.5, 1.0, size) for size in sizes)))
+        return bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
+
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
+        """du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts, dnu (k,) for residuals of the problem."""
+        rows = self._rows
+        lengths = (gap / rows.normal_length, slip / rows.tangent_length, tie / rows.tie_length)
+        moved, pushing, sticking, tied = self._solve(load * rows.scale, *lengths)
+        friction_force = (sticking / rows.tangent_length)[:, None]
+        return (moved * rows.scale, pushing / rows.normal_length, friction_force, tied / rows.tie_length)
+
+    def response_norm(self, load: Vector) -> float:
+        """The energy norm of the response to a load (n,), lengths held at zero."""
+        held, scaled = np.zeros(len(self.status)), load * self._rows.scale
+        moved = self._once(scaled, held, held, np.zeros(len(self._rows.tie_length)))[0]
+        return float(np.sqrt(max(float(scaled @ moved), 0.0)))
+
+
+class SparseStateSystem(StateSystem):
+    """The factorised system of one combination.
 
     Raises
     ------
@@ -89,51 +191,134 @@ class SparseStateSystem:
         As `contactqp.linalg.sparse_saddle.factorised`.
     """
 
-    redundant = False  # where rows depend on others the system is not regular
-
     def __init__(self, problem: ContactProblem, rows: SparseFrictionalRows, status: Status) -> None:
-        self._rows, self._contacts, self._ties = rows, problem.contacts, problem.ties
-        self._closed, self._stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        closed, stuck = self._closed, self._stuck
-        drag = np.where(status == STICK, 0.0, status)[closed] * rows.coefficient[closed]
+        super().__init__(rows, status)
+        self.closed, self.stuck = closed, stuck = (np.flatnonzero(self._closed), np.flatnonzero(self._stuck))
         held = sp.vstack([rows.normal[closed], rows.tangent[stuck], rows.tie], format="csr")
-        dragged = sp.diags(drag) @ rows.tangent[closed]
+        dragged = sp.diags(self.drag[closed]) @ rows.tangent[closed]
         more = sp.csr_matrix((held.shape[0] - len(closed), held.shape[1]))
-        pushed = held + sp.vstack([dragged, more], format="csr") if np.any(drag) else held
+        slips = bool(np.any(self.drag))
+        pushed = held + sp.vstack([dragged, more], format="csr") if slips else held
         upper = rows.S + REGULARISATION * sp.identity(held.shape[1])
         lower = -REGULARISATION * sp.identity(held.shape[0])
         matrix = sp.bmat([[upper, pushed.T], [held, lower]], format="csc")
-        kind = pardiso.UNSYMMETRIC if np.any(drag) else pardiso.INDEFINITE
+        symmetric = pardiso.INDEFINITE if held.shape[0] else pardiso.POSITIVE_DEFINITE
+        kind = pardiso.UNSYMMETRIC if slips else symmetric
+        self.size = matrix.shape[0]
         self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), np.arange(problem.dimension))
-        self.back_substitutions = 0
-        response = self._solve(np.random.default_rng(0).uniform(0.5, 1.0, matrix.shape[0]))
-        self.regular = bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
+        self.regular = self._regular()
 
-    def _solve(self, right: Vector) -> Vector:
-        self.back_substitutions += 1
+    def by_factors(self, right: Array) -> Array:
+        """Return the solution for a right-hand side (p,), or for several (p, q)."""
+        self.back_substitutions += 1 if right.ndim == 1 else right.shape[1]
         return self._factor(right)
 
-    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts, dnu (k,) for residuals of the problem."""
-        rows, closed, stuck = self._rows, self._closed, self._stuck
-        lengths = (
-            gap[closed] / rows.normal_length[closed],
-            slip[stuck] / rows.tangent_length[stuck],
-            tie / rows.tie_length,
-        )
-        found = self._solve(np.concatenate([load * rows.scale, *lengths]))
-        parts = np.cumsum([len(load), len(closed), len(stuck)])
-        moved, pushing, sticking, tied = np.split(found, parts)
-        normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, 1))
-        normal_force[closed] = pushing / rows.normal_length[closed]
-        friction_force[stuck, 0] = sticking / rows.tangent_length[stuck]
-        return moved * rows.scale, normal_force, friction_force, tied / rows.tie_length
+    def right(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Vector:
+        """(p,) the right-hand side of the system."""
+        return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
 
-    def response_norm(self, load: Vector) -> float:
-        """The energy norm of the response to a load (n,), lengths held at zero."""
-        right = np.zeros(len(load) + len(self._closed) + len(self._stuck) + self._ties)
-        right[: len(load)] = load * self._rows.scale
-        return float(np.sqrt(max(float(right @ self._solve(right)), 0.0)))
+    def places(self) -> tuple[Indices, Indices]:
+        """(m,) where in the system the forces are that contacts push and stick with, -1 where there are none."""
+        pushing, sticking = np.full((2, len(self.status)), -1)
+        pushing[self.closed] = len(self._rows.scale) + np.arange(len(self.closed))
+        sticking[self.stuck] = len(self._rows.scale) + len(self.closed) + np.arange(len(self.stuck))
+        return pushing, sticking
+
+    def parts(self, found: Vector) -> _Parts:
+        """Return what a solution (p,) of the system consists of."""
+        closed, stuck = self.closed, self.stuck
+        normal_force, friction_force = np.zeros((2, len(self.status)))
+        cuts = np.cumsum([len(self._rows.scale), len(closed), len(stuck)])
+        moved, normal_force[closed], friction_force[stuck], tied = np.split(found, cuts)
+        return moved, normal_force, friction_force, tied
+
+    def _once(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
+        return self.parts(self.by_factors(self.right(load, gap, slip, tie)))
+
+
+class ChangedStateSystem(StateSystem):
+    """The system of a combination that differs in few equations from a factorised one, by the factors of that.
+
+    Every change borders the factorised matrix B by an unknown y and an equation,
+
+        [ B  C ] [ x ]   [ b ]      C: a row of a contact that closes or sticks; or one, where y is what is missing of
+        [ R  D ] [ y ] = [ r ]         the equation of one that does so no more
+                                    R: this row; or what says that the force is zero, or mu t l_N
+
+    and is solved by B^-1 C and the dense D - R B^-1 C (Golub and Van Loan 2013, section 2.1.4).
+
+    Parameters
+    ----------
+    rows : SparseFrictionalRows
+    factorised : SparseStateSystem
+    status : (m,) array
+        The combination.
+    """
+
+    def __init__(self, rows: SparseFrictionalRows, factorised: SparseStateSystem, status: Status) -> None:
+        super().__init__(rows, status)
+        self._factorised, self._changes = (factorised, _changes(factorised.status, status))
+        opens, frees, closes, sticks, turns = self._changes
+        drag, before = self.drag, factorised.drag
+        (pushing, sticking), size = factorised.places(), factorised.size
+        zero, free = _units(pushing[opens], size), _units(sticking[frees], size)
+        felt, stuck, along = (
+            _padded(some, size) for some in (rows.normal[closes], rows.tangent[sticks], rows.tangent[turns])
+        )
+        dragged = _padded(sp.csr_matrix(sp.diags(drag[closes]) @ rows.tangent[closes]), size)
+        columns = sp.vstack([zero, free, felt + dragged, stuck, along])
+        slides, slides_back = sp.diags(drag[frees]), sp.diags((before - drag)[turns])
+        bounds = (slides @ _units(pushing[frees], size), slides_back @ _units(pushing[turns], size))
+        self._equations = sp.csr_matrix(sp.vstack([zero, free - bounds[0], felt, stuck, bounds[1]]))
+        counts = len(opens) + len(frees), len(closes) + len(sticks), len(turns)
+        self._responses = factorised.by_factors(columns.T.toarray())
+        self._border = np.diag(np.repeat([0.0, -REGULARISATION, 1.0], counts)) - self._equations @ self._responses
+        self.back_substitutions += columns.shape[0]
+        try:
+            self.regular = self._regular()
+        except np.linalg.LinAlgError:
+            self.regular = False
+
+    def _once(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
+        opens, frees, closes, sticks, turns = self._changes
+        self.back_substitutions += 1
+        found = self._factorised.by_factors(self._factorised.right(load, gap, slip, tie))
+        none = np.zeros(len(opens) + len(frees)), np.zeros(len(turns))
+        right = np.concatenate([none[0], gap[closes], slip[sticks], none[1]])
+        added = np.linalg.solve(self._border, right - self._equations @ found)
+        u, normal, friction, tied = self._factorised.parts(found - self._responses @ added)
+        cuts = np.cumsum([len(opens) + len(frees), len(closes), len(sticks)])
+        _, normal[closes], sticking, _ = np.split(added, cuts)
+        normal[opens] = 0.0
+        friction[frees] = 0.0
+        friction[sticks] = sticking + self._factorised.drag[sticks] * normal[sticks]
+        return u, normal, friction, tied
+
+
+def _changes(before: Status, after: Status) -> tuple[Indices, ...]:
+    """Contacts that open, that were stuck and are no more, that close, that were not stuck and are, that turn."""
+    flags = (
+        (before != OPEN) & (after == OPEN),
+        (before == STICK) & (after != STICK),
+        (before == OPEN) & (after != OPEN),
+        (before != STICK) & (after == STICK),
+        (abs(before) == 1) & (after == -before),
+    )
+    return tuple(np.flatnonzero(part) for part in flags)
+
+
+def _units(places: Indices, size: int) -> Any:
+    """Rows (q, size) of zeros with a one at these places."""
+    return sp.csr_matrix((np.ones(len(places)), places, np.arange(len(places) + 1)), shape=(len(places), size))
+
+
+def _padded(rows: Any, size: int) -> Any:
+    """Rows with columns of zeros behind their own, so many in all."""
+    return sp.csr_matrix((rows.data, rows.indices, rows.indptr), shape=(rows.shape[0], size))
+
+
+def _largest(parts: _Parts) -> float:
+    return max(float(np.max(abs(part), initial=0.0)) for part in parts)
 
 
 def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweeps: int = MAX_SWEEPS) -> RefinedState:

@@ -143,7 +143,7 @@ class _HeldLevel(HeldLevel):
     """One level in one process."""
 
     def __init__(self, level: Level, added: LevelRows) -> None:
-        self._level, self._added = level, added
+        self._level, self._added, self._spread = level, added, added.entries.T  # transposed once, not in every product
         self.diagonal, self.largest = level.diagonal, level.largest
         if not added.entries.shape[0]:
             return
@@ -152,13 +152,14 @@ class _HeldLevel(HeldLevel):
         self.diagonal[added.columns] += own
         # No eigenvalue of a sum exceeds those of both parts, each against its own diagonal; without a product by K.
         W = added.entries[:, own > 0] @ sp.diags(1 / np.sqrt(own[own > 0]))
-        self.largest = max(self.largest, largest_eigenvalue(lambda v: W @ (W.T @ v), np.ones(W.shape[0])))
+        spread = W.T
+        self.largest = max(self.largest, largest_eigenvalue(lambda v: W @ (spread @ v), np.ones(W.shape[0])))
 
     def product(self, x: Array) -> Array:
         y: Array = self._level.matrix @ x
         entries, columns = self._added
         if entries.shape[0]:
-            y[columns] += entries.T @ (entries @ x[columns])
+            y[columns] += self._spread @ (entries @ x[columns])
         return y
 
     def restricted(self, r: Array) -> Array:

@@ -224,9 +224,9 @@ class SparseFrictionRun(FrictionRun):
         return Final(answer.displacement, *forces, friction_force=answer.friction_force)
 
     def work(self, corrections: int) -> Work:
-        """What it has cost: a factorisation for each combination."""
+        """What it has cost: combinations that differ in few contacts share a factorisation."""
         return Work(
-            factorisations=self._found.steps,
+            factorisations=self._found.factorisations,
             back_substitutions=self._found.back_substitutions,
             iterations=self._found.steps,
             retained=self.problem.dimension,

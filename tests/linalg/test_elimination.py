@@ -342,6 +342,26 @@ def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monke
 
 
 @needs_pardiso
+def test_minimum_degree_orders_plane_stiffnesses_alone(monkeypatch):
+    """Saddle points of programs, and rows that touch everything, may take it minutes."""
+    n, matrix = strip_with_rows(40, 1)
+    asked = []
+    plain = Pardiso.__init__
+
+    def seen(self, *given, **named):
+        asked.append(named["ordering"])
+        plain(self, *given, **named)
+
+    monkeypatch.setattr(Pardiso, "__init__", seen)
+    unknowns, everything = np.arange(n), sp.csr_matrix((np.ones(n), (np.zeros(n, dtype=int), np.arange(n))), (n, n))
+    arrow = sp.csr_matrix(matrix[:n, :n] + everything + everything.T)
+    EliminationOrder(n).factorised(matrix[:n, :n], unknowns)
+    EliminationOrder(n).factorised(matrix, unknowns, pardiso.INDEFINITE)
+    EliminationOrder(n).factorised(arrow, unknowns, pardiso.INDEFINITE)
+    assert asked == [pardiso.MINIMUM_DEGREE, pardiso.NESTED_DISSECTION, pardiso.NESTED_DISSECTION]
+
+
+@needs_pardiso
 def test_an_order_that_would_fill_in_is_found_anew():
     n, matrix = strip_with_rows(40, 1)
     order, unknowns = EliminationOrder(n), np.arange(n)

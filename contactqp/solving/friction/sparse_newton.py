@@ -27,17 +27,18 @@ from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 
 # Combinations before it is given up, and the sweeps of refinement that tell their signs.
-MAX_STEPS, LOOSE_SWEEPS = 40, 2
+MAX_STEPS, LOOSE_SWEEPS = 40, 1
 # Signs that fail by this part of the largest force, lengths and forces both in sqrt(energy), fail by rounding.
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class SparseNewtonAnswer:
-    """Coulomb's answer to the last digits, and the combinations it took."""
+    """Coulomb's answer to the last digits, the combinations it took, and how many of them were factorised."""
 
     answer: Answer
     steps: int
+    factorisations: int
     back_substitutions: int
 
 
@@ -58,6 +59,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
         The combinations come back, or one of them has a system without an inverse.
     """
     rows, spent, began = frictional_rows(problem), 0, time.perf_counter()
+    before = rows.factorisations
     here = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(problem.ties))
     status, seen = _plain(rows, _first(problem, settings)), set()
     for step in range(1, (settings.max_iter or MAX_STEPS) + 1):
@@ -75,7 +77,8 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
         if np.array_equal(following, status):
             last = refined_sparse(problem, status, here, MAX_SWEEPS).answer(1)
             spent += rows.system(problem, status).back_substitutions - solved
-            return SparseNewtonAnswer(without_noise(problem, rows, last, here), step, spent)
+            clean = without_noise(problem, rows, last, here)
+            return SparseNewtonAnswer(clean, step, rows.factorisations - before, spent)
         if following.tobytes() in seen:  # the signs of a few contacts chase each other: one at a time
             one = _next_unseen(status, following, seen)
             if one is None:

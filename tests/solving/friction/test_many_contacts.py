@@ -12,6 +12,8 @@ from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
+from contactqp.linalg.sparse_states import MOST_CHANGES, ChangedStateSystem, SparseStateSystem, frictional_rows
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction import sparse_newton
 
 pytest.importorskip("pyamg")
@@ -66,6 +68,53 @@ def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
     largest = float(np.max(dense.normal_force))
     assert sparse.normal_force == pytest.approx(dense.normal_force, abs=1e-12 * largest)
     assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_combination_near_a_factorised_one_is_solved_by_its_factors(seed: int) -> None:
+    problem, rng = pushed(seed), np.random.default_rng(seed)
+    rows, m = frictional_rows(problem), problem.contacts
+    status = rng.choice([OPEN, STICK, SLIP_ON, SLIP_BACK], m).astype(np.int8)
+    status[~rows.slides & (status == STICK)] = SLIP_ON
+    factorised = SparseStateSystem(problem, rows, status)
+    changed = status.copy()
+    chosen = np.flatnonzero(rows.slides)[: MOST_CHANGES // 2 * 8 : 8]
+    changed[chosen] = rng.choice([OPEN, STICK, SLIP_ON, SLIP_BACK], len(chosen))
+    by_factors = ChangedStateSystem(rows, factorised, changed)
+    anew = SparseStateSystem(problem, rows, changed)
+    assert by_factors.regular
+    assert anew.regular
+    right = [rng.normal(size=size) for size in (problem.dimension, m, m, problem.ties)]
+    for here, there in zip(by_factors.correct(*right), anew.correct(*right), strict=True):
+        assert here == pytest.approx(there, abs=1e-11 * float(np.max(abs(there), initial=0.0)))
+
+
+def test_newton_factorises_the_first_combination_and_changes_it() -> None:
+    problem = strip(1000, 0.05, 0.05)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.work.iterations > 3
+    assert solution.work.factorisations == 1
+
+
+def test_a_change_that_leaves_no_inverse_is_factorised_anew() -> None:
+    """Two contacts of one node: the second one closes where the first is closed, and is redundant."""
+    problem = pushed(0)
+    twice = problem.replace(
+        normal=sp.vstack([problem.normal, problem.normal[:1]]),
+        gap=np.append(problem.gap, problem.gap[0]),
+        tangent=sp.vstack([problem.tangent, problem.tangent[:1]]),
+        friction=np.append(problem.friction, problem.friction[0]),
+        slip_origin=np.vstack([problem.slip_origin, problem.slip_origin[:1]]),
+        contact_names=None,
+    )
+    rows, status = frictional_rows(twice), np.full(twice.contacts, STICK, dtype=np.int8)
+    status[-1] = OPEN
+    assert rows.system(twice, status).regular
+    status = status.copy()
+    status[-1] = STICK
+    assert not rows.system(twice, status).regular
+    assert rows.factorisations == 2
 
 
 def test_few_contacts_are_condensed_as_ever() -> None:
