@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import at_rule
 from contactqp.elements.mesh import Mesh
+from contactqp.elements.reference_elements import at_rule
 
 Vector = NDArray[np.float64]
 

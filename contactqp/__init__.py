@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from contactqp.elements.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
     from contactqp.elements.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
     from contactqp.elements.constrained_energy import PartState as PartState
+    from contactqp.elements.deformable import ContactGroup as ContactGroup
+    from contactqp.elements.deformable import ObstacleContact as ObstacleContact
     from contactqp.elements.deformable import Supported as Supported
     from contactqp.elements.energy_parts import AtLeast as AtLeast
     from contactqp.elements.energy_parts import AtMost as AtMost
@@ -49,8 +51,6 @@ if TYPE_CHECKING:
     from contactqp.elements.nonlinear_truss import UpdatedTruss as UpdatedTruss
     from contactqp.elements.obstacle import Plane as Plane
     from contactqp.elements.obstacle import SignedDistance as SignedDistance
-    from contactqp.elements.obstacle_contact import ContactGroup as ContactGroup
-    from contactqp.elements.obstacle_contact import ObstacleContact as ObstacleContact
     from contactqp.elements.pairing import Pairing as Pairing
     from contactqp.elements.pairing import pair as pair
     from contactqp.elements.pairing import pair_scalar as pair_scalar
@@ -125,7 +125,7 @@ _HOME = {
     "Circle": "elements.round_obstacle",
     "ConstrainedEnergy": "elements.constrained_energy",
     "ConstrainedMinimum": "elements.constrained_energy",
-    "ContactGroup": "elements.obstacle_contact",
+    "ContactGroup": "elements.deformable",
     "ContactProblem": "model.problem",
     "ContactQPError": "errors",
     "CriticalFriction": "certificate.critical_friction",
@@ -151,7 +151,7 @@ _HOME = {
     "NotCertified": "errors",
     "NotConverged": "errors",
     "Obstacle": "elements.energy_parts",
-    "ObstacleContact": "elements.obstacle_contact",
+    "ObstacleContact": "elements.deformable",
     "Pairing": "elements.pairing",
     "Paraboloid": "elements.round_obstacle",
     "PartState": "elements.constrained_energy",

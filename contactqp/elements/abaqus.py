@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import KINDS, REFERENCES
+from contactqp.elements.reference_elements import KINDS, REFERENCES, Block
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import KINDS, REFERENCES, Reference
+from contactqp.elements.reference_elements import KINDS, REFERENCES, Block, Reference
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 

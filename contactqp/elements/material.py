@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import Geometry
+from contactqp.elements.reference_elements import Geometry
 from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import at_rule
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.nodal_pressure import tributary_areas
+from contactqp.elements.reference_elements import at_rule
 from contactqp.elements.scalars import positive_number
 from contactqp.elements.solid import assemble, pattern
 from contactqp.elements.surface import Surface

@@ -13,8 +13,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.geometry import Block, Geometry, at_rule, batches, boundary, facet_keys, find
-from contactqp.elements.reference_elements import KINDS, REFERENCES, Reference
+from contactqp.elements.reference_elements import (
+    KINDS,
+    REFERENCES,
+    Block,
+    Geometry,
+    Reference,
+    at_rule,
+    batches,
+    boundary,
+    facet_keys,
+    find,
+)
 from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.abaqus import Cells, mesh_from_cells, read_abaqus
-from contactqp.elements.geometry import Block, at_rule
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import REFERENCES, Reference
+from contactqp.elements.reference_elements import REFERENCES, Block, Reference, at_rule
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.model.arrays import Index
 

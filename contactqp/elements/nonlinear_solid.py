@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.elements.geometry import Block, batches, sum_at_nodes
+from contactqp.elements.reference_elements import Block, batches, sum_at_nodes
 from contactqp.elements.scalars import real_array
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem

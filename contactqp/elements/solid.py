@@ -16,10 +16,21 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.geometry import Block, Geometry, at_rule, batches, sum_at_nodes
 from contactqp.elements.material import MODELS, STRAINS, Material, Model, measure, strain_matrix, strains
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import REFERENCES, Quadrature, Reference, gauss, tetrahedron, triangle
+from contactqp.elements.reference_elements import (
+    REFERENCES,
+    Block,
+    Geometry,
+    Quadrature,
+    Reference,
+    at_rule,
+    batches,
+    gauss,
+    sum_at_nodes,
+    tetrahedron,
+    triangle,
+)
 from contactqp.elements.scalars import positive_number, real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem

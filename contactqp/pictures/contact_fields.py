@@ -13,10 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import Block, facet_keys
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.reference_elements import Reference
+from contactqp.elements.reference_elements import Block, Reference, facet_keys
 from contactqp.elements.solid import Body, stress_at_nodes, von_mises
 from contactqp.elements.structure import Structure, System
 from contactqp.errors import InvalidProblem, Unsupported

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactqp.elements.geometry import Block
+from contactqp.elements.reference_elements import Block
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import (

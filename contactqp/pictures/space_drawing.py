@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.reference_elements import Block
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import Units
 from contactqp.pictures import style

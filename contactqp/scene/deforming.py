@@ -14,9 +14,8 @@ import numpy as np
 
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.large_deformation import large_deformation
-from contactqp.elements.deformable import ContactGeometry, Supported
+from contactqp.elements.deformable import ContactGeometry, ContactGroup, ObstacleContact, Supported
 from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTruss
-from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from contactqp.elements import mesh
-from contactqp.elements.geometry import Block, Geometry
 from contactqp.elements.mesh import Mesh, mesh_from_arrays
-from contactqp.elements.reference_elements import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES, Block, Geometry
 from contactqp.elements.shapes import box, rectangle
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import PLANE, SOLID

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements.deformable import ContactGeometry, Deformable, Supported
+from contactqp.elements.deformable import ContactGeometry, ContactGroup, Deformable, ObstacleContact, Supported
 from contactqp.elements.nonlinear_truss import NonlinearTruss
-from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.errors import InvalidProblem
 from tests.elements.derivatives import check_derivatives
 from tests.elements.test_obstacles import OBSTACLES

@@ -6,8 +6,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from contactqp.elements.geometry import at_rule
-from contactqp.elements.reference_elements import KINDS, REFERENCES, gauss, tetrahedron, triangle
+from contactqp.elements.reference_elements import KINDS, REFERENCES, at_rule, gauss, tetrahedron, triangle
 from tests.elements.bodies import distorted
 
 ALL = list(REFERENCES)

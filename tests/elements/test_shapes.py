@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from contactqp.elements import shapes
-from contactqp.elements.geometry import at_rule
-from contactqp.elements.reference_elements import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES, at_rule
 from contactqp.elements.shapes import spacing
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import PLANE, SOLID

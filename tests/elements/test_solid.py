@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from contactqp.elements import geometry
+from contactqp.elements import reference_elements
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import mesh_from_arrays
 from contactqp.elements.mesh_files import mesh_from_skfem
@@ -209,7 +209,7 @@ def test_the_work_of_assembly_grows_with_the_entries_only():
 def test_batches_of_elements_change_nothing(monkeypatch):
     mesh = distorted("hex8", 3)
     whole = Body(mesh, STEEL, "3d").stiffness
-    monkeypatch.setattr(geometry, "BATCH", 10 * 8 * 6 * 24)  # ten elements at a time, and seven at last
+    monkeypatch.setattr(reference_elements, "BATCH", 10 * 8 * 6 * 24)  # ten elements at a time, and seven at last
     assert abs(Body(mesh, STEEL, "3d").stiffness - whole).max() == 0
     nodes = mesh.blocks[0].nodes.copy()
     nodes[25] = nodes[25][[4, 5, 6, 7, 0, 1, 2, 3]]

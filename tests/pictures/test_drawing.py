@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements.geometry import Block
-from contactqp.elements.reference_elements import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES, Block
 from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.pictures.contact_fields import contact_fields, edge_points, edges, outline_points, pieces, sample

@@ -8,10 +8,9 @@ import pytest
 import contactqp as cq
 from contactqp.certificate.critical_friction import _one_sign, of_operator
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
-from contactqp.elements.geometry import Block
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference_elements import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES, Block
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.delassus import frictional_compliance
