@@ -17,11 +17,10 @@ import numpy as np
 
 from benchmarks.scaling.case import block
 from contactqp.distributed.distributed_bodies import distributed_model
-from contactqp.distributed.environment import aij_copy, petsc
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import chosen_solver
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, aij_copy, petsc
 from contactqp.distributed.solving import ENERGY, iteration_of, solve_distributed
 
 # What PETSc logs of a solution by conjugate gradients; each counts what happens inside of it too.

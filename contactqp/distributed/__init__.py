@@ -13,5 +13,5 @@ partition_mesh    shares of the elements of shapes and files, the cut of their g
 mesh_nodes        owners and numbers of nodes, the distributed stiffness, the surfaces that may touch
 mesh_system       supports and loads on the pieces of a mesh, and the contact problem that they make
 distributed_bodies, running_on_ranks   case files on ranks; checkpoint keeps the steps of a path
-environment       PETSc and MPI loaded; ranks has sums and messages, rows the matrices of constraints
+ranks             PETSc and MPI loaded, sums and messages of ranks; rows has the matrices of constraints
 """

@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.environment import Product, aij_copy, petsc, temporary_options
 from contactqp.distributed.iteration import stacked_rows
 from contactqp.distributed.preconditioner import AUTO, FACTORISED, MUMPS, failing_as_backend, refuse_failed_factors
 from contactqp.distributed.problem import DistributedProblem, message_of_first
+from contactqp.distributed.ranks import Product, aij_copy, petsc, temporary_options
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, Unsupported
 from contactqp.model.arrays import Indices, Vector

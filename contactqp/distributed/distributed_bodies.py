@@ -19,9 +19,9 @@ from contactqp.distributed.mesh_system import PieceSystem, prescribed_displaceme
 from contactqp.distributed.partition_mesh import FileSource, LatticeSource, MeshPiece, Source, partition_meshes
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
-from contactqp.elements.geometry import Block
 from contactqp.elements.loads import node_numbers
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.reference_elements import Block
 from contactqp.elements.solid import stress_sums
 from contactqp.elements.structure import FreeContacts, Part, Structure, Support, free_contacts
 from contactqp.errors import Unsupported

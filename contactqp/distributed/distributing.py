@@ -19,9 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import block_matrix, petsc
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks, ask_ranks, entries_of_rows
+from contactqp.distributed.ranks import Ranks, ask_ranks, block_matrix, entries_of_rows, petsc
 from contactqp.distributed.rows import Rows
 from contactqp.linalg.factorization import null_space
 from contactqp.linalg.measures import bodies

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.environment import petsc
 from contactqp.distributed.floating import FloatingMotions
 from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Flags, Limits
 from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections

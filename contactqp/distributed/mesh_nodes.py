@@ -12,11 +12,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from contactqp.distributed.environment import block_type, petsc
 from contactqp.distributed.partition_mesh import MeshPiece
-from contactqp.distributed.ranks import Ranks, ask_ranks
-from contactqp.elements.geometry import Block, batches
+from contactqp.distributed.ranks import Ranks, ask_ranks, block_type, petsc
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.reference_elements import Block, batches
 from contactqp.elements.solid import Body, pattern
 from contactqp.elements.structure import Part, Structure
 from contactqp.elements.surface import Surface

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.environment import Product, petsc
 from contactqp.distributed.mesh_nodes import ContactSurfaces, Nodes, assemble_stiffness, connected_parts, incidence
 from contactqp.distributed.partition_mesh import number_codes
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Product, Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.elements.loads import Load
 from contactqp.elements.structure import EVERYTHING_HELD, FreeContacts, Structure, Support

@@ -10,9 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.distributed import smoothed_aggregation
-from contactqp.distributed.environment import PREFIX, aij_copy, petsc, release_free_memory, temporary_options
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks, rows_of_other_ranks
+from contactqp.distributed.ranks import (
+    PREFIX,
+    Ranks,
+    aij_copy,
+    petsc,
+    release_free_memory,
+    rows_of_other_ranks,
+    temporary_options,
+)
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported

@@ -11,8 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import Product
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Product, Ranks
 from contactqp.distributed.rows import Rows, StoredBlocks, stored_rows
 from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
 from contactqp.model.problem import Units

@@ -14,8 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import block_type, petsc
-from contactqp.distributed.ranks import entries_of_rows
+from contactqp.distributed.ranks import block_type, entries_of_rows, petsc
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.model.arrays import Index, Vector
 
@@ -189,7 +188,7 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
     if matrix.getType() not in (f"seq{kind}".lower(), f"mpi{kind}".lower()):
         raise Unsupported(
             f"stiffness: expected PETSc's {kind} for blocks of {size} unknowns, got {matrix.getType()}; "
-            "contactqp.distributed.environment.block_matrix makes it"
+            "contactqp.distributed.ranks.block_matrix makes it"
         )
     here, count = ctypes.c_void_p(matrix.handle), (last - first) // size
     with ExitStack() as stack:

@@ -17,8 +17,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import PREFIX, Product, block_matrix, petsc, temporary_options
-from contactqp.distributed.ranks import Ranks, ask_ranks, rows_of_other_ranks
+from contactqp.distributed.ranks import (
+    PREFIX,
+    Product,
+    Ranks,
+    ask_ranks,
+    block_matrix,
+    petsc,
+    rows_of_other_ranks,
+    temporary_options,
+)
 from contactqp.distributed.rows import Rows, StoredBlocks, StoredRows, stored_rows
 from contactqp.errors import Unsupported
 from contactqp.linalg.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one

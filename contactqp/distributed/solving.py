@@ -21,11 +21,10 @@ from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
 from contactqp.distributed import bounded
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.environment import collect_garbage
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import Bodies, DistributedProblem, DistributedSolution, largest_over_ranks
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, collect_garbage
 from contactqp.distributed.violations import violations
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.iterated_states import FrictionRows

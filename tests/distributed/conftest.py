@@ -120,7 +120,7 @@ def finished(process: subprocess.Popen[str], limit: float = LIMIT) -> Finished:
 @cache
 def _unfit(python: str) -> str:
     """Why a Python cannot run these tests; empty where it can."""
-    code = "from contactqp.distributed.environment import petsc; petsc()"
+    code = "from contactqp.distributed.ranks import petsc; petsc()"
     try:
         done = subprocess.run([python, "-c", code], capture_output=True, text=True, env=_environment(), timeout=LIMIT)
     except (OSError, subprocess.TimeoutExpired) as error:

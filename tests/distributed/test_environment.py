@@ -11,15 +11,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from contactqp.distributed import environment
+from contactqp.distributed import ranks
 from contactqp.errors import BackendMissing
 
 
 @pytest.fixture(autouse=True)
 def _asked_anew():
-    environment.petsc.cache_clear()
+    ranks.petsc.cache_clear()
     yield
-    environment.petsc.cache_clear()
+    ranks.petsc.cache_clear()
 
 
 def pretend(monkeypatch, **modules):
@@ -37,16 +37,16 @@ def pretend(monkeypatch, **modules):
             raise names[name]
         return names[name]
 
-    monkeypatch.setattr(environment.importlib.util, "find_spec", find)
-    monkeypatch.setattr(environment.importlib, "import_module", loaded)
+    monkeypatch.setattr(ranks.importlib.util, "find_spec", find)
+    monkeypatch.setattr(ranks.importlib, "import_module", loaded)
 
 
 def said() -> str:
     with pytest.raises(BackendMissing) as caught:
-        environment.petsc()
-    assert str(caught.value).endswith(environment.RECIPE)
+        ranks.petsc()
+    assert str(caught.value).endswith(ranks.RECIPE)
     assert "\n" not in str(caught.value)
-    return str(caught.value).removesuffix(environment.RECIPE)
+    return str(caught.value).removesuffix(ranks.RECIPE)
 
 
 INIT = SimpleNamespace(init=lambda _: None)
@@ -54,7 +54,7 @@ INIT = SimpleNamespace(init=lambda _: None)
 
 def test_nothing_is_installed(monkeypatch):
     pretend(monkeypatch)
-    assert environment.missing() == ["petsc4py", "mpi4py"]
+    assert ranks.missing() == ["petsc4py", "mpi4py"]
     assert said() == "petsc4py and mpi4py not installed: "
 
 
@@ -85,33 +85,33 @@ def test_debians_petsc4py_is_found_on_the_python_that_it_was_built_for(monkeypat
     there = tmp_path / "petsc3.18" / "x86_64-linux-gnu-real" / "lib"
     (there / "petsc4py").mkdir(parents=True)
     (there / "petsc4py" / "__init__.py").touch()
-    monkeypatch.setattr(environment, "_DEBIAN", str(tmp_path / "petsc*" / "*-real" / "lib"))
+    monkeypatch.setattr(ranks, "_DEBIAN", str(tmp_path / "petsc*" / "*-real" / "lib"))
     monkeypatch.delenv("PETSC_DIR", raising=False)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if "petsc" not in entry])
     if importlib.util.find_spec("petsc4py") is not None:
         pytest.skip("a petsc4py of its own stands on this Python's path")
     monkeypatch.setattr(sys, "base_prefix", "/opt/another")
-    environment.missing()
+    ranks.missing()
     assert importlib.util.find_spec("petsc4py") is None
     monkeypatch.setattr(sys, "base_prefix", "/usr")
-    environment.missing()
+    ranks.missing()
     found = importlib.util.find_spec("petsc4py")
     assert found is not None
     assert found.origin == str(there / "petsc4py" / "__init__.py")
 
 
 def test_a_petsc_that_petsc_dir_names_is_not_mixed_with_debians(monkeypatch, tmp_path):
-    monkeypatch.setattr(environment, "_DEBIAN", str(tmp_path))
+    monkeypatch.setattr(ranks, "_DEBIAN", str(tmp_path))
     monkeypatch.setenv("PETSC_DIR", "/opt/petsc")
     monkeypatch.setattr(sys, "base_prefix", "/usr")
     monkeypatch.setattr(sys, "path", list(sys.path))
-    environment.missing()
+    ranks.missing()
     assert str(tmp_path) not in sys.path
 
 
 def test_nothing_is_loaded_to_find_out():
     code = (
-        "import sys; from contactqp.distributed.environment import missing; missing(); "
+        "import sys; from contactqp.distributed.ranks import missing; missing(); "
         "print([m for m in sys.modules if m.startswith(('petsc4py', 'mpi4py'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,7 +11,7 @@ import pytest
 from qpsolvers.solvers import solve_function
 
 from contactqp.analysis.motion.schemes import SCHEMES
-from contactqp.distributed.environment import RECIPE
+from contactqp.distributed.ranks import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
 from contactqp.solving.friction.algorithms import ALGORITHMS

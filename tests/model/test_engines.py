@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.cli import main
-from contactqp.distributed import environment
+from contactqp.distributed import ranks
 from tests.shipped_cases import FOLDER
 
 BAR = FOLDER / "bar_wall.toml"
@@ -18,10 +18,10 @@ BAR = FOLDER / "bar_wall.toml"
 
 @pytest.fixture
 def _no_petsc(monkeypatch):
-    environment.petsc.cache_clear()
-    monkeypatch.setattr(environment, "missing", lambda: ["petsc4py", "mpi4py"])
+    ranks.petsc.cache_clear()
+    monkeypatch.setattr(ranks, "missing", lambda: ["petsc4py", "mpi4py"])
     yield
-    environment.petsc.cache_clear()
+    ranks.petsc.cache_clear()
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_without_petsc4py_the_flag_says_how_to_install_it(bar, capsys):
     assert end.value.code == 3
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == f"contactqp: petsc4py and mpi4py not installed: {environment.RECIPE}\n"
+    assert err == f"contactqp: petsc4py and mpi4py not installed: {ranks.RECIPE}\n"
 
 
 def test_the_engine_of_one_process_is_the_default(bar):
@@ -82,4 +82,4 @@ def test_steps_are_kept_by_the_engine_of_several_ranks_alone(capsys, tmp_path):
 def test_readme_and_guide_have_the_recipe():
     for page in ("README.md", "docs/guide/petsc.md"):
         text = (FOLDER.parent / page).read_text(encoding="utf-8")
-        assert environment.RECIPE in " ".join(text.split())
+        assert ranks.RECIPE in " ".join(text.split())

@@ -11,8 +11,7 @@ import contactqp as cq
 from contactqp.distributed.bounded import METHODS, SOLVERS, bound_unknowns
 from contactqp.distributed.distributed_bodies import distributed_model
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, Unsupported
 from contactqp.scene.building import build

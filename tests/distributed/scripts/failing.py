@@ -11,8 +11,7 @@ import numpy as np
 
 import contactqp.distributed.running_on_ranks as running
 from contactqp.cli import main
-from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.errors import NoEquilibrium
 
 # Bytes that a rank may still take, and more than that.

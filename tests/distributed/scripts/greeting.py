@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, petsc
 
 given = list(sys.argv)
 ranks, PETSc = Ranks(), petsc()

@@ -11,8 +11,7 @@ from contactqp.distributed import preconditioner, smoothed_aggregation
 from contactqp.distributed import rows as stored_rows_module
 from contactqp.distributed import smoothed_aggregation as aggregates_module
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.environment import aij_copy
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, aij_copy
 from contactqp.distributed.rows import chosen_rows, stored_rows
 from contactqp.distributed.smoothed_aggregation import Aggregates, smoothed_level
 from contactqp.distributed.solving import iteration_of

@@ -8,8 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.distributed import smoothed_aggregation
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import Unsupported
 from tests.blocks_in_space import on_sphere
