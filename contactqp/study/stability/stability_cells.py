@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from contactqp.certificate.bounds import REDUNDANT
+from contactqp.certificate.uniqueness import FORCES, SEVERAL
 from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
@@ -21,9 +23,18 @@ from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
 from contactqp.study.settings import DEFAULT_TOLERANCE, Setting, chosen_methods, contact_stiffness
 from contactqp.study.stability import body_axes, problem_axes
-from contactqp.study.stability.axis_problem import Axis, AxisProblem, certificate_statement
-from contactqp.study.stability.condition import UNIT_ROUNDOFF, Prediction, predict
+from contactqp.study.stability.axis_problem import (
+    UNIT_ROUNDOFF,
+    Axis,
+    AxisProblem,
+    Prediction,
+    SweptTruth,
+    predict,
+)
 from contactqp.study.truth import ERROR_TOLERANCE
+
+# The rounding of the truth to doubles, which may add to an error that equals its bound.
+ROUNDING = 1e-12
 
 AXES: tuple[Axis, ...] = (
     problem_axes.PENALTY_STIFFNESS,
@@ -339,3 +350,27 @@ def _prediction_columns(prediction: Prediction) -> dict[str, Any]:
         predicted_modelling=prediction.modelling,
         predicted_error_force=finite(prediction.error),
     )
+
+
+def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
+    """Return the statement by which a passing certificate admits an error above 1e-6; empty where it has none.
+
+    That uniqueness was not examined, or that other answers are not excluded, is no such statement.
+    """
+    certificate = solution.certificate
+    if SEVERAL in certificate.uniqueness:
+        return f"the certificate says: {'; '.join(certificate.uniqueness)}"
+    if not truth.exists:
+        return ""
+    if certificate.force_bound is None:
+        statements = [text for text in certificate.reasons if text.startswith("force_bound") and REDUNDANT in text]
+        statements += [finding for finding in certificate.uniqueness if finding == FORCES]
+        resultants = replace(truth, unique_forces=False)
+        errors = resultants.errors(solution.displacement, solution.normal_force, solution.tie_force)
+        return f"the certificate says: {statements[0]}" if statements and errors.small else ""
+    off = np.abs(solution.normal_force - truth.normal_force)
+    allowed = certificate.force_bound + ROUNDING * np.abs(truth.normal_force)
+    together = replace(truth, unique_forces=False).errors(solution.displacement, truth.normal_force, solution.tie_force)
+    if bool(np.all(off <= allowed)) and together.small:
+        return f"the certificate's own force bound is {float(np.max(certificate.force_bound)):.1e}"
+    return ""

@@ -13,8 +13,7 @@ import numpy as np
 from contactqp.study import rows as report_rows
 from contactqp.study.curves import Chart, method_style
 from contactqp.study.stability import problem_axes
-from contactqp.study.stability.axis_problem import NEXT_TO_ONE, Axis
-from contactqp.study.stability.condition import UNIT_ROUNDOFF
+from contactqp.study.stability.axis_problem import NEXT_TO_ONE, UNIT_ROUNDOFF, Axis
 from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
 from contactqp.study.stability.stability_cells import ALL_DIGITS, CUT_OFF, STATED, StabilityRow, digits_lost
 

@@ -19,12 +19,11 @@ from contactqp.study.stability.axis_problem import (
     ExactAnswer,
     SweptTruth,
     answer_with_closed,
-    certificate_statement,
+    predict,
     refuse_wrong,
 )
-from contactqp.study.stability.condition import predict
 from contactqp.study.stability.problem_axes import UNITS
-from contactqp.study.stability.stability_cells import AXES, find_axis, stability_row
+from contactqp.study.stability.stability_cells import AXES, certificate_statement, find_axis, stability_row
 from contactqp.study.stability.stability_charts import best_penalty_of_truss
 from contactqp.study.stability.stability_report import safe_ranges
 
