@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
 from contactqp.elements.nodal_pressure import faceting_notes, from_areas, tributary_areas
@@ -21,9 +20,7 @@ from contactqp.elements.surface import (
     middle_normals,
 )
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array, own_floating_point
-
-Places = NDArray[np.int64]
+from contactqp.model.arrays import Array, Index, own_floating_point
 
 # As node to segment: polygons of round bodies that fit overlap by a few per cent of their facets.
 OVERLAP = 0.05
@@ -117,8 +114,8 @@ def pair_mortar(
 class _Covers:
     """The master facets that cover slave facets, and the integrals over the common parts."""
 
-    slave: Places
-    master: Places
+    slave: Index
+    master: Index
     over: Integrals
 
 
@@ -191,14 +188,14 @@ def _assemble(slave: Surface, master: Surface, covers: _Covers, n: int) -> Pairi
     return Pairing(E_N, gap, E_T, nodes, points, direction, unpaired, area, projection, notes)
 
 
-def _summed(nodes: Places, values: Array, body: Surface) -> Array:
+def _summed(nodes: Index, values: Array, body: Surface) -> Array:
     """Return the values (s, k, c) of facets added up at their nodes (s, k): (N, c)."""
     total = np.zeros((len(body.points), values.shape[2]))
     np.add.at(total, nodes, values)
     return total
 
 
-def _entries(facet: Places, columns: Places, weight: Array, body: Surface) -> tuple[Places, Places, Array, Places]:
+def _entries(facet: Index, columns: Index, weight: Array, body: Surface) -> tuple[Index, Index, Array, Index]:
     """Return the slave facet, the place of the row's node in it, the weight, and the unknowns of each of weight's
     entries.
     """
@@ -209,7 +206,7 @@ def _entries(facet: Places, columns: Places, weight: Array, body: Surface) -> tu
     return facets, rows, weight.ravel(), body.unknowns[nodes]
 
 
-def _unit(slave: Surface, nodes: Places, vectors: Array) -> Array:
+def _unit(slave: Surface, nodes: Index, vectors: Array) -> Array:
     length = np.linalg.norm(vectors, axis=1)
     if len(nodes) and length.min() == 0:
         raise InvalidProblem(

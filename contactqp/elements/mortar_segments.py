@@ -17,21 +17,21 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contactqp.elements.nearest_facet import bounding_balls, overlapping_balls
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.surface import (
     FacetKind,
     Surface,
+    bounding_balls,
     diameters,
     middle_normals,
+    overlapping_balls,
     solve_small,
     tangent_vectors,
     triangle_quadrature,
 )
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Index
 
-Places = NDArray[np.int64]
 # Facets face each other when their normals are within 60 degrees of opposite: -cos 60.
 FACING = -0.5
 # Common parts below this part of the slave facet are rounding.
@@ -54,8 +54,8 @@ CONVERGED = 1e-12
 class Segments:
     """The s common parts of slave and master facets, in the coordinates of the slave facets' planes [length]."""
 
-    slave: Places  # (s,) facets
-    master: Places  # (s,) facets
+    slave: Index  # (s,) facets
+    master: Index  # (s,) facets
     slave_corners: Array  # (s, k, d-1)
     slave_height: Array  # (s, k) along n over the plane
     master_corners: Array  # (s, l, d-1)
@@ -98,7 +98,7 @@ def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[S
 
 def _candidates(
     positions: Array, others: Array, normals: Array, master: Surface, reach: float | None
-) -> Iterator[tuple[Places, Places]]:
+) -> Iterator[tuple[Index, Index]]:
     """Return the master facets whose balls touch the tube that a slave facet's ball sweeps along its normal."""
     centres, radii = bounding_balls(positions)
     other_centres, other_radii = bounding_balls(others)
@@ -139,7 +139,7 @@ def _sizes(common: Array) -> Array:
     return common[:, 1, 0] - common[:, 0, 0] if common.shape[2] == 1 else areas(common)
 
 
-def _refuse_double_cover(slave: Surface, master: Surface, s: Places, m: Places, common: Array, size: Array) -> None:
+def _refuse_double_cover(slave: Surface, master: Surface, s: Index, m: Index, common: Array, size: Array) -> None:
     """Refuse common parts of one slave facet that overlap."""
     middle = common.mean(axis=1)
     radii = np.linalg.norm(common - middle[:, np.newaxis], axis=2).max(axis=1, initial=0.0)
@@ -197,7 +197,7 @@ def integrate(slave: FacetKind, master: FacetKind, segments: Segments) -> Integr
     return _summed(np.concatenate(order), joined(parts), len(segments.slave))
 
 
-def _summed(owner: Places, cells: Integrals, s: int) -> Integrals:
+def _summed(owner: Index, cells: Integrals, s: int) -> Integrals:
     """Return the integrals over segments from those over their cells."""
     total = sp.csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(s, len(owner)))
     least = np.full(s, np.inf)
@@ -210,7 +210,7 @@ def _summed(owner: Places, cells: Integrals, s: int) -> Integrals:
     return Integrals(sums(cells.shape), sums(cells.mass), sums(cells.coupling), sums(cells.gap), least)
 
 
-def _cells(common: Array) -> tuple[Places, Array, Array]:
+def _cells(common: Array) -> tuple[Index, Array, Array]:
     """Return intervals or triangles: the segment each belongs to (c,), its vertices (c, d, d-1), its length or area
     (c,).
     """
@@ -234,7 +234,7 @@ def _gauss_points(cells: Array, sizes: Array, points: int) -> tuple[Array, Array
 
 
 def _over_cells(
-    slave: FacetKind, master: FacetKind, segments: Segments, owner: Places, at: Array, weight: Array
+    slave: FacetKind, master: FacetKind, segments: Segments, owner: Index, at: Array, weight: Array
 ) -> Integrals:
     N = _shape_at(slave, segments.slave_corners[owner], at)
     M = _shape_at(master, segments.master_corners[owner], at)

@@ -20,7 +20,7 @@ from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
 from contactqp.errors import InvalidProblem, StartWarning
-from contactqp.model.arrays import Array, computes, own_floating_point
+from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
 
 # The part of the size of a body that no interference fit overlaps by.
@@ -73,7 +73,6 @@ def doubt_of_side(surface: Surface, gap: Array, normals: Array, called: str, uni
 
 
 Side = Literal["above", "below"]
-Places = NDArray[np.int64]
 
 
 __all__ = ["Pairing", "Plane", "pair"]
@@ -343,7 +342,7 @@ def pair_scalar(
 
 
 def contact_rows(
-    contact: Places, weight: Array, unknowns: Places, normals: Array, tangents: Array, shape: tuple[int, int]
+    contact: Index, weight: Array, unknowns: Index, normals: Array, tangents: Array, shape: tuple[int, int]
 ) -> tuple[Any, Any]:
     """Return E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight
     u_node.
@@ -376,7 +375,7 @@ def contact_rows(
     return E_N, E_T
 
 
-def _sum(entries: tuple[Array, Places, Places], shape: tuple[int, int]) -> Any:
+def _sum(entries: tuple[Array, Index, Index], shape: tuple[int, int]) -> Any:
     values, rows, columns = (np.broadcast_to(part, entries[0].shape).ravel() for part in entries)
     matrix = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
     matrix.eliminate_zeros()

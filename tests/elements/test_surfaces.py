@@ -7,8 +7,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.elements import surface
-from contactqp.elements.nearest_facet import closest_point
 from contactqp.elements.nodal_pressure import node_normals, tributary_areas
+from contactqp.elements.node_to_segment import closest_point
 from contactqp.elements.surface import kind_of, triangle_quadrature
 from contactqp.errors import InvalidProblem
 
