@@ -25,8 +25,10 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find as find_method
-from contactqp.solving.methods import registered_name
+from contactqp.solving.methods import meant_option, registered_name, takes
 
+# What `impact` takes beside the options of a method.
+OWN_ARGUMENTS = ("duration", "time_step", "scheme", "load", "theta", "restitution", "penalty", "start_time")
 # A start may overlap or miss a tie by this part of the lengths that meet there.
 ROUNDING = 1e-9
 
@@ -67,7 +69,7 @@ def impact(
     displacement, velocity : (n,) arrays
         u and v at the start, within the constraints.
     duration, time_step : float
-        The motion has ceil(duration / time_step) steps.
+        The motion has ceil(duration / time_step) steps, at least one: the step is no longer than the duration.
     scheme : str
         "moreau-jean": impulses and Newton's impact law (`theta`, `restitution`); robust, first order at contact.
         "modified-mass": trapezoidal rule, contact nodes without mass (taken from M by `redistributed_mass` where M has
@@ -131,6 +133,7 @@ def impact(
     entry = find(scheme)
     settings = _settings(entry, theta, restitution, penalty)
     method = registered_name(method)
+    _refuse_unknown(method, options)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
     if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
@@ -167,6 +170,16 @@ def impact(
             run.check_critical_step(penalty)
         run.start(u, v)
         return run.lasting(duration)
+
+
+def _refuse_unknown(method: str, options: dict[str, Any]) -> None:
+    """Raise InvalidProblem for an argument that neither `impact` nor the method has."""
+    unknown = sorted(name for name in options if not takes(method, name))
+    if unknown:
+        raise InvalidProblem(
+            f"impact: unknown argument {unknown[0]!r}{meant_option(unknown[0], OWN_ARGUMENTS)}; beside options of "
+            f"{method!r} it takes {', '.join(OWN_ARGUMENTS)}"
+        )
 
 
 def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHistory:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.impact import impact
+from contactqp.analysis.impact import OWN_ARGUMENTS, impact
 from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.elements.loads import solid_mass
 from contactqp.elements.scalars import Number
@@ -53,9 +53,6 @@ def free_places(model: Model) -> NDArray[np.int64]:
     return np.array([unknowns.place[name] for name in unknowns.free], dtype=np.int64)
 
 
-# What `impact` takes beside the options of a method.
-OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "start_time", "load")
-
 # Times of scenes are in seconds.
 TIME_LABEL = "time [s]"
 
@@ -74,7 +71,7 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
     assert motion is not None
     if not find(method).exact:
         raise Unsupported(f"{method}: approximate by design; in a motion contact springs are the scheme 'penalty'")
-    for name in OWN:
+    for name in OWN_ARGUMENTS:
         if name in options:
             raise SceneError(f"{name}: expected in [motion], and not as an option of {method!r}")
     knobs: dict[str, Any] = {}

@@ -271,7 +271,8 @@ def print_failure(console: Console, failure: Failure) -> None:
     if history is None or len(history) == 0:
         return
     what = time_label(failure.scene)
-    console.print(escape(f"{failure.scene.title}: {len(history)} instants so far, to {what} {history.times[-1]:.12g}"))
+    instants = "1 instant" if len(history) == 1 else f"{len(history)} instants"
+    console.print(escape(f"{failure.scene.title}: {instants} so far, to {what} {history.times[-1]:.12g}"))
     print_events(console, history, what)
     print_notes(console, history)
 

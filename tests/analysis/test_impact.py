@@ -33,7 +33,7 @@ def test_overlap_that_a_scheme_allows_is_told_and_none_where_it_holds_gaps(schem
     said = f"penetrates {name} by {depth:.6g} m"
     if scheme in ("newmark", "backward-euler"):
         assert depth < 1e-12
-        assert history.notes == ()
+        assert [note[:18] for note in history.notes] == (["the energy grows b"] if scheme == "newmark" else [])
         return
     assert depth > 1e-3
     (note,) = history.notes

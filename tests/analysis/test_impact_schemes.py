@@ -97,3 +97,22 @@ def test_forces_of_the_wrong_sign_are_not_passed(monkeypatch: pytest.MonkeyPatch
     pulls = int(np.argmin(history.normal_forces[:, 0]))
     assert history.normal_forces[pulls, 0] < 0
     assert not history[pulls].certificate.passed
+
+
+@pytest.mark.parametrize("scheme", ["newmark", "moreau-jean", "modified-mass", "modified-mass-central"])
+def test_energy_that_a_scheme_makes_is_noted_with_the_schemes_that_make_none(scheme: str) -> None:
+    """The rod's 500 J became thousands by the trapezoidal rule, and the history had no note."""
+    history, _ = thrown_rod(scheme, elements=20, courant=0.5)
+    notes = [note for note in history.notes if note.startswith("the energy grows")]
+    assert bool(notes) == (scheme == "newmark")
+    for note in notes:
+        assert note.endswith("the scheme 'newmark' makes it: take 'modified-mass' or 'moreau-jean'")
+        assert f"it reaches {max(energy.total for energy in history.energies):.6g}" in note
+
+
+def test_energy_that_a_load_puts_in_is_not_noted() -> None:
+    """A ball that is pushed against a wall gains all its energy from the load."""
+    ball = cq.ContactProblem(stiffness=[[0.0]], load=[3.0], normal=[[1.0]], gap=[1.0])
+    history = cq.impact(ball, [2.0], [0.0], [0.0], duration=1.1, time_step=0.01, restitution=1.0)
+    assert history.energies[-1].total > 2.0
+    assert not any(note.startswith("the energy") for note in history.notes)

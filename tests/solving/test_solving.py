@@ -235,8 +235,12 @@ def test_the_raw_answer_of_a_problem_with_idle_rows_has_a_force_for_every_row() 
 def test_unknown_names_and_options_are_refused() -> None:
     with pytest.raises(cq.Unsupported, match="active-set"):
         cq.solve(truss(), "activeset")
-    with pytest.raises(cq.InvalidProblem, match="penalty has no default"):
+    with pytest.raises(cq.InvalidProblem, match=r"^penalty has no default"):
         cq.solve(truss(), "penalty")
+    with pytest.raises(cq.InvalidProblem, match=r"^penalty: expected a positive finite number, got -1"):
+        cq.solve(truss(), "penalty", penalty=-1)
+    with pytest.raises(cq.InvalidProblem, match=r"^penalty: expected a positive finite number; expected real numbers"):
+        cq.solve(truss(), "penalty", penalty="soft")
     with pytest.raises(cq.InvalidProblem, match="unknown option"):
         cq.solve(truss(), "osqp", penalty=1.0)
     with pytest.raises(cq.InvalidProblem, match="condense"):

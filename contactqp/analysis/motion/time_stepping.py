@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.mass_matrix import critical_step, touched
-from contactqp.analysis.motion.motion_history import Motion, MotionHistory, said_of_penetration
+from contactqp.analysis.motion.motion_history import Motion, MotionHistory, said_of_motion
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import StepContact, StepProblem, StepResult
@@ -88,8 +88,11 @@ class MotionRun:
             raise InvalidProblem(
                 f"duration: {duration:g} takes more steps of {self._scheme.body.step:g} than can be counted"
             )
+        if ratio < 1 - WHOLE:
+            step = self._scheme.body.step
+            raise InvalidProblem(f"time_step: expected one no longer than the duration, {duration:g}, got {step:g}")
         whole = abs(ratio - round(ratio)) <= WHOLE
-        return self._steps(max(round(ratio) if whole else int(np.ceil(ratio)), 1))
+        return self._steps(round(ratio) if whole else int(np.ceil(ratio)))
 
     def _resumed(self, states: list[State], duration: float) -> MotionHistory:
         """Continue from these states for `MotionHistory.resume`, and leave the first history untouched."""
@@ -121,7 +124,7 @@ class MotionRun:
     @property
     def history(self) -> MotionHistory:
         notes = tuple(self._notes)  # of the steps until now
-        return MotionHistory(self._motion, lambda: (*notes, *said_of_penetration(self._motion)), self._resumed)
+        return MotionHistory(self._motion, lambda: (*notes, *said_of_motion(self._motion)), self._resumed)
 
     def _step(self, state: State, load: Vector, next_load: Vector) -> State:
         answers: tuple[StepResult, ...] = ()

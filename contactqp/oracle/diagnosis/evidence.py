@@ -134,7 +134,7 @@ def symptoms(problem: ContactProblem, answer: Answer, certificate: Certificate) 
         worst = int(np.argmax(found.equilibrium))
         count = int(np.sum(found.equilibrium > limit))
         text = f"{problem.dof_name(worst)} is out of balance by {found.residual[worst]:.4g}{force}"
-        others = f", and {count - 1} other unknowns are too" if count > 1 else ""
+        others = {1: "", 2: ", and another one is too"}.get(count, f", and {count - 1} other unknowns are too")
         yield Finding("equilibrium", text + others)
     if certificate.balance > limit:
         part = f"{certificate.balance:.2g} of the forces that act on it"

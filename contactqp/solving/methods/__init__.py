@@ -208,7 +208,8 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
         )
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
-        raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
+        needed = missing[0] if missing[0] == method.name else f"{method.name}: {missing[0]}"
+        raise InvalidProblem(f"{needed} has no default, state it: solve(..., {missing[0]}=...)")
     if algorithm is not None and problem.frictional and method.solve_friction is not None:
         raise Unsupported(
             f"{method.name}: algorithm={algorithm!r} takes convex steps of another method, and this one has systems of "

@@ -117,11 +117,13 @@ def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: b
         It is anything else.
     """
     sign = "not negative" if zero else "positive"
-    expected = f"{name}: {key}: expected a {sign} finite number or {contacts} of them"
+    whose = key if name == key else f"{name}: {key}"
+    several = f" or {contacts} of them" if contacts > 1 else ""
+    expected = f"{whose}: expected a {sign} finite number{several}"
     try:
         values = read_array(key, value)
     except InvalidProblem as error:
-        raise InvalidProblem(f"{expected}; {error}") from None
+        raise InvalidProblem(f"{expected}; {str(error).removeprefix(f'{key}: ')}") from None
     if np.asarray(value).dtype == bool:
         raise InvalidProblem(f"{expected}, got {value!r}")
     allowed = (values >= 0 if zero else values > 0) & np.isfinite(values)
