@@ -91,8 +91,7 @@ class JudgedAnswer(Certificate):
     @property
     def diagnosis(self) -> str:
         """What is wrong, in one paragraph."""
-        worst = self.contacts[0] if self.contacts else None
-        return paragraph(self, self.problem, self.findings, worst, None if self.passed else self.why_not)
+        return paragraph(self, self.problem, self.findings, self.contacts, None if self.passed else self.why_not)
 
     @own_floating_point
     def table(self, limit: int = 20) -> str:

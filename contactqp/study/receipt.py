@@ -61,6 +61,7 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
         "sha256": hashes(target, problem, candidate, options),
         "verdict": {name: found.get(name) for name in (*SAME, "basis", "diagnosis", "failures", "notes")},
         "figures": _figures(verdict),
+        "wrong_contacts": found.get("worst", []),
         "ignored": found["ledgers"][-1]["ignored"],
     }
     text = json.dumps(data, indent=1, allow_nan=False) + "\n"

@@ -263,3 +263,19 @@ def test_a_solution_with_other_forces_beside_it_is_refused() -> None:
     solution = cq.solve(problem)
     with pytest.raises(cq.InvalidProblem, match="a Solution brings its own forces"):
         cq.certify(problem, solution, normal_force=[1.0])
+
+
+def test_one_wrong_force_among_a_few_right_values_is_named_with_its_right_value() -> None:
+    problem = cq.ContactProblem(
+        [[100.0, -20.0, 0.0], [-20.0, 80.0, -10.0], [0.0, -10.0, 60.0]],
+        [10.0, 5.0, 8.0],
+        [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        [0.02, 0.05],
+    )
+    solution = cq.solve(problem)
+    judged = cq.certify(problem, solution.displacement, solution.normal_force * [1.01, 1.0])
+    assert judged.diagnosis == (
+        "all values are right but one: the normal force of contact 0 is 9.56975 instead of 9.475"
+    )
+    both = cq.certify(problem, solution.displacement, solution.normal_force * [1.01, 0.98])
+    assert both.diagnosis.endswith("at contact 1, and 1 other contact is wrong too")

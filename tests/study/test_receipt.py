@@ -42,6 +42,8 @@ def test_a_receipt_holds_wherever_its_folder_is(capsys: Any, folder: Path, answe
     data = json.loads(receipt_of(capsys, folder, answer).read_text(encoding="utf-8"))
     assert data["verdict"]["right"] is (word == "right")
     assert data["verdict"]["proven"] is True
+    right = [(one["contact"], one["right_normal_force"]) for one in data["wrong_contacts"]]
+    assert right == ([] if word == "right" else [("tip", 142.5)])
     assert set(data["sha256"]) == {"wall.toml", answer}
     assert {"equilibrium", "penetration", "energy_error", "force_error"} <= set(data["figures"])
     moved = folder.rename(folder.parent / "elsewhere")

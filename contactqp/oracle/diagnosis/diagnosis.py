@@ -11,7 +11,7 @@ otherwise. Each of its hypotheses is a problem of its own, solved and held again
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -347,10 +347,11 @@ def paragraph(
     certificate: Certificate,
     problem: ContactProblem,
     findings: tuple[Finding, ...],
-    worst: JudgedContact | None,
+    wrong: Sequence[JudgedContact],
     why_not: str | None,
 ) -> str:
     """Return the findings as one paragraph; without a cause the right values of the worst contact stand with them."""
+    worst, others = (wrong[0] if wrong else None), len(wrong) - 1
     if certificate.passed:
         return "nothing is wrong with this answer"
     causes: list[str] = []
@@ -365,7 +366,8 @@ def paragraph(
         if worst is not None and worst.right_normal_force is not None:
             force, length = unit_of(problem.units.force), unit_of(problem.units.length)
             values = f"a force of {worst.right_normal_force:.6g}{force} at a gap of {worst.right_gap:.3g}{length}"
-            said.append(f"right would be {values} at {worst.name}")
+            more = f", and {others} other contact{'s are' if others > 1 else ' is'} wrong too" if others else ""
+            said.append(f"right would be {values} at {worst.name}{more}")
     said += [one.text for one in findings if one.kind == "several"]
     if why_not is not None:
         said.append(f"no right answer can be set beside it ({why_not})")

@@ -143,7 +143,7 @@ def symptoms(problem: ContactProblem, answer: Answer, certificate: Certificate) 
     if max(bounds) > certificate.error_tolerance and certificate.failures:
         named = zip(("the displacement is", "the contact forces are"), bounds, strict=True)
         off = [f"{what} off by up to {_part(bound)}" for what, bound in named if bound > certificate.error_tolerance]
-        yield Finding("inaccurate", f"{' and '.join(off)}, measured in the energy of the bodies")
+        yield Finding("inaccurate", f"{' and '.join(off)}, in the energy norm")
 
 
 def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, limit: float) -> Iterator[Finding]:

@@ -306,7 +306,7 @@ def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iter
 # Answers of which every value is right but one.
 
 # Values that there must be.
-LEAST = 6
+LEAST = 4
 # A value this near to the right one, as a part of the largest of its kind, is right.
 RIGHT = 1e-9
 
