@@ -1,7 +1,4 @@
-"""A mesh of one body: points, elements, named sets of nodes and named sides of its boundary.
-
-A mesh is checked before it becomes a body, and every refusal names the element, the node or the set.
-"""
+"""A mesh of one body: points, elements, named sets and sides; every refusal names the element, the node or the set."""
 
 from __future__ import annotations
 
