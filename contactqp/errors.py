@@ -7,7 +7,11 @@ imports nothing of the package.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
+from decimal import Decimal
+from numbers import Number
+from reprlib import Repr
 from typing import Any
 
 
@@ -20,6 +24,9 @@ class ContactQPError(Exception):
 
     code = "error"
     history: Sequence[Any] = ()
+
+    def __init__(self, message: object = "", *others: object) -> None:
+        super().__init__(one_line(message) if isinstance(message, str) else message, *others)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle and copy make it of again: its class, its message and its attributes.
@@ -130,6 +137,7 @@ def _made_again(kind: type[ContactQPError], args: tuple[Any, ...]) -> ContactQPE
 
 # What to do with something else, by its type.
 CURES = {
+    "Surface": "; two bodies are paired by pair_mortar(slave, master) or pair_node_to_segment(slave, master)",
     "Scene": "; contactqp.run(scene) solves a scene, scene.problem() is its problem",
     "str": "; contactqp.run(file) solves a case file, contactqp.read_problem(file) reads matrices and programs",
     "Problem": "; contactqp.ContactProblem.from_qp takes the arrays of a quadratic program",
@@ -140,5 +148,44 @@ def refuse_other(who: str, value: object, *kinds: type) -> None:
     """Raise InvalidProblem where a value is of none of the kinds."""
     if not isinstance(value, kinds):
         expected = " or ".join(kind.__name__ for kind in kinds)
-        cure = CURES.get("str" if isinstance(value, os.PathLike) else type(value).__name__, "")
-        raise InvalidProblem(f"{who}: expected a {expected}, got {type(value).__name__}{cure}")
+        raise InvalidProblem(f"{who}: expected a {expected}, got {type(value).__name__}{cure_of(value)}")
+
+
+def cure_of(value: object) -> str:
+    """Return what a user may do with a value that was given in the wrong place."""
+    return CURES.get("str" if isinstance(value, os.PathLike) else type(value).__name__, "")
+
+
+# Words that are longer, paths and names apart, are data of a user's and tell nothing.
+LONGEST_WORD = 300
+_LINE_BREAKS, _LONG_WORDS = re.compile(r"\s*[\r\n]\s*"), re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+
+def one_line(message: str) -> str:
+    """Return a message without line breaks, and with the beginning of words that are longer than any path or name."""
+    return _LONG_WORDS.sub(lambda word: word[0][:60] + "...", _LINE_BREAKS.sub(" ", message))
+
+
+# Texts as long as a line, and the first entries of lists.
+_BRIEF = Repr()
+_BRIEF.maxstring = _BRIEF.maxother = _BRIEF.maxlong = 60
+_BRIEF.maxlevel = 3
+_AS_WRITTEN = (str, bytes, Number, Decimal, type(None), list, tuple, dict, set, frozenset)
+
+
+def shown(value: object) -> str:
+    """Return what a message calls a value, in one short line: numbers and texts as Python writes them, else its type.
+
+    >>> shown(0.5), shown([1, 2]), shown("x" * 100)[:12], shown(BackendMissing)
+    ('0.5', '[1, 2]', "'xxxxxxxxxxx", 'the class BackendMissing')
+    """
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"{type(value).__name__} of shape {shape}"
+    value = value.item() if shape == () and hasattr(value, "item") else value
+    try:
+        return " ".join(_BRIEF.repr(value).split()) if isinstance(value, _AS_WRITTEN) else type(value).__name__
+    except Exception:  # noqa: BLE001  an integer of thousands of digits, entries whose own words fail
+        return type(value).__name__

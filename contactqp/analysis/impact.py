@@ -18,8 +18,9 @@ from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSe
 from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from contactqp.linalg.runtime import one_blas_thread
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
@@ -33,6 +34,7 @@ OWN_ARGUMENTS = ("duration", "time_step", "scheme", "load", "theta", "restitutio
 ROUNDING = 1e-9
 
 
+@checked
 @own_floating_point
 def impact(
     problem: ContactProblem,
@@ -128,7 +130,6 @@ def impact(
     >>> round(thrown.energies[-1].impact, 12)
     12.0
     """
-    refuse_other("impact", problem, ContactProblem)
     problem.refuse_exchanged_arrays()
     entry = find(scheme)
     settings = _settings(entry, theta, restitution, penalty)

@@ -16,6 +16,7 @@ from contactqp.analysis.large.path_following import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable
 from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
 from contactqp.solving.methods import find, registered_name
@@ -28,6 +29,7 @@ CONTROLS: dict[str, tuple[str, ...]] = {
 }
 
 
+@checked
 @own_floating_point
 def large_deformation(
     body: Deformable,
@@ -190,8 +192,6 @@ def _loaded(body: Deformable, contact: ContactGeometry | None, tie: Any, frictio
         raise InvalidProblem(
             f"body: expected `dimension`, `energy`, `internal_force` and `tangent`, got {type(body).__name__}"
         )
-    if contact is not None and not isinstance(contact, ContactGeometry):
-        raise InvalidProblem(f"contact: expected a ContactGeometry, got {type(contact).__name__}")
     n = body.dimension
     width = getattr(contact, "dimension", n)
     if width != n:
@@ -215,8 +215,8 @@ def _start(start: ArrayLike | LargeSolution | None, loaded: LoadedBody) -> Vecto
 
 
 def _program(loaded: LoadedBody, loads: Sequence[ArrayLike], tie_values: Any, start: Vector | LargeSolution) -> Program:
-    if not isinstance(loads, Sequence | np.ndarray) or len(loads) == 0:
-        raise InvalidProblem(f"loads: expected a sequence of at least one load vector, got {type(loads).__name__}")
+    if len(loads) == 0:
+        raise InvalidProblem("loads: expected at least one load vector, got none")
     n, k = loaded.dimension, loaded.tie.shape[0]
     corners = [np.zeros(n), *(read_vector(f"loads[{i}]", load, n) for i, load in enumerate(loads))]
     first = loaded.tie @ start if not isinstance(start, LargeSolution) else np.zeros(k)

@@ -22,10 +22,11 @@ from contactqp.analysis.history import (
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.certificate.subset_bounds import contacts_are_many
-from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import one_blas_thread
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
@@ -36,6 +37,7 @@ from contactqp.solving.solve import begin, solve
 DEFAULT_STEPS = 100
 
 
+@checked
 @own_floating_point
 def follow_path(
     problem: ContactProblem,
@@ -115,7 +117,6 @@ def follow_path(
     >>> [(event.kind, event.time) for event in history.events], round(history.energies[-1].dissipated, 12)
     ([('closed', 0.0), ('slip', 1.3)], 0.105)
     """
-    refuse_other("follow_path", problem, ContactProblem)
     method, corners = registered_name(method), _corners(problem, loads)
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
@@ -227,8 +228,6 @@ class _Steps(LazySolutions):
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:
-    if not isinstance(loads, Sequence | np.ndarray):
-        raise InvalidProblem(f"loads: expected a sequence of load vectors, got {type(loads).__name__}")
     if len(loads) == 0:
         raise InvalidProblem("loads: expected at least one load vector, got none")
     return [np.zeros(problem.dimension), *(problem.replace(load=load).load for load in loads)]

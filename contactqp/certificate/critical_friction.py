@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.number_range import near_one
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
@@ -63,6 +64,7 @@ class CriticalFriction(ReadOnly):
     _friction: Vector
 
 
+@checked
 @own_floating_point
 def critical_friction(problem: ContactProblem) -> CriticalFriction:
     """The critical coefficients of the contacts, the estimate of Tresca's contraction, and whether answers are unique.
@@ -90,7 +92,6 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     >>> found.single.round(9), round(found.contraction, 9), found.unique
     (array([0.5]), 1.6, False)
     """
-    refuse_other("critical_friction", problem, ContactProblem)
     if not problem.frictional or problem.friction is None:
         raise InvalidProblem("critical_friction: expected a problem with friction")
     idle, idle_ties = problem.idle_rows()

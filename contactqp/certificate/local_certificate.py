@@ -33,8 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate.critical_friction import MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.extended import velocity_of
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.coulomb import directions, lengths, natural_map
 from contactqp.model.local_problem import LocalProblem
@@ -122,6 +123,7 @@ LEAST_LOCAL_SCALE = float(np.finfo(float).eps)
 LEAST_GLOBAL_SCALE = float(np.sqrt(np.finfo(float).eps))
 
 
+@checked
 @own_floating_point
 def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / max(|q|, |r|, |u|) with u = W r + q: Siconos's `fc3d_compute_error`, and its like in the plane.
@@ -150,6 +152,7 @@ def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: Ar
     return residual / scale if scale > LEAST_LOCAL_SCALE else residual
 
 
+@checked
 @own_floating_point
 def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / |q|: the error of the comparison of solvers by Acary, Bremond and Huber (2018).
@@ -159,13 +162,13 @@ def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_for
     InvalidProblem
         Wrong shapes, or q = 0.
     """
-    refuse_other("acary_bremond_huber_error", problem, LocalProblem)
     size = float(np.linalg.norm(problem.offset))
     if size == 0:
         raise InvalidProblem("offset: the error is relative to |q|, and q is zero")
     return _local(problem, force, joint_force)[1] / size
 
 
+@checked
 @own_floating_point
 def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / (1 + sqrt(|q|)) + |V'r + R l + s| / (1 + |s|): FCLIB's `fclib_merit_local` with MERIT_1.
@@ -188,6 +191,7 @@ def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLik
     return float(merit + np.linalg.norm(left) / (1 + np.linalg.norm(problem.bilateral_offset)))
 
 
+@checked
 @own_floating_point
 def siconos_global_error(
     problem: ContactProblem, displacement: ArrayLike, normal_force: ArrayLike, friction_force: ArrayLike
@@ -210,7 +214,6 @@ def siconos_global_error(
     Unsupported
         The problem has ties, which Siconos's form has not.
     """
-    refuse_other("siconos_global_error", problem, ContactProblem)
     if problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         raise InvalidProblem("siconos_global_error: expected a problem with tangential rows and friction")
     if problem.ties:
@@ -257,6 +260,7 @@ NOTHING = 1e-12
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
 
 
+@checked
 @own_floating_point
 def certify_local(
     problem: LocalProblem,
@@ -279,7 +283,6 @@ def certify_local(
     InvalidProblem
         Wrong shapes, or a tolerance that is no positive number. NaN is no error here: it fails.
     """
-    refuse_other("certify_local", problem, LocalProblem)
     certificate = judged(problem, force, joint_force, tolerance)
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_stiffness, read_vector
@@ -147,6 +148,7 @@ def minus(form: Form) -> dict[str, float]:
     return {name: -factor for name, factor in form.items()}
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedEnergy:

@@ -19,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import paired
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
-from contactqp.elements.scalars import real_array, real_number, unit_vector
+from contactqp.elements.scalars import real_array, real_number, real_vector, unit_vector
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index, Vector, computes
-from contactqp.model.problem_data import ReadOnly, is_whole, read_only
+from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_shaped, read_whole
 
 
 @runtime_checkable
@@ -98,6 +99,7 @@ class ContactGeometry(Protocol):
         """Return where the contacts are, (m, d) [length]: anchors of a slip."""
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class Supported(ReadOnly):
@@ -126,7 +128,8 @@ class Supported(ReadOnly):
     held: Any
 
     def __post_init__(self) -> None:
-        values = dict(self.held) if isinstance(self.held, Mapping) else dict.fromkeys(np.ravel(self.held).tolist(), 0.0)
+        given = self.held if isinstance(self.held, Mapping) else read_whole("held", self.held).ravel().tolist()
+        values = dict(given) if isinstance(given, Mapping) else dict.fromkeys(given, 0.0)
         n = self.body.dimension
         for place, value in values.items():
             if not is_whole(place) or not 0 <= place < n:
@@ -150,12 +153,12 @@ class Supported(ReadOnly):
         """Return the u of the body from that of the free unknowns."""
         u = np.zeros(self.body.dimension)
         u[list(self.held)] = list(self.held.values())
-        u[self.free] = _of("displacement", displacement, self.dimension)
+        u[self.free] = real_vector("displacement", displacement, self.dimension)
         return u
 
     def restrict(self, load: ArrayLike) -> Vector:
         """Return the loads on the free unknowns from those on all of the body's."""
-        return _of("load", load, self.body.dimension)[self.free]
+        return real_vector("load", load, self.body.dimension)[self.free]
 
     def energy(self, displacement: ArrayLike) -> float:
         """Return the strain energy of the body at these displacements [force * length]."""
@@ -194,13 +197,6 @@ class Supported(ReadOnly):
                 f"{over}; state dimension={self.body.dimension} where it is made"
             )
         return SupportedContact(self, geometry)
-
-
-def _of(what: str, values: ArrayLike, size: int) -> Vector:
-    read = real_array(what, values)
-    if read.shape != (size,):
-        raise InvalidProblem(f"{what}: expected shape ({size},), got {read.shape}")
-    return read
 
 
 @computes
@@ -249,6 +245,7 @@ ROUNDING = 16 * np.finfo(float).eps
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class ObstacleContact(ReadOnly):
@@ -301,7 +298,10 @@ class ObstacleContact(ReadOnly):
 
     def positions(self, displacement: Vector) -> Vector:
         """Return where the nodes are, (m, d) [length]."""
-        return np.asarray(self.points + real_array("displacement", displacement)[self.unknowns])
+        u = real_array("displacement", displacement)
+        if u.ndim != 1 or len(u) < (self.dimension or 0):
+            raise InvalidProblem(f"displacement: expected the {self.dimension} unknowns, got shape {u.shape}")
+        return np.asarray(self.points + u[self.unknowns])
 
     def state(self, displacement: Vector) -> ContactState:
         """Return gaps and rows at a displacement.
@@ -318,10 +318,11 @@ class ObstacleContact(ReadOnly):
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
         """Return minus the sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
-        pushing = np.flatnonzero(normal_force)
+        force = real_vector("normal_force", normal_force, self.contacts)
+        pushing = np.flatnonzero(force)
         places = self.unknowns[pushing]
         blocks = distance_hessians(self.obstacle, self.positions(displacement)[pushing])
-        blocks = -np.asarray(normal_force)[pushing, None, None] * blocks
+        blocks = -force[pushing, None, None] * blocks
         rows, columns = np.broadcast_arrays(places[:, :, None], places[:, None, :])
         triplets = (blocks.ravel(), (rows.ravel(), columns.ravel()))
         return sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
@@ -332,9 +333,11 @@ class ObstacleContact(ReadOnly):
         """
         x = self.positions(displacement)
         frames = tangent_frames(np.asarray(self.obstacle.normals(x), dtype=float))
-        return np.asarray(np.einsum("pij,pj->pi", frames, x - anchor))
+        start = read_shaped({"anchor": (anchor, x.shape)})["anchor"]
+        return np.asarray(np.einsum("pij,pj->pi", frames, x - start))
 
 
+@checks
 @computes
 class ContactGroup:
     """Several contact geometries of one u, one after the other: for bodies that may touch several obstacles.
@@ -373,7 +376,7 @@ class ContactGroup:
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
         """Return the sum over all geometries, or None where one does not know it."""
         total = None
-        for part, force in zip(self.parts, self._split(normal_force), strict=True):
+        for part, force in zip(self.parts, self._split("normal_force", normal_force), strict=True):
             found = part.curvature(displacement, force)
             if found is None:
                 return None
@@ -382,15 +385,18 @@ class ContactGroup:
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
         """Return the slips (m, d-1) of all geometries."""
-        pairs = zip(self.parts, self._split(anchor), strict=True)
+        pairs = zip(self.parts, self._split("anchor", anchor), strict=True)
         return np.concatenate([part.slip_since(displacement, where) for part, where in pairs])
 
     def positions(self, displacement: Vector) -> NDArray[np.float64]:
         """Return the positions (m, d) of all geometries."""
         return np.concatenate([part.positions(displacement) for part in self.parts])
 
-    def _split(self, values: Vector) -> list[Vector]:
-        return np.split(np.asarray(values), self._ends)
+    def _split(self, name: str, values: Vector) -> list[Vector]:
+        found = real_array(name, values)
+        if len(np.atleast_1d(found)) != self.contacts or not found.ndim:
+            raise InvalidProblem(f"{name}: expected one for each of {self.contacts} contacts, got {shown(values)}")
+        return np.split(found, self._ends)
 
 
 def distance_hessians(obstacle: Obstacle, points: Array) -> Array:

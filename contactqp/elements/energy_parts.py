@@ -40,9 +40,11 @@ from contactqp.elements.constrained_energy import (
     read_number,
 )
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 
+@checks
 @dataclass(frozen=True)
 class Spring:
     """The energy 1/2 k (elongation(u) - rest)^2; its force is k (elongation - rest), positive in tension.
@@ -80,6 +82,7 @@ class Spring:
         return PartState(elongation, self.stiffness * (elongation - self.rest), "elastic")
 
 
+@checks
 @dataclass(frozen=True)
 class Cable:
     """A cable that pulls with k max(elongation - slack, 0) and never pushes; its force is the tension, a multiplier.
@@ -126,6 +129,7 @@ class Cable:
         return PartState(found.value(self.elongation), tension, "taut" if tension > 0 else "slack")
 
 
+@checks
 @dataclass(frozen=True)
 class Strut:
     """A strut that pushes with k max(-elongation - gap, 0) and never pulls: a prop, or a spring that takes no
@@ -192,6 +196,7 @@ def _one_sided(name: str, deformation: Form, stiffness: float | None, play: floa
     )
 
 
+@checks
 @dataclass(frozen=True)
 class PlasticHinge:
     """A moment that is bounded, -M- <= M <= M+; also a friction slider or any force with a limit.
@@ -297,6 +302,7 @@ class _Bound:
         return PartState(found.value(self.form), force, "active" if force > 0 else "inactive")
 
 
+@checks
 @dataclass(frozen=True)
 class AtMost(_Bound):
     """The constraint form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
@@ -311,6 +317,7 @@ class AtMost(_Bound):
         return Contribution(unilateral=(Condition(self.name, self.form, self.bound),))
 
 
+@checks
 @dataclass(frozen=True)
 class AtLeast(_Bound):
     """The constraint form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
@@ -325,6 +332,7 @@ class AtLeast(_Bound):
         return Contribution(unilateral=(Condition(self.name, minus(self.form), -self.bound),))
 
 
+@checks
 @dataclass(frozen=True)
 class Equal(_Bound):
     """The constraint form(u) = bound, a support or a tie of several unknowns; its force is nu of K u + A'nu = f.
@@ -344,6 +352,7 @@ class Equal(_Bound):
         return PartState(found.value(self.form), found.multiplier[self.name], "tied")
 
 
+@checks
 @dataclass(frozen=True)
 class Obstacle(ReadOnly):
     """The bounds lower <= u_j <= upper on many unknowns; their force is that of the lower bounds less that of the

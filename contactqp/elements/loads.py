@@ -21,6 +21,7 @@ from contactqp.elements.reference_elements import Block, Geometry, at_rule, sum_
 from contactqp.elements.scalars import Number, Numbers, real_array, square_root, squared_length
 from contactqp.elements.solid import Body, assemble, pattern
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Vector
 
 Field = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
@@ -37,6 +38,7 @@ class Load(Protocol):
         ...
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Traction:
     """A force per area on a side: f_i = integral of N_i t dA.
@@ -60,6 +62,7 @@ class Traction:
         return _integrated(body, body.mesh.side(self.side), per_reference_area)
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Pressure:
     """A pressure on a side: f_i = -integral of N_i p n dA with n out of the body, so that p > 0 pushes the body.
@@ -105,6 +108,7 @@ class BodyForce:
         return _integrated(body, body.mesh.blocks, per_reference_volume)
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Gravity:
     """The weight of a body: the body force rho a.
@@ -147,6 +151,7 @@ class Weight:
         return np.asarray(solid_mass(body, self.lumped) @ falling)
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class PointLoad:
     """The same force at each of some nodes.

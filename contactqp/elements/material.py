@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from contactqp.elements.reference_elements import Geometry
 from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 
 Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
 MODELS: tuple[str, ...] = get_args(Model)
@@ -46,6 +47,7 @@ HOOP = 2
 LEAST_MODULUS = 1e-120
 
 
+@checks
 @dataclass(frozen=True)
 class Material:
     """An isotropic linear elastic material.

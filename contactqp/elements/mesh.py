@@ -23,7 +23,8 @@ from contactqp.elements.reference_elements import (
     find,
 )
 from contactqp.elements.scalars import real_array
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
@@ -34,6 +35,7 @@ UNEVEN = 0.5
 CLOSELY = 7
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Mesh(ReadOnly):
     """A checked mesh.
@@ -63,7 +65,8 @@ class Mesh(ReadOnly):
         points = real_array("mesh: points", self.points)
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
-        check_mesh(self.points, self.blocks, self.node_sets)
+        check_mesh(self.points, self.blocks)
+        object.__setattr__(self, "node_sets", self._sets(self.node_sets))
         object.__setattr__(self, "sides", self._checked(self.sides))
 
     def __repr__(self) -> str:
@@ -154,8 +157,9 @@ class Mesh(ReadOnly):
         """
         x = real_array("point", point)
         if x.shape != (self.dimension,) or not np.all(np.isfinite(x)):
-            raise InvalidProblem(f"point: expected {self.dimension} finite coordinates, got {x.tolist()}")
-        return int(np.argmin(np.linalg.norm(self.points - x, axis=1)))
+            raise InvalidProblem(f"point: expected {self.dimension} finite coordinates, got {shown(x.tolist())}")
+        with np.errstate(over="ignore"):
+            return int(np.argmin(np.linalg.norm(self.points - x, axis=1)))
 
     def volume(self) -> float:
         """Return the area in 2D [length^2], the volume in 3D [length^3]."""
@@ -185,11 +189,8 @@ class Mesh(ReadOnly):
 
     def with_node_sets(self, node_sets: Mapping[str, ArrayLike]) -> Mesh:
         """Return the mesh with these sets of nodes besides those it has."""
-        sets = {name: read_only(read_whole(f"node set {name!r}", nodes)) for name, nodes in node_sets.items()}
-        for name, nodes in sets.items():
-            check_set(name, nodes, len(self.points))
         mesh = copy.copy(self)
-        object.__setattr__(mesh, "node_sets", {**self.node_sets, **sets})
+        object.__setattr__(mesh, "node_sets", {**self.node_sets, **self._sets(node_sets)})
         return mesh
 
     def facets_of(self, pairs: Index) -> tuple[Block, ...]:
@@ -235,6 +236,9 @@ class Mesh(ReadOnly):
 
     def _checked(self, sides: Mapping[str, Index]) -> dict[str, Index]:
         return {name: read_only(checked_side(name, pairs, self.blocks)) for name, pairs in sides.items()}
+
+    def _sets(self, node_sets: Mapping[str, ArrayLike]) -> dict[str, Index]:
+        return {name: read_only(checked_set(name, nodes, len(self.points))) for name, nodes in node_sets.items()}
 
     def _unknown(self, name: str) -> InvalidProblem:
         known = sorted({*self.node_sets, *self.sides})
@@ -305,15 +309,14 @@ def _side(mesh: Mesh, name: str, facets: Index) -> Index:
     raise InvalidProblem(f"side {name!r}: facets of {facets.shape[1]} nodes fit none of the mesh's elements")
 
 
-def check_mesh(points: Points, blocks: Sequence[Block], node_sets: Mapping[str, Index]) -> None:
+def check_mesh(points: Points, blocks: Sequence[Block]) -> None:
     """Check everything that a mesh must satisfy.
 
     Raises
     ------
     InvalidProblem
         Coordinates not finite, no elements, node numbers out of range, a node twice in one element, two elements on
-        the same nodes, an inverted or flat element, linear elements beside quadratic ones, a node in no element, an
-        empty set.
+        the same nodes, an inverted or flat element, linear elements beside quadratic ones, a node in no element.
     """
     _check_points(points, blocks)
     first = 0
@@ -327,8 +330,6 @@ def check_mesh(points: Points, blocks: Sequence[Block], node_sets: Mapping[str, 
         _check_jacobians(points, block, first)
         first += len(block)
     _check_connected(points, blocks)
-    for name, nodes in node_sets.items():
-        check_set(name, nodes, len(points))
 
 
 def describe(block: Block, element: int, first: int) -> str:
@@ -470,23 +471,26 @@ def _check_connected(points: Points, blocks: Sequence[Block]) -> None:
         )
 
 
-def check_set(name: str, nodes: Index, count: int) -> None:
-    """Check a named set of nodes: whole numbers from 0 to count - 1, at least one."""
-    if nodes.ndim != 1 or not np.issubdtype(nodes.dtype, np.integer):
-        raise InvalidProblem(f"node set {name!r}: expected whole numbers, got {nodes.dtype} of shape {nodes.shape}")
+def checked_set(name: str, given: ArrayLike, count: int) -> Index:
+    """Return a named set of nodes: whole numbers from 0 to count - 1, at least one."""
+    nodes = read_whole(f"node set {name!r}", given)
+    if nodes.ndim != 1:
+        raise InvalidProblem(f"node set {name!r}: expected whole numbers one by one, got shape {nodes.shape}")
     if not nodes.size:
         raise InvalidProblem(f"node set {name!r} is empty; expected at least one node")
     outside = nodes[(nodes < 0) | (nodes >= count)]
     if outside.size:
         raise InvalidProblem(f"node set {name!r}: expected nodes from 0 to {count - 1}, got {outside[0]}")
+    return nodes
 
 
-def checked_side(name: str, pairs: Index, blocks: Sequence[Block]) -> Index:
-    """Return a named side as a set of facets: (element, local facet) pairs that the mesh has, at least one, each
-    once.
-    """
-    if not len(pairs):
+def checked_side(name: str, given: ArrayLike, blocks: Sequence[Block]) -> Index:
+    """Return a named side as a set of facets: (element, local facet) pairs that the mesh has, one or more, each once."""
+    pairs = read_whole(f"side {name!r}", given)
+    if not pairs.size:
         raise InvalidProblem(f"side {name!r} is empty; expected at least one facet")
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise InvalidProblem(f"side {name!r}: expected (element, local facet) pairs, got shape {pairs.shape}")
     facets = np.repeat([len(block.kind.facets) for block in blocks], [len(block) for block in blocks])
     known = (pairs[:, 0] >= 0) & (pairs[:, 0] < len(facets)) & (pairs[:, 1] >= 0)
     known[known] &= pairs[known, 1] < facets[pairs[known, 0]]

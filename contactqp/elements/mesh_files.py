@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from contactqp.elements.abaqus import Cells, mesh_from_cells, read_abaqus
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import REFERENCES, Block, Reference, at_rule
 from contactqp.errors import BackendMissing, InvalidProblem
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index
 
 MESHIO_KINDS = {
@@ -26,6 +28,7 @@ MESHIO_KINDS = {
 LONGEST_REASON = 200
 
 
+@checked
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
     """Read a mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
 
@@ -52,7 +55,7 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
     CPE, CAX nor SURFACE and gives ELSETs to the wrong elements where an ELEMENT has none.
     """
     file = Path(path)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise InvalidProblem(f"mesh: there is no file {str(path)!r}")
     try:
         if file.suffix.lower() == ".inp":

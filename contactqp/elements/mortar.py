@@ -20,6 +20,7 @@ from contactqp.elements.surface import (
     middle_normals,
 )
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index, own_floating_point
 
 # As node to segment: polygons of round bodies that fit overlap by a few per cent of their facets.
@@ -28,6 +29,7 @@ OVERLAP = 0.05
 COVERED = 0.05
 
 
+@checked
 @own_floating_point
 def pair_mortar(
     slave: Surface,

@@ -40,6 +40,7 @@ from contactqp.elements.surface import (
     tangent_vectors,
 )
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index, own_floating_point
 
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.
@@ -333,6 +334,7 @@ OVERLAP = 0.05
 POINTS = 8
 
 
+@checked
 @own_floating_point
 def pair_node_to_segment(
     slave: Surface,

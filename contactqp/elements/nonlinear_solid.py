@@ -20,6 +20,7 @@ from contactqp.elements.reference_elements import Block, batches, sum_at_nodes
 from contactqp.elements.scalars import real_array
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
 
 LAWS = ("saint-venant-kirchhoff", "neo-hookean")
@@ -141,6 +142,7 @@ def _two_pairs(first: float, second: float | Array, a: Array, b: Array) -> Array
     return np.asarray(first * np.einsum("...ij,...kl->...ijkl", a, b) + second * crossed)
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class NonlinearSolid:

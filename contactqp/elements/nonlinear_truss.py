@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
@@ -152,6 +153,7 @@ def _elongation(eps: Any) -> Array:
     return np.asarray(2 * eps / (1 + np.sqrt(1 + 2 * eps)))
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class NonlinearTruss(ReadOnly):
@@ -340,6 +342,7 @@ def _per_bar(name: str, value: ArrayLike, count: int) -> Array:
     return np.broadcast_to(values, (count,)).copy()
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class UpdatedTruss:

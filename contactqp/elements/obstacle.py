@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.scalars import Number, Numbers, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import computes
 from contactqp.model.problem_data import is_whole
 
@@ -31,6 +32,7 @@ class Obstacle(Protocol):
         """Return the unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -67,12 +69,26 @@ class Plane:
 
     def distance(self, points: Any) -> Numbers:
         """Return (x - point).n of each of the (p, dimension) points [length]: the gap, positive when open."""
-        gap: Numbers = (np.asarray(points) - np.asarray(self.point)) @ self.outward()
+        gap: Numbers = (points_near(self, points) - np.asarray(self.point)) @ self.outward()
         return gap
 
     def normals(self, points: Any) -> Numbers:
         """Return n for each of the (p, dimension) points."""
-        return np.tile(self.outward(), (len(points), 1))
+        return np.tile(self.outward(), (len(points_near(self, points)), 1))
+
+
+def points_near(obstacle: Obstacle, points: Any) -> Numbers:
+    """Return (p, dimension) points as an array, exact numbers as they are.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, or no real numbers.
+    """
+    x = real_array("points", points)
+    if x.ndim != 2 or x.shape[1] != obstacle.dimension:
+        raise InvalidProblem(f"points: expected shape (p, {obstacle.dimension}) as the obstacle has it, got {x.shape}")
+    return np.asarray(points)
 
 
 def tangents(normal: Numbers) -> Numbers:
@@ -111,6 +127,7 @@ def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([first, np.cross(normals, first)], axis=1)
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class SignedDistance:
@@ -158,12 +175,12 @@ class SignedDistance:
 
     def distance(self, points: Any) -> NDArray[np.float64]:
         """Return function(points), (p,) [length]."""
-        x = real_array("points", points)
+        x = points_near(self, points)
         return _values("function", self.function(x), x, (len(x),))
 
     def normals(self, points: Any) -> NDArray[np.float64]:
         """Return gradient / |gradient|, (p, dimension)."""
-        x = real_array("points", points)
+        x = points_near(self, points)
         if self.gradient is not None:
             gradients = _values("gradient", self.gradient(x), x, x.shape)
         else:

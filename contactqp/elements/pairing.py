@@ -9,17 +9,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tributary_areas
-from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
+from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
 from contactqp.errors import InvalidProblem, StartWarning
+from contactqp.model.arguments import checked, checks
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
 
@@ -78,6 +79,7 @@ Side = Literal["above", "below"]
 __all__ = ["Pairing", "Plane", "pair"]
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class Pairing(ReadOnly):
@@ -154,6 +156,7 @@ class Pairing(ReadOnly):
         return self.projection.of(given)
 
 
+@checked
 @own_floating_point
 def pair(
     points: ArrayLike | Surface,
@@ -213,14 +216,9 @@ def paired(
     points: ArrayLike | Surface, obstacle: Obstacle, unknowns: ArrayLike | None = None, dimension: int | None = None
 ) -> Pairing:
     """Return the pairing of `pair`, wherever the points start."""
-    if isinstance(obstacle, Surface):
-        raise InvalidProblem(
-            f"obstacle: expected a rigid one, got the surface {obstacle.name!r} of a body; two bodies are paired by "
-            "pair_mortar(slave, master) or pair_node_to_segment(slave, master)"
-        )
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
-    x = _points(points, obstacle.dimension)
+    x = _points(points, obstacle)
     columns = np.arange(x.size).reshape(x.shape) if unknowns is None else read_whole("unknowns", unknowns)
     if columns.shape != x.shape:
         raise InvalidProblem(
@@ -237,7 +235,7 @@ def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | No
         raise InvalidProblem(f"{surface.name}: expected no `unknowns`, the surface has its own")
     check_surface(surface)
     nodes = surface.nodes
-    x = _points(surface.points[nodes], obstacle.dimension)
+    x = _points(surface.points[nodes], obstacle)
     n = count_unknowns(int(surface.unknowns.max()), dimension)
     found = _pair_points(x, surface.unknowns[nodes], obstacle, n, nodes)
     return replace(found, area=tributary_areas(surface), projection=nodal_pressure(surface, nodes))
@@ -257,15 +255,14 @@ def _pair_points(
     return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64))
 
 
-def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
-    x = real_array("points", points)
-    if x.ndim != 2 or x.shape[1] != dimension:
-        raise InvalidProblem(f"points: expected shape (p, {dimension}) as the obstacle has it, got {x.shape}")
+def _points(points: ArrayLike, obstacle: Obstacle) -> NDArray[np.float64]:
+    x = points_near(obstacle, points).astype(float)
     if not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers, got {x[~np.isfinite(x)][0]}")
     return x
 
 
+@checked
 @own_floating_point
 def pair_scalar(
     points: ArrayLike,
@@ -310,8 +307,6 @@ def pair_scalar(
     >>> pairing.normal.toarray().tolist(), pairing.gap.tolist(), pairing.unpaired.tolist()
     ([[-1.0, 0.0]], [-0.5], [1])
     """
-    if side not in get_args(Side):
-        raise InvalidProblem(f"side: expected one of {get_args(Side)}, got {side!r}")
     x = real_array("points", points)
     if x.ndim != 2 or not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers of shape (p, d), got shape {x.shape}")

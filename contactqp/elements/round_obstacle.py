@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.elements.obstacle import points_near
 from contactqp.elements.scalars import lengths, positive_number, real_array, unit_vector
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
@@ -23,6 +25,7 @@ Measure = Literal["axis", "normal"]
 NEWTON_STEPS = 100
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class _Ball(ABC):
@@ -54,7 +57,7 @@ class _Ball(ABC):
         return _normals(self._name, points, self._radial(points), float(self.radius), self.inside)
 
     def _radial(self, points: Any) -> NDArray[np.float64]:
-        apart: NDArray[np.float64] = real_array("points", points) - np.asarray(self.centre, dtype=float)
+        apart: NDArray[np.float64] = points_near(self, points) - np.asarray(self.centre, dtype=float)
         return apart
 
 
@@ -96,6 +99,7 @@ class Sphere(_Ball):
         return 3
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class Cylinder:
@@ -141,7 +145,7 @@ class Cylinder:
     def _radial(self, points: Any) -> NDArray[np.float64]:
         """Return the vectors from the axis to the points."""
         a = unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
-        apart = real_array("points", points) - np.asarray(self.point, dtype=float)
+        apart = points_near(self, points) - np.asarray(self.point, dtype=float)
         radial: NDArray[np.float64] = apart - np.outer(apart @ a, a)
         return radial
 
@@ -149,7 +153,7 @@ class Cylinder:
 def _check(name: str, what: str, vector: Any, dimension: int) -> None:
     read = real_array(f"{name} {what}", vector)
     if read.shape != (dimension,) or not np.all(np.isfinite(read)):
-        raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {vector}")
+        raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {shown(vector)}")
 
 
 def _distance(radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:
@@ -170,6 +174,7 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
     return -normals if inside else normals
 
 
+@checks
 @computes
 @dataclass(frozen=True, eq=False)
 class Paraboloid:
@@ -208,8 +213,6 @@ class Paraboloid:
         if not np.all(np.isfinite([apex, axis])):
             raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
         positive_number("paraboloid radius", self.radius, "length")
-        if self.measure not in get_args(Measure):
-            raise InvalidProblem(f"paraboloid measure: expected one of {get_args(Measure)}, got {self.measure!r}")
         unit_vector(self.axis, "paraboloid axis")
 
     @property
@@ -249,7 +252,7 @@ class Paraboloid:
 
     def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return z, (p,), and the vectors from the axis to the points, (p, dimension)."""
-        apart = real_array("points", points) - np.asarray(self.apex, dtype=float)
+        apart = points_near(self, points) - np.asarray(self.apex, dtype=float)
         z = apart @ self._along
         return z, apart - np.outer(z, self._along)
 

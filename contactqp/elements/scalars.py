@@ -31,6 +31,20 @@ def real_array(what: str, value: Any) -> NDArray[np.float64]:
     return read_array(what, value)
 
 
+def real_vector(what: str, value: Any, size: int) -> NDArray[np.float64]:
+    """Return a copy of `size` real numbers, NaN included.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, or no real numbers; `what` is what they belong to.
+    """
+    read = real_array(what, value)
+    if read.shape != (size,):
+        raise InvalidProblem(f"{what}: expected shape ({size},), got {read.shape}")
+    return read
+
+
 def real_number(what: str, value: Any) -> float:
     """Return one finite float.
 

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from contactqp.elements.lattice import Lattice, Patch
 from contactqp.elements.mesh import Mesh
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import is_whole
 
@@ -65,7 +66,9 @@ class Shape(Protocol[P]):
         """Return the mesh."""
 
 
-def _shape(lattice: Callable[P, Lattice]) -> Shape[P]:
+def _shape(function: Callable[P, Lattice]) -> Shape[P]:
+    lattice = checked(function)
+
     @wraps(lattice)
     def mesh(*args: P.args, **options: P.kwargs) -> Mesh:
         return lattice(*args, **options).mesh()
@@ -255,8 +258,6 @@ def ball(
     center : (float, float, float)
         Centre of the whole ball [length].
     """
-    if part not in _BALL_PARTS:
-        raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
     halves = _BALL_PARTS[part]
     cuts = {name: axis for axis, name in enumerate(("left", "front", "top")) if halves[axis] != "full"}
     return _round(OGrid(halves, *_pair(divisions), grading), radius, center, kind, cuts)
@@ -295,8 +296,6 @@ def cylinder(
     if part not in _CYLINDER_PARTS:
         raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {part!r}")
     R, H = _length("radius", radius), _length("height", height)
-    if np.shape(divisions) != (3,):
-        raise InvalidProblem(f"cylinder: expected three divisions, got {divisions!r}")
     halves = _CYLINDER_PARTS[part]
     z = H * spacing(divisions[2], grading, "low")
     grid = OGrid(halves, *_pair(divisions[:2]), extrusion=divisions[2])
@@ -322,10 +321,8 @@ def _box(
     corner: Sequence[float],
 ) -> Lattice:
     names = _AXIS_SIDES[len(lengths)]
-    if np.shape(divisions) != (len(names),):
-        raise InvalidProblem(f"shape: expected {len(names)} divisions, got {divisions!r}")
     names_of_sides = {name for pair in names for name in pair} | {"middle"}
-    if isinstance(towards, str) or set(towards) - names_of_sides:
+    if set(towards) - names_of_sides:
         raise InvalidProblem(
             f"shape: expected `towards` to be a list of {', '.join(sorted(names_of_sides))}, got {towards!r}"
         )
@@ -368,10 +365,6 @@ def _at(component: int, value: int) -> Callable[[Index], NDArray[np.bool_]]:
 
 
 def _pair(divisions: Sequence[int]) -> tuple[int, int]:
-    if np.shape(divisions) != (2,):
-        raise InvalidProblem(
-            f"shape: expected two divisions, of the core and of the layers around it, got {divisions!r}"
-        )
     for n in divisions:
         spacing(n, 1.0, "low")
     return divisions[0], divisions[1]

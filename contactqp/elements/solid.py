@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.material import MODELS, STRAINS, Material, Model, measure, strain_matrix, strains
+from contactqp.elements.material import STRAINS, Material, Model, measure, strain_matrix, strains
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import (
     REFERENCES,
@@ -34,8 +34,9 @@ from contactqp.elements.reference_elements import (
 from contactqp.elements.scalars import positive_number, real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index
-from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.problem_data import ReadOnly, read_only, read_vector
 
 # Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
 # integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.
@@ -46,6 +47,7 @@ _SAMPLES = {
 }  # fmt: skip
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnly):
     """One linear elastic body. Its unknowns are node by node: u[d i + a] is the displacement of node i along axis a.
@@ -80,11 +82,6 @@ class Body(ReadOnly):
     name: str = "body"
 
     def __post_init__(self) -> None:
-        for what, value, kind in (("mesh", self.mesh, Mesh), ("material", self.material, Material)):
-            if not isinstance(value, kind):
-                raise InvalidProblem(f"{self.name}: expected a {kind.__name__} as its {what}, got {value!r}")
-        if self.model not in MODELS:
-            raise InvalidProblem(f"{self.name}: expected a model of {', '.join(MODELS)}, got {self.model!r}")
         if (self.model == "3d") != (self.mesh.dimension == 3):
             raise InvalidProblem(f"{self.name}: a {self.mesh.dimension}D mesh and the model {self.model!r}")
         positive_number(self.name, self.thickness, "thickness")
@@ -204,7 +201,7 @@ class Body(ReadOnly):
         N, d = self.mesh.points.shape
         if self.model == "axisymmetric":
             return np.tile([[0.0], [1.0]], (N, 1))
-        x = self.mesh.points - (self.mesh.points.mean(axis=0) if centre is None else centre)
+        x = self.mesh.points - (self.mesh.points.mean(axis=0) if centre is None else read_vector("centre", centre, d))
         motions = [np.tile(np.eye(d)[:, a], N) for a in range(d)]
         for a, b in ((0, 1), (1, 2), (0, 2))[: 1 if d == 2 else 3]:
             turn = np.zeros((N, d))

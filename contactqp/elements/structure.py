@@ -17,12 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.scalars import real_array
+from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import read_coefficient
 
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
@@ -34,6 +36,7 @@ _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 GAPS_ROUND = 16 * float(np.finfo(float).eps)
 
 
+@checks
 @dataclass(frozen=True)
 class Support:
     """A prescribed displacement of some nodes along one axis.
@@ -55,6 +58,7 @@ class Support:
     value: Field = 0.0
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Bodies side by side: their unknowns stand in u body after body, within a body node by node.
@@ -115,7 +119,8 @@ class Structure:
     def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
         body, first = self.body(name), self.first(name)
-        return real_array("displacement", displacement)[first : first + body.size].reshape(-1, len(body.axes))
+        u = real_vector("displacement", displacement, self.size)
+        return u[first : first + body.size].reshape(-1, len(body.axes))
 
     def unknown_names(self) -> tuple[str, ...]:
         """Return ``"block node 12 x"`` for each unknown."""
@@ -158,10 +163,7 @@ class Structure:
             everything held.
         """
         load = np.zeros(self.size)
-        for i, acting in enumerate(loads):
-            if not hasattr(acting, "forces"):
-                kinds = "Traction, Pressure, PointLoad or Gravity"
-                raise InvalidProblem(f"loads[{i}]: expected a {kinds} of contactqp, got {type(acting).__name__}")
+        for acting in loads:
             first = self.first(acting.body)
             body = self.solid(acting.body)
             load[first : first + body.size] += acting.forces(body)
@@ -201,6 +203,7 @@ class Structure:
         return prescribed
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class System:
     """The system K u = f on the free unknowns of a structure; prescribed displacements have gone to the right-hand
@@ -242,7 +245,7 @@ class System:
     def expand(self, displacement: ArrayLike) -> Vector:
         """Return the u of all unknowns from that of the free ones."""
         u = self.given.copy()
-        u[self.free] = real_array("displacement", displacement)
+        u[self.free] = real_vector("displacement", displacement, len(self.free))
         return u
 
     def support_forces(self, displacement: ArrayLike, contact_forces: ArrayLike | None = None) -> Vector:
@@ -251,9 +254,9 @@ class System:
 
         `displacement` is the u of all unknowns, `contact_forces` E_N' l_N (+ E_T' l_T) on all unknowns.
         """
-        residual = self.structure.stiffness @ real_array("displacement", displacement) - self.load
+        residual = self.structure.stiffness @ real_vector("displacement", displacement, len(self.load)) - self.load
         if contact_forces is not None:
-            residual = residual + real_array("contact_forces", contact_forces)
+            residual = residual + real_vector("contact_forces", contact_forces, len(self.load))
         return np.where(np.isnan(self.prescribed), 0.0, residual)
 
     def free_contacts(self, pairings: Sequence[Pairing]) -> Index:
@@ -377,7 +380,7 @@ def free_contacts(
         rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
         tangential = {
             "tangent": tangent[rows][:, free],
-            "friction": np.broadcast_to(real_array("friction", friction), gap.shape)[kept],
+            "friction": read_coefficient(friction, len(gap))[kept],
             "slip_origin": -(tangent @ given)[rows],
         }
     return FreeContacts(kept, sp.csr_array(normal[kept][:, free]), gap[kept], [called[i] for i in kept], **tangential)

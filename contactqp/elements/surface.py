@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from contactqp.elements.scalars import positive_number
 from contactqp.errors import InvalidProblem
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
 
@@ -29,6 +30,7 @@ FLAT = 1e-10
 SMALLEST, LARGEST = 1e-75, 1e75
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Surface(ReadOnly):
     """Facets of a body's boundary, oriented so that their normals point out of the body.
@@ -68,6 +70,8 @@ class Surface(ReadOnly):
         object.__setattr__(self, "points", read_only(read_array(f"{self.name}: points", self.points)))
         for what in ("facets", "unknowns"):
             object.__setattr__(self, what, read_only(read_whole(f"{self.name}: {what}", getattr(self, what))))
+        if self.points.ndim != 2:
+            raise InvalidProblem(f"{self.name}: points: expected shape (N, d), got {self.points.shape}")
         positive_number(f"{self.name}: thickness", self.thickness, "length")
 
     @property
@@ -331,9 +335,9 @@ def check_distances(reach: float | None, overlap: float | None) -> None:
     ------
     InvalidProblem
     """
-    if reach is not None and not (np.isfinite(reach) and reach > 0):
+    if reach is not None and not 0 < reach < np.inf:
         raise InvalidProblem(f"reach: expected a positive length, got {reach}")
-    if overlap is not None and not (np.isfinite(overlap) and overlap >= 0):
+    if overlap is not None and not 0 <= overlap < np.inf:
         raise InvalidProblem(f"overlap: expected a length, zero or positive, got {overlap}")
 
 

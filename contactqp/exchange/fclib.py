@@ -35,6 +35,7 @@ from contactqp.exchange.files import (
 )
 from contactqp.exchange.local_form import body_motion, local_form_of
 from contactqp.exchange.matrix_reader import Storage, StoredMatrix, matrix_of, stored_form
+from contactqp.model.arguments import checked
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -198,6 +199,7 @@ class StoredAnswer:
         return bool(np.all(np.isfinite(self.force)) and (joint is None or np.all(np.isfinite(joint))))
 
 
+@checked
 def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
     """Return the problem in an FCLIB file.
 
@@ -238,6 +240,7 @@ def solvable(stored: LocalProblem | GlobalProblem, path: Path) -> ContactProblem
         return stored.contact_problem() if stored.symmetric else local_form_of(stored)
 
 
+@checked
 def read_fclib_guesses(path: Path) -> tuple[StoredAnswer, ...]:
     """Return the guesses stored with a problem, () where there are none; some are close to a solution, some are zero.
 
@@ -252,6 +255,7 @@ def read_fclib_guesses(path: Path) -> tuple[StoredAnswer, ...]:
         return tuple(_answer(file, f"guesses/{k}") for k in range(1, number + 1))
 
 
+@checked
 def read_fclib_solution(path: Path) -> StoredAnswer:
     """Return what is stored under /solution. It is a claim, and all zero in many published files.
 
@@ -357,6 +361,7 @@ SUFFIXES = (".hdf5", ".h5")
 USUAL_STORAGE: dict[str, Storage] = {LOCAL: "csr", GLOBAL: "triplet"}
 
 
+@checked
 def write_fclib(
     path: Path,
     problem: LocalProblem | GlobalProblem | ContactProblem,

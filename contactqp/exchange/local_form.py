@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
@@ -25,6 +26,7 @@ class SingularMatrix(InvalidProblem):
     """M has no inverse, so there is no local form: bodies move without any force."""
 
 
+@checked
 @own_floating_point
 def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> LocalProblem:
     """Return the local form of a problem with bodies, each contact's components in the order (N, T1, T2).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path as FilePath
 
 from contactqp.errors import InvalidProblem
@@ -13,6 +14,7 @@ from contactqp.exchange.problem_folder import is_problem_folder, read_problem_ar
 from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.quadratic_programs import MATLAB, QPS, is_quadratic_program, read_quadratic_program
 from contactqp.exchange.siconos import read_siconos
+from contactqp.model.arguments import checked
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -22,6 +24,7 @@ HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
 HDF5, TEXT, ARCHIVE = (".hdf5", ".h5"), (".dat",), (".npz",)
 
 
+@checked
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
     """Return the problem in a folder or .npz of matrices, a quadratic program, or a file of FCLIB or Siconos.
 
@@ -61,13 +64,13 @@ def read_tie_names(path: Path) -> list[str] | None:
 def is_of_matrices(path: Path) -> bool:
     """Return whether this is a folder (or the problem.json in it) or an archive of matrices."""
     file = FilePath(path)
-    if file.is_dir():
+    if os.path.isdir(file):
         return True
-    if file.is_file() and is_quadratic_program(path):
+    if os.path.isfile(file) and is_quadratic_program(path):
         return True
     if file.name == PROBLEM_FILE or file.suffix.lower() in ARCHIVE:
         return True
-    return file.is_file() and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
+    return os.path.isfile(file) and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
 
 
 def is_problem_file(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path as FilePath
@@ -12,8 +13,9 @@ import numpy as np
 import scipy.io
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.files import Ledger, Path, naming, wrong
+from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
@@ -112,6 +114,7 @@ SIGNS = (
 ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status")
 
 
+@checked
 def write_problem(
     folder: Path,
     problem: ContactProblem,
@@ -140,11 +143,13 @@ def write_problem(
     InvalidProblem
         An answer with another key, or something in `about` that is said by the problem itself.
     """
-    refuse_other("write_problem", problem, ContactProblem)
     root, m = FilePath(folder), problem.contacts
-    if root.exists() and not root.is_dir():
+    if os.path.exists(root) and not root.is_dir():
         raise InvalidProblem(f"write_problem: expected a folder, and {root} is a file")
-    root.mkdir(parents=True, exist_ok=True)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise InvalidProblem(f"write_problem: expected a folder that can be made, got {root} ({error})") from None
     values = {part: getattr(problem, part) for part in SYMBOLS}
     if not problem.ties:
         values |= {"tie": None, "tie_value": None}

@@ -21,6 +21,7 @@ from contactqp.exchange.files import (
     read_bytes,
     wrong,
 )
+from contactqp.model.arguments import checked
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -342,6 +343,7 @@ COMPLETE = ("0", "1")
 MATRIX_HEAD = 3
 
 
+@checked
 def read_siconos(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
     """Return the problem in a text file of Siconos; returns as `read_fclib`.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ ENGINES = (SERIAL, *_TABLE)
 
 def refuse_unknown_engine(engine: Any) -> None:
     """Raise InvalidProblem unless there is an engine of this name."""
-    if engine not in ENGINES:
-        raise InvalidProblem(f"engine: expected {' or '.join(map(repr, ENGINES))}, got {engine!r}")
+    if not isinstance(engine, str) or engine not in ENGINES:
+        raise InvalidProblem(f"engine: expected {' or '.join(map(repr, ENGINES))}, got {shown(engine)}")
 
 
 def engine_named(name: str) -> Engine:

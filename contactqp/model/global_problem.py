@@ -17,7 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
@@ -84,7 +85,7 @@ class GlobalProblem(ReadOnly):
         joint_offset: ArrayLike | None = None,
     ) -> None:
         if not is_number(dimension) or dimension not in (2, 3):
-            raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
+            raise InvalidProblem(f"dimension: expected 2 or 3, got {shown(dimension)}")
         M = read_matrix("matrix", matrix)
         n = M.shape[0]
         if M.shape != (n, n):
@@ -98,7 +99,7 @@ class GlobalProblem(ReadOnly):
         G = read_matrix("joints", np.zeros((n, 0)) if joints is None else joints)
         if G.shape[0] != n:
             raise InvalidProblem(f"joints: expected {n} rows, got shape {G.shape}")
-        if joints is None and joint_offset is not None and np.size(joint_offset):
+        if joints is None and joint_offset is not None and read_array("joint_offset", joint_offset).size:
             raise InvalidProblem("joint_offset was given without joints")
         b = np.zeros(G.shape[1]) if joint_offset is None else joint_offset
         values = dict(
@@ -116,6 +117,7 @@ class GlobalProblem(ReadOnly):
             object.__setattr__(self, name, read_only(value))
 
     @classmethod
+    @checked
     def of(cls, problem: ContactProblem) -> GlobalProblem:
         """A ContactProblem in global form, bit for bit.
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector, computes, own_floating_point
 from contactqp.model.problem_data import (
     Matrix,
@@ -103,7 +103,7 @@ class LocalProblem(ReadOnly):
         contact_names: Sequence[str] | None = None,
     ) -> None:
         if not is_number(dimension) or dimension not in (2, 3):
-            raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
+            raise InvalidProblem(f"dimension: expected 2 or 3, got {shown(dimension)}")
         dimension = int(dimension)
         W = read_matrix("delassus", delassus)
         size = W.shape[0]

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.computed import Computed
@@ -34,6 +34,7 @@ from contactqp.model.problem_data import (
     read_motions,
     read_names,
     read_only,
+    read_places,
     read_rows,
     read_stiffness,
     read_vector,
@@ -401,13 +402,13 @@ class ContactProblem:
 
     def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
         """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""
-        kept = self._values()
+        kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
             width = self.slip_origin.shape[1]
-            rows = (width * np.asarray(contacts)[:, None] + np.arange(width)).ravel()
-            friction, origin = self.friction[contacts], self.slip_origin[contacts]
-            kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
+            rows = (width * contacts[:, None] + np.arange(width)).ravel()
+            of_kept = dict(friction=self.friction[contacts], slip_origin=self.slip_origin[contacts])
+            kept.update(tangent=self.tangent[rows], **of_kept)
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
@@ -441,6 +442,7 @@ class ContactProblem:
 
     def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
         """The same problem with some of its ties only, which keep their names."""
+        ties = read_places("ties", ties, self.ties)
         kept = self._values() | dict(tie=self.tie[ties], tie_value=self.tie_value[ties], tie_numbers=ties)
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
@@ -488,13 +490,11 @@ class ContactProblem:
 
 
 def _units(value: Units | Mapping[str, str] | None) -> Units:
-    if value is None or value == {}:
-        return Units()
-    if isinstance(value, Units):
-        return value
-    if not isinstance(value, Mapping) or set(value) != {"length", "force"}:
-        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {value!r}")
-    for what, others in (("length", FORCES), ("force", LENGTHS)):
-        if value[what] in others:
-            raise InvalidProblem(f"units: expected a {what}, got {value[what]!r}")
+    if value is None or isinstance(value, Units):
+        return value or Units()
+    if not isinstance(value, Mapping) or (value and set(value) != {"length", "force"}):
+        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
+    for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
+        if not isinstance(value[what], str) or value[what] in others:
+            raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
     return Units(**value)

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
@@ -83,9 +83,8 @@ def read_array(name: str, value: Any) -> NDArray[np.float64]:
             if not isinstance(entry, (numbers.Real, Decimal)):
                 raise TypeError(f"one of type {type(entry).__name__}")
         return np.array(raw, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())
-        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({reason})") from None
+    except Exception as error:  # noqa: BLE001  whatever an object says of itself as an array
+        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
 
 
 def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, Any]:
@@ -111,8 +110,10 @@ def is_number(value: Any) -> bool:
 def refuse_not_positive(name: str, value: Any) -> None:
     """Raise InvalidProblem unless a number is positive and finite."""
     if not is_number(value) or not 0 < value <= sys.float_info.max:
-        said = f"{value!r}" if not isinstance(value, int) or abs(value) <= sys.float_info.max else "one beyond 1.8e308"
-        raise InvalidProblem(f"{name}: expected a positive number, got {said}")
+        beyond = isinstance(value, int) and abs(value) > sys.float_info.max
+        raise InvalidProblem(
+            f"{name}: expected a positive number, got {'one beyond 1.8e308' if beyond else shown(value)}"
+        )
 
 
 def is_whole(value: Any) -> TypeGuard[int]:
@@ -131,11 +132,26 @@ def read_whole(name: str, value: Any) -> NDArray[np.int64]:
     refuse_masked(name, value)
     try:
         whole = np.array(value)
-    except ValueError:
-        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got others") from None
+    except Exception:  # noqa: BLE001  whatever an object says of itself as an array
+        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got {shown(value)}") from None
     if whole.size and whole.dtype.kind not in "iu":
         raise InvalidProblem(f"{name}: expected whole numbers, got {whole.dtype} {whole.shape}")
     return whole.astype(np.int64)
+
+
+def read_places(name: str, value: Any, count: int) -> NDArray[np.intp]:
+    """Return places among `count`, given as whole numbers or as one truth value for each.
+
+    Raises
+    ------
+    InvalidProblem
+        Neither, or a place that is none.
+    """
+    chosen = isinstance(value, np.ndarray) and value.dtype == bool and value.shape == (count,)
+    places = np.flatnonzero(value) if chosen else read_whole(name, value)
+    if places.ndim != 1 or np.any((places < 0) | (places >= count)):
+        raise InvalidProblem(f"{name}: expected places from 0 to {count - 1}, got {shown(value)}")
+    return places.astype(np.intp)
 
 
 def refuse_masked(name: str, value: Any) -> None:
@@ -144,6 +160,8 @@ def refuse_masked(name: str, value: Any) -> None:
         raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
     if isinstance(value, (list, tuple)):
         for part in value:
+            if part is value:
+                raise InvalidProblem(f"{name}: expected numbers, got a list that holds itself")
             if isinstance(part, (list, tuple, np.ma.MaskedArray)):
                 refuse_masked(name, part)
 
@@ -167,6 +185,8 @@ def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
 def _sparse(name: str, value: Any) -> Any:
     """A canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
     if sp.issparse(value):
+        if value.ndim != 2:
+            raise InvalidProblem(f"{name}: expected a matrix, got {shown(value)}")
         if isinstance(getattr(value, "data", None), np.ma.MaskedArray) or value.dtype.kind not in KINDS:
             read_array(name, value.data)
         rows = sp.csr_array(value, dtype=float, copy=True)
@@ -353,7 +373,7 @@ def read_coefficient(friction: ArrayLike, m: int) -> Vector:
     """Coulomb's coefficient of every contact, from one for all or one for each."""
     coefficient = read_array("friction", friction)
     if np.asarray(friction).dtype == bool:
-        raise InvalidProblem(f"friction: expected a coefficient, got {friction!r}")
+        raise InvalidProblem(f"friction: expected a coefficient, got {shown(friction)}")
     if coefficient.ndim == 0:
         coefficient = np.full(m, float(coefficient))
     coefficient = read_vector("friction", coefficient, m)
@@ -381,7 +401,12 @@ def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float
 def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
     if value is None:
         return None
-    names = tuple(str(v) for v in value)
+    if isinstance(value, (str, bytes)) or not np.iterable(value):
+        raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)}")
+    try:
+        names = tuple(str(v) for v in value)
+    except Exception as error:  # noqa: BLE001  whatever an object says of itself
+        raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)} ({error})") from None
     if len(names) != size:
         raise InvalidProblem(f"{name}: expected {size} names, got {len(names)}")
     if len(set(names)) != size:

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.problem_data import is_whole
 from contactqp.model.unknown_names import plain_name
 
 # Rows of a table, at most; of more the largest are shown.
@@ -370,7 +371,7 @@ def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: s
     """
     from difflib import get_close_matches
 
-    if isinstance(name, int | np.integer) and -count <= name < count:
+    if is_whole(name) and -count <= name < count:
         return int(name) % count
     names = [name_of(i) for i in range(count)]
     if isinstance(name, str) and name in names:
@@ -380,4 +381,4 @@ def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: s
     if len(same) == 1:
         return same[0]
     near = get_close_matches(str(name), names, n=3) or names[:3]
-    raise InvalidProblem(f"no {what} is called {name!r}; nearest: {', '.join(near) or 'there is none'}")
+    raise InvalidProblem(f"no {what} is called {shown(name)}; nearest: {', '.join(near) or 'there is none'}")

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
@@ -247,6 +248,7 @@ def _beyond(what: str, called: Callable[[int], str], given: Any, right: Any, siz
 WIDTH = 110
 
 
+@checked
 def assert_contact_solution(
     problem: ContactProblem | GalleryProblem,
     displacement: ArrayLike | None = None,
@@ -305,6 +307,7 @@ def assert_contact_solution(
         raise AssertionError(message)
 
 
+@checked
 def assert_multipliers(
     problem: ContactProblem | GalleryProblem,
     normal_force: ArrayLike,
@@ -360,7 +363,6 @@ def assert_multipliers(
 
 def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **given: Any) -> str | None:
     """Return what `assert_contact_solution` says of an answer, given as to it; None where it is right."""
-    refuse_other("assert_contact_solution", problem, ContactProblem, GalleryProblem)
     refuse_not_positive("rtol", rtol)
     judged = certify(plain_problem(problem), **given, tolerance=rtol, error_tolerance=rtol)
     if not judged.passed:
@@ -376,7 +378,6 @@ def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **give
 
 def multiplier_fault(problem: ContactProblem | GalleryProblem, rtol: float, **parts: Any) -> str | None:
     """Return what `assert_multipliers` says of forces, given as to it; None where they are right."""
-    refuse_other("assert_multipliers", problem, ContactProblem, GalleryProblem)
     refuse_not_positive("rtol", rtol)
     plain = plain_problem(problem)
     if parts["normal_force"] is None:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -93,6 +94,7 @@ class JudgedAnswer(Certificate):
         """What is wrong, in one paragraph."""
         return paragraph(self, self.problem, self.findings, self.contacts, None if self.passed else self.why_not)
 
+    @checked
     @own_floating_point
     def table(self, limit: int = 20) -> str:
         """Return the wrong contacts as text."""

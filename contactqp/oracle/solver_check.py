@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
 from contactqp.oracle.assertions import solution_fault
 from contactqp.oracle.gallery.gallery import problems as gallery_problems
@@ -62,6 +63,7 @@ class SolverReport:
         return self.table()
 
 
+@checked
 def check_solver(
     solver: Callable[[ContactProblem], Any],
     problems: Iterable[GalleryProblem] | None = None,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Event, History
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.pictures import style
 from contactqp.pictures.history_panels import (
@@ -171,6 +172,7 @@ FLAT = 1e-9
 LARGEST = 1e300
 
 
+@checked
 def draw_history(history: History, file: str | Path, *, title: str = "", time_unit: str = "") -> None:
     """Draw a load path or a motion: displacements, gaps and forces of contacts, energies, and every event.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.motion.motion_history import MotionHistory
-from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
@@ -95,7 +95,6 @@ def history_fields(history: History) -> HistoryFields:
     InvalidProblem
         `history` is no History, or has no instants.
     """
-    refuse_other("draw_history", history, History)
     if len(history) == 0:
         raise InvalidProblem("draw_history: expected a history of one instant or more, got none")
     if isinstance(history, MotionHistory):

@@ -20,6 +20,7 @@ from pydantic.fields import FieldInfo
 from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.linalg.runtime import READ, STEPS, stage
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.problem import ContactProblem
@@ -101,6 +102,7 @@ def register_block(key: str, kind: type[Element]) -> None:
 LARGEST = 2**25
 
 
+@checked
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read and check a case file, or what comes in on standard input where the path is "-".
 
@@ -244,6 +246,7 @@ def _tables(text: str) -> dict[str, Any]:
         raise SceneError(f"expected TOML, got numbers or tables that cannot be read ({type(error).__name__})") from None
 
 
+@checked
 @own_floating_point
 def run(
     scene: Scene | str | Path,

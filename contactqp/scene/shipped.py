@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from dataclasses import dataclass
@@ -81,7 +82,7 @@ def case_path(named: str | Path) -> Path:
     ('bar_wall.toml', 'elsewhere/bar_wall.toml')
     """
     path = Path(named)
-    if path.name != str(named) or path.suffix not in ("", SUFFIX) or path.exists():
+    if path.name != str(named) or path.suffix not in ("", SUFFIX) or os.path.exists(path):
         return path
     return next((file for file in shipped_files() if file.stem == path.stem), path)
 

@@ -17,6 +17,8 @@ from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple
 
+from contactqp.errors import shown
+
 # pint imports dask where it is installed, which takes as long as all the rest of it. A command's process does without;
 # in somebody's own program pint stays as it is.
 if "contactqp.cli" in sys.modules and "dask" not in sys.modules:
@@ -391,7 +393,7 @@ def read_number(value: Any, *, roots: bool = False) -> Fraction:
         raise NotANumber(describe(value))
     if isinstance(value, int | Fraction):
         return in_range(Fraction(value), "a number")
-    written = repr(value) if isinstance(value, float) else str(value)
+    written = repr(float(value)) if isinstance(value, float) else str(value)
     if not Decimal(written).is_finite():
         raise NotANumber(written)
     return in_range(decimal(written), written)
@@ -450,4 +452,6 @@ def describe(value: Any) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         return "a list"
-    return f"{value!r}" if isinstance(value, str) else f"{value} ({type(value).__name__})"
+    if isinstance(value, str) or type(value).__module__ not in ("builtins", "datetime", "fractions"):
+        return shown(value)
+    return f"{value} ({type(value).__name__})"

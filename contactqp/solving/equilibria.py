@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import near_one
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import FrictionalRows
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -39,6 +40,7 @@ def equilibria(problem: ContactProblem) -> tuple[Solution, ...]: ...
 def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
 
 
+@checked
 @own_floating_point
 def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
     """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
@@ -78,7 +80,6 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     """
     if isinstance(problem, LocalProblem):
         return local_equilibria(problem)
-    refuse_other("equilibria", problem, ContactProblem, LocalProblem)
     if not problem.frictional:
         raise InvalidProblem(
             "equilibria: expected a problem with friction; without it the minimum is what solve returns"
@@ -117,6 +118,7 @@ class AssociatedDifference(ReadOnly):
         )
 
 
+@checked
 @own_floating_point
 def associated_difference(
     problem: ContactProblem, coulomb: Solution | None = None, method: str = "active-set", **options: Any
@@ -187,6 +189,7 @@ def _friction(solution: Solution) -> NDArray[np.float64]:
     return np.zeros((len(solution.normal_force), 1)) if solution.friction_force is None else solution.friction_force
 
 
+@checked
 @own_floating_point
 def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     """The test of Acary, Cadoux, Lemarechal and Malick (2011): positive where a solution surely exists.
@@ -214,7 +217,6 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     >>> existence_margin(LocalProblem(delassus=W, offset=[-0.1, 0.0, -0.1, 0.0], friction=0.5, dimension=2)) < 0
     True
     """
-    refuse_other("existence_margin", problem, ContactProblem, LocalProblem)
     form = LocalForm(problem if isinstance(problem, LocalProblem) else _local(problem))
     if np.any(form.joint_signs < 0):
         raise Unsupported("existence_margin: bodies that float, or joints without compliance (the theorem has neither)")

@@ -26,6 +26,7 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
     refuse_other,
+    shown,
 )
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
@@ -167,6 +168,8 @@ def solve(
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if progress is not None and not callable(progress):
         raise InvalidProblem(f"progress: expected a function of one text, got {type(progress).__name__}")
+    if algorithm is not None and not isinstance(algorithm, str):
+        raise InvalidProblem(f"algorithm: expected a name, got {shown(algorithm)}")
     with telling(progress):
         return _solve_any(problem, method, engine, condense, warm_start, same)
 
@@ -174,9 +177,9 @@ def solve(
 def _solve_any(
     problem: Any, method: str, engine: str, condense: bool | str, warm_start: Any, same: dict[str, Any]
 ) -> Solution | LocalSolution:
-    if engine == SERIAL:  # other engines have methods of their own
+    if isinstance(engine, str) and engine == SERIAL:  # other engines have methods of their own
         method = registered_name(method)
-    if engine != SERIAL:
+    else:
         refuse_unknown_engine(engine)
     if isinstance(problem, LocalProblem):
         if engine != SERIAL:

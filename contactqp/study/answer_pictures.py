@@ -17,6 +17,7 @@ from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.files import check_file, check_installed, write_whole
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
@@ -58,6 +59,7 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
     if scene.meshed:
         return _fields_of_bodies(scene, solution)
     unknowns = exact_problem(scene).unknowns
+    _refuse_another("scene", len(unknowns.free), solution)
     value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
     load = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.problem.load.tolist(), strict=True))
     return FrameFields(
@@ -176,6 +178,7 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scal
     return structure_figure(fields, scale=1.0 if scene.large and scale is None else scale, title=title)
 
 
+@checked
 def draw(
     answer: Solution | History,
     file: str | Path | None = None,
@@ -235,8 +238,6 @@ def draw(
     """
     check_installed("matplotlib", "drawing")
     path = None if file is None else check_picture(file)
-    if not isinstance(answer, Solution | History):
-        raise InvalidProblem(f"draw: expected a Solution or a History, got {type(answer).__name__}")
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             if scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
@@ -268,8 +269,18 @@ def _drawn(
         read = load_scene(scene) if isinstance(scene, str | Path) else scene
         return answer_figure(read, solution, title=title or read.title, scale=scale)
     if system is not None:
+        _refuse_another("system", len(system.free), solution)
         return figure(contact_fields(system, contacts, solution), title=title, scale=scale)
     return solution_figure(solution, title=title)
+
+
+def _refuse_another(what: str, unknowns: int, solution: Solution) -> None:
+    """Raise InvalidProblem where a solution is one of another scene or system."""
+    if unknowns != len(solution.displacement):
+        raise InvalidProblem(
+            f"draw: expected the {what} of this solution, which has {len(solution.displacement)} unknowns, got one of "
+            f"{unknowns}"
+        )
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
@@ -386,6 +387,7 @@ class Comparison(Printed, Sequence[Row]):
         return to_csv(self.rows)
 
 
+@checked
 @own_floating_point
 def compare(
     problem: ContactProblem,

@@ -77,7 +77,7 @@ def test_the_associated_relaxation_takes_no_path() -> None:
 
 
 def test_loads_that_are_none() -> None:
-    with pytest.raises(cq.InvalidProblem, match="loads: expected a sequence of load vectors, got None"):
+    with pytest.raises(cq.InvalidProblem, match="follow_path: loads: expected a sequence"):
         cq.follow_path(klarbring(), loads=None)
 
 

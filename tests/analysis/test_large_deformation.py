@@ -380,7 +380,7 @@ def test_histories_are_pickled():
         (dict(body=object()), "body: expected"),
         (dict(loads=[]), "at least one load"),
         (dict(loads=[[1.0]]), r"loads\[0\]: expected shape \(2,\)"),
-        (dict(contact=object()), "ContactGeometry"),
+        (dict(contact=object()), "contact: expected an object with contacts, "),
         (dict(contact=cq.ObstacleContact([[0, 0, 0]], cq.Sphere([0, 0, 9], 1.0))), "2 unknowns of the body, got 3"),
         (dict(steps=0), "steps: expected a positive integer"),
         (dict(control="force"), "control: expected one of"),

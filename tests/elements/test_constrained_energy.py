@@ -160,7 +160,7 @@ def test_every_exact_method_agrees_and_a_wrong_answer_is_refused() -> None:
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    (dict(unknowns="x"), "unknowns: expected names"),
+    (dict(unknowns="x"), "unknowns: expected a sequence, each a string or a whole number"),
     (dict(unknowns=["x", "x"]), "'x' more than once"),
     (dict(unknowns=["x"], stiffness=np.eye(2)), r"stiffness: expected shape \(1, 1\), got \(2, 2\)"),
     (dict(unknowns=["x"], load=[1.0, 2.0]), "load: "),

@@ -47,10 +47,10 @@ def test_moving_a_node_changes_its_gap_by_the_row(normal, motion):
     plane = Plane(point=[0.1, 0.2, 0.3], normal=normal)
     x, u = np.array([1.0, 2.0, -1.0]), np.array(motion)
     rows = against_plane(x, plane)
-    assert np.isclose(plane.distance(x + u), rows.gap - rows.normal @ u)
+    assert np.isclose(plane.distance([x + u])[0], rows.gap - rows.normal @ u)
     assert len(rows.tangent) == 2
     for t in rows.tangent:
-        assert np.isclose(plane.distance(x + t), rows.gap)
+        assert np.isclose(plane.distance([x + t])[0], rows.gap)
 
 
 @given(DIRECTION)

@@ -268,7 +268,7 @@ def test_what_cannot_be_written_leaves_the_old_file(tmp_path, monkeypatch):
     }.items():
         with pytest.raises(cq.InvalidProblem, match=expected):
             cq.write_fclib(file, *arguments)
-    with pytest.raises(cq.InvalidProblem, match="storage: expected 'csc', 'csr' or 'triplet', got 'coo'"):
+    with pytest.raises(cq.InvalidProblem, match="storage: expected one of 'csc', 'csr', 'triplet', got 'coo'"):
         cq.write_fclib(file, problem, storage="coo")
     with monkeypatch.context() as patch:
         patch.setattr("contactqp.exchange.fclib._put_vectors", _full_disk)

@@ -285,7 +285,7 @@ def test_missing_parts_are_recovered() -> None:
         (lambda bar: assert_multipliers(bar, None), "expected normal_force"),
         (lambda bar: assert_multipliers(bar, [142.5], compression="pos"), "expected 'positive' or 'negative'"),
         (lambda bar: assert_multipliers(bar, [142.5], [[0.0]]), "no tangential rows"),
-        (lambda _: assert_multipliers([[1.0]], [142.5]), "expected a ContactProblem or GalleryProblem"),  # type: ignore[arg-type]
+        (lambda _: assert_multipliers([[1.0]], [142.5]), "expected a ContactProblem or a GalleryProblem"),  # type: ignore[arg-type]
     ],
 )
 def test_what_is_no_answer_is_refused(call: Any, words: str) -> None:

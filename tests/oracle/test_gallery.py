@@ -216,7 +216,7 @@ def test_an_unknown_name_is_refused_with_the_nearest(name: str, words: str) -> N
         (dict(kind="x"), "expected one of named, well-posed"),
         (dict(difficulty="har"), "did you mean 'hard'"),
         (dict(count=-1), "count: expected an integer >= 0, got -1"),
-        (dict(seed=1.5), "seed: expected an integer >= 0, got 1.5"),
+        (dict(seed=1.5), "seed: expected a whole number, got 1.5"),
         (dict(count=10**9), "at most 100000"),
     ],
 )

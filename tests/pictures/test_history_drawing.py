@@ -355,7 +355,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path, monkeypatch):
     path = wall_path(steps=2)
     with pytest.raises(cq.InvalidProblem, match=r"a.jpg: expected a file name that ends in .png or .pdf or .svg"):
         cq.draw_history(path, tmp_path / "a.jpg")
-    with pytest.raises(cq.InvalidProblem, match="draw_history: expected a History, got tuple"):
+    with pytest.raises(cq.InvalidProblem, match="draw_history: history: expected a History"):
         cq.draw_history((1.0, 0.5), tmp_path / "a.png")  # the history of a method, not of a path
     with pytest.raises(cq.InvalidProblem, match="expected a history of one instant or more, got none"):
         cq.draw_history(cq.History([], []), tmp_path / "a.png")

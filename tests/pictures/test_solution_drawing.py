@@ -104,5 +104,7 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(tmp_path) -> None:
     solution = cq.solve(chain(3))
     with pytest.raises(cq.InvalidProblem, match=r"\.png"):
         solution.plot(tmp_path / "chain.gif")
-    with pytest.raises(cq.InvalidProblem, match="draw: expected a Solution or a History, got list"):
+    with pytest.raises(cq.InvalidProblem, match="draw: expected the scene of this solution, which has 6 unknowns"):
+        cq.draw(solution, scene="bar_wall")
+    with pytest.raises(cq.InvalidProblem, match="draw: answer: expected a Solution or a History"):
         cq.draw([1.0])

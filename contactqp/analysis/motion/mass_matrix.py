@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.factorization import factorise, null_space
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
@@ -87,6 +88,7 @@ def touched(problem: ContactProblem) -> NDArray[np.intp]:
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
 
 
+@checked
 @own_floating_point
 def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     """Return a mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).

@@ -17,6 +17,7 @@ from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import Unsupported
+from contactqp.model.arguments import checks
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -52,6 +53,7 @@ class Moving(Solution):
     step_unknown: Vector = field(default_factory=lambda: np.zeros(0), repr=False)
 
 
+@checks
 class MotionHistory(History):
     """A `History` of a motion, the start included; `times` are in the user's unit of time, that of the time step."""
 

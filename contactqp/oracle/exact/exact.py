@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.exchange.problem_files import read_problem
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -46,6 +47,7 @@ RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
 MOST_OF_A_CASE = 1500
 
 
+@checked
 @own_floating_point
 def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
     """Return the exact answer to a contact problem.

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
 from contactqp.model.solution import Answer
@@ -55,6 +55,7 @@ class GivenAnswer(ReadOnly):
         )
 
 
+@own_floating_point
 def read_given(
     problem: ContactProblem,
     displacement: Any,
@@ -74,8 +75,8 @@ def read_given(
         Neither displacement nor normal force, wrong shapes, areas that are not positive, a map that names an unknown
         or contact twice or not at all, another word for `compression`.
     """
-    if compression not in COMPRESSION:
-        raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {compression!r}")
+    if not isinstance(compression, str) or compression not in COMPRESSION:
+        raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {shown(compression)}")
     if displacement is None and normal_force is None:
         raise InvalidProblem("certify: expected displacement, normal_force or both, got neither")
     notes: list[str] = []
@@ -134,8 +135,11 @@ def _places(
     if value is None:
         return None
     if isinstance(value, str) or not np.iterable(value):
-        raise InvalidProblem(f"{name}: expected {count} integers or names, got {value!r}")
-    entries = list(value)
+        raise InvalidProblem(f"{name}: expected {count} integers or names, got {shown(value)}")
+    try:
+        entries = list(value)
+    except Exception as error:  # noqa: BLE001  whatever an object says of itself
+        raise InvalidProblem(f"{name}: expected {count} integers or names, got {shown(value)} ({error})") from None
     if entries and all(isinstance(one, str) for one in entries):
         return _by_name(name, entries, names, kind)
     try:
@@ -199,7 +203,7 @@ def _friction(
     problem: ContactProblem, value: Any, places: NDArray[np.intp] | None, order: Any
 ) -> NDArray[np.float64] | None:
     if problem.slip_origin is None:
-        if value is not None and np.size(value):
+        if value is not None and read_array("friction_force", value).size:
             raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
         return None
     if value is None:

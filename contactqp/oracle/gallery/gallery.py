@@ -34,6 +34,7 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.problem_folder import write_problem
+from contactqp.model.arguments import checked
 from contactqp.oracle.gallery import random_problems as plain
 from contactqp.oracle.gallery.classical import CLASSICAL
 from contactqp.oracle.gallery.problem import Contents, GalleryProblem, times
@@ -56,6 +57,7 @@ KINDS = ("named", *RANDOM)
 LARGEST_COUNT = 100_000
 
 
+@checked
 @lru_cache(maxsize=64)
 def problem(name: str) -> GalleryProblem:
     """Return the problem of a name, such as "truss-over-floor" or "redundant-17".
@@ -80,6 +82,7 @@ def problem(name: str) -> GalleryProblem:
     return GalleryProblem(name, kind, difficulty, partial(_made, RANDOM[kind], name, difficulty))
 
 
+@checked
 def problems(
     kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
 ) -> list[GalleryProblem]:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
@@ -119,6 +120,7 @@ class ExactEquilibrium(ReadOnly):
     unique_forces: bool  # no other contact forces belong to this displacement
 
 
+@checked
 @own_floating_point
 def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquilibrium, ...]:
     """All equilibria of a frictional problem in the plane in rational numbers, by all combinations of states.

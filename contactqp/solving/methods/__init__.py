@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
+from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, shown
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole, refuse_not_positive
 from contactqp.model.solution import Candidate, Solution
@@ -87,7 +87,7 @@ def registered_name(name: Any) -> str:
         There is no such method; the nearest names are given.
     """
     if not isinstance(name, str):
-        raise Unsupported(f"method: expected a name, got {name!r}")
+        raise Unsupported(f"method: expected a name, got {shown(name)}")
     if name in _REGISTRY:
         return name
     meant = of_same_letters(name, _REGISTRY)
@@ -172,11 +172,11 @@ def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any
     if time_limit is not None:
         refuse_not_positive("time_limit", time_limit)
     if max_iter is not None and (not is_whole(max_iter) or max_iter < 1):
-        raise InvalidProblem(f"max_iter: expected a positive integer, got {max_iter!r}")
-    if not (isinstance(condense, bool) or condense == "auto"):
-        raise InvalidProblem(f"condense: expected True, False or 'auto', got {condense!r}")
+        raise InvalidProblem(f"max_iter: expected a positive integer, got {shown(max_iter)}")
+    if not (isinstance(condense, bool) or (isinstance(condense, str) and condense == "auto")):
+        raise InvalidProblem(f"condense: expected True, False or 'auto', got {shown(condense)}")
     if not isinstance(polish, bool):
-        raise InvalidProblem(f"polish: expected True or False, got {polish!r}")
+        raise InvalidProblem(f"polish: expected True or False, got {shown(polish)}")
 
 
 def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None:

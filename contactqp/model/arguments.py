@@ -1,0 +1,197 @@
+"""The arguments of public functions, held against the types that their signatures state.
+
+A function that is `checked` refuses what it cannot take before it computes anything: the message names the argument,
+what was expected and what came. Arrays are read by the functions themselves (`contactqp.model.problem_data`).
+"""
+
+from __future__ import annotations
+
+import builtins
+import inspect
+import numbers
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from decimal import Decimal
+from fractions import Fraction
+from functools import wraps
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+
+from contactqp.errors import InvalidProblem, cure_of, shown
+from contactqp.model.problem_data import is_whole
+
+P = ParamSpec("P")
+R = TypeVar("R")
+C = TypeVar("C", bound=type)
+
+# Parameters that collect arguments without a name in the signature.
+COLLECTING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+# The order of their entries means something, and they are no text.
+SEQUENCES = (Sequence, Iterable, tuple, list)
+# Whole numbers from here on are no numbers of anything, and none of NumPy's.
+LARGEST_WHOLE = 2**63
+NO_SEQUENCES = (str, bytes, Mapping, Set)
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Refuse arguments of other types than the signature states; iterables that can be read once become tuples.
+
+    Raises
+    ------
+    InvalidProblem
+        An argument of another type. As ever TypeError, where a call does not fit the signature.
+    """
+    signature = inspect.signature(function)
+    stated: dict[str, Any] = {}
+
+    @wraps(function)
+    def checking(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not stated:
+            stated.update(_stated_types(function, signature))
+        given = signature.bind(*args, **kwargs)
+        for name in given.arguments.keys() & stated.keys():
+            place = f"{_called(function, args, given.arguments)}: {name}"
+            given.arguments[name] = _accepted(place, given.arguments[name], stated[name])
+        return function(*given.args, **given.kwargs)
+
+    return checking
+
+
+def checks(kind: C) -> C:
+    """Check the arguments of the constructor and of the public methods of a class."""
+    for name, value in tuple(vars(kind).items()):
+        if inspect.isfunction(value) and (name == "__init__" or not name.startswith("_")):
+            setattr(kind, name, checked(value))
+    return kind
+
+
+def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[str, Any]) -> str:
+    """Return what a user calls a function: ``Structure.assemble``; a constructor's object by its name, or its class."""
+    if "." not in function.__qualname__ or not args:
+        return function.__name__
+    kind = (args[0] if isinstance(args[0], type) else type(args[0])).__name__
+    if function.__name__ != "__init__":
+        return f"{kind}.{function.__name__}"
+    return given["name"] if isinstance(given.get("name"), str) else kind
+
+
+def _stated_types(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:
+    names = _Names(inspect.unwrap(function).__globals__)
+    stated = {
+        name: eval(one.annotation, {}, names) if isinstance(one.annotation, str) else one.annotation
+        for name, one in signature.parameters.items()
+        if one.annotation is not one.empty and one.kind not in COLLECTING
+    }
+    return stated or {"": Any}
+
+
+class _Names(dict[str, Any]):
+    """Names as a module knows them; one that is imported for type checkers alone stands for classes of that name."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, None) or type(name, (_ByName,), {})
+
+
+class _ByName:
+    """A class that is known by its name; one of that name need not be imported where there are no objects of it."""
+
+
+def _accepted(place: str, value: Any, stated: Any) -> Any:
+    """Return a value of the stated type, a sequence where one is stated, or refuse it."""
+    options = get_args(stated) if get_origin(stated) in (Union, UnionType) else (stated,)
+    if any(_is_of(value, option) for option in options):
+        return float(value) if float in options and isinstance(value, (np.ndarray, Decimal, Fraction)) else value
+    for option in options:
+        if get_origin(option) in SEQUENCES and isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES):
+            entries, kinds = _entries(place, value), get_args(option)
+            if get_origin(option) is tuple and Ellipsis not in kinds and len(entries) != len(kinds):
+                raise InvalidProblem(f"{place}: expected {len(kinds)} entries, got {shown(value)}")
+            accepted = tuple(_accepted(f"{place}[{i}]", one, kinds[0]) for i, one in enumerate(entries))
+            return value if isinstance(value, Sequence) else accepted
+        if get_origin(option) is Mapping and isinstance(value, Mapping):
+            for key, one in value.items():
+                _accepted(f"{place}: a key", key, get_args(option)[0])
+                _accepted(f"{place}[{shown(key)}]", one, get_args(option)[1])
+            return value
+    words = " or ".join(dict.fromkeys(_words(option) for option in options if option is not type(None)))
+    cure = cure_of(value) if "Problem" in words or not isinstance(value, str) else ""
+    raise InvalidProblem(f"{place}: expected {words}, got {shown(value)}{cure}")
+
+
+def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
+    try:
+        return tuple(value)
+    except Exception as error:
+        raise InvalidProblem(f"{place}: expected a sequence, got {shown(value)} ({shown(error)})") from error
+
+
+def _is_of(value: Any, stated: Any) -> bool:
+    """Whether a value is of a type that is neither a union nor a sequence nor a mapping."""
+    kind = get_origin(stated) or stated
+    if kind is Any:
+        return True
+    if kind is Literal:
+        return isinstance(value, str) and value in get_args(stated)
+    if kind is int:
+        return is_whole(value) and abs(value) < LARGEST_WHOLE
+    if kind is float:
+        return _is_real(value)
+    if kind is bool:
+        return isinstance(value, (bool, np.bool_))
+    if kind is Callable:
+        return callable(value)
+    if kind is Path:
+        return isinstance(value, os.PathLike)
+    if not isinstance(kind, type) or kind.__module__.partition(".")[0] == "numpy" or kind is object:
+        return kind not in SEQUENCES and kind is not Mapping  # any array, and anything
+    if issubclass(kind, _ByName):
+        return any(base.__name__ == kind.__name__ for base in type(value).__mro__)
+    if getattr(kind, "_is_protocol", False):
+        return not isinstance(value, type) and all(_has(value, name) for name in _members(kind))
+    return isinstance(value, kind) and kind not in (*SEQUENCES, Mapping)
+
+
+def _is_real(value: Any) -> bool:
+    """Whether a value is one real number that is a float, in an array without axes too; truth values are none."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.ndim == 0 and value.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray)
+    if isinstance(value, bool) or not isinstance(value, (numbers.Real, Decimal)):
+        return False
+    try:
+        float(value)
+    except (OverflowError, ValueError):  # beyond 1.8e308, a signalling NaN
+        return False
+    return True
+
+
+def _members(protocol: type) -> list[str]:
+    return [name for name in vars(protocol) if not name.startswith("_")]
+
+
+def _has(value: Any, name: str) -> bool:
+    try:
+        return hasattr(value, name)
+    except Exception:  # noqa: BLE001  a property of somebody else's class
+        return True
+
+
+def _words(stated: Any) -> str:
+    """Return what a message calls a type: ``a number``, ``a Mesh``, ``a sequence with each a Support``."""
+    kind = get_origin(stated) or stated
+    simple = {float: "a number", int: "a whole number", bool: "True or False", str: "a string", Callable: "a function"}
+    if kind in simple:
+        return simple[kind]
+    if kind is Literal:
+        return "one of " + ", ".join(map(repr, get_args(stated)))
+    if kind in (Path, os.PathLike):
+        return "a path"
+    if kind in SEQUENCES:
+        return f"a sequence, each {_words(get_args(stated)[0])}"
+    if kind is Mapping:
+        return "a mapping"
+    if getattr(kind, "_is_protocol", False):
+        return f"an object with {', '.join(_members(kind))}"
+    return "an array" if kind in (Any, np.ndarray) else f"a {getattr(kind, '__name__', kind)}"

@@ -1,0 +1,214 @@
+"""Anything that Python has, given as any argument of any public function: only errors of this package leave.
+
+Their messages are one line. Functions that a user gives raise errors of their own, which are the user's.
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+import pathlib
+import warnings
+from collections.abc import Iterator
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from inspect import Parameter, signature
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.elements.shapes import rectangle
+from tests import public_objects, wild_calls
+from tests.test_thrown import ask_everything
+
+LONGEST_MESSAGE = 400
+# One value in so many is thrown at every argument in every run of the tests, the others in the slow share.
+THIN = 7
+# What `testing` says of a wrong answer is an AssertionError.
+ASSERTIONS = "contactqp.oracle.assertions"
+# Work without end where a count is as large as this.
+COUNTS = ("steps", "count", "max_iter", "unknowns")
+
+
+class Labelled:
+    """Something like a series of pandas."""
+
+    def __init__(self, values: list[float]) -> None:
+        self.values, self.index = np.array(values), range(len(values))
+        self.shape = self.values.shape
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.asarray(self.values, dtype)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+class Hostile:
+    """Says that it is an array, and is none; its words have two lines."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        raise RuntimeError("no array\nat all")
+
+    def __repr__(self) -> str:
+        return "hostile\nof two lines"
+
+
+class Incomplete:
+    """Says that it has entries, and has none."""
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, place: int) -> float:
+        raise KeyError(place)
+
+
+class Anything:
+    """Made of whatever it is given."""
+
+    def __init__(self, *given: Any) -> None:
+        self.given = given
+
+
+def circle() -> list[Any]:
+    found: list[Any] = []
+    found.append(found)
+    return found
+
+
+def numbers() -> Iterator[float]:
+    yield from (1.0, 2.0)
+
+
+@cache
+def wild() -> dict[str, Any]:
+    made = public_objects.objects()
+    problem, rubbing, local, _, global_form = made["problems"]
+    arrays = {
+        "without axes": np.array(5.0), "nothing without axes": np.array(None), "empty": np.zeros(0),
+        "three": np.zeros(3), "three axes": np.zeros((2, 2, 2)), "no rows": np.zeros((0, 2)),
+        "no columns": np.zeros((2, 0)),
+        "masked": np.ma.masked_array([1.0, 2.0], [True, False]), "objects": np.array([object(), None]),
+        "NaNs": np.full(2, np.nan), "infinite": np.full(2, np.inf), "a matrix of NaNs": np.full((2, 2), np.nan),
+        "huge": np.full(2, 1e308), "a huge matrix": np.full((2, 2), 1e308), "a tiny matrix": np.full((2, 2), 1e-320),
+        "fields": np.zeros(2, dtype=[("a", float)]), "an array of words": np.array(["a", "b"]),
+        "whole numbers": np.array([0, 1]), "truth values": np.array([True, False]),
+        "half floats": np.zeros(2, np.float16),
+        "long": np.arange(5000.0), "large": np.ones((60, 60)), "one NaN": np.array([0.0, np.nan]),
+        "sparse": sp.csr_array(np.ones((2, 3))), "a sparse matrix": sp.csr_matrix(np.eye(2)),
+        "sparse NaNs": sp.csr_array(np.full((2, 2), np.nan)), "sparse and complex": sp.csr_array(1j * np.eye(2)),
+        "sparse along one axis": sp.coo_array(np.ones(2)),
+    }  # fmt: skip
+    ours = {
+        "a scene": made["scene"], "a problem": rubbing, "a local problem": local, "a global problem": global_form,
+        "a solution": made["solutions"][0], "a local solution": made["solutions"][2], "a history": made["history"],
+        "a motion": made["motion"], "a certificate": made["solutions"][0].certificate,
+        "a plane": cq.Plane([0, 0], [0, 1]),
+        "a plane in space": cq.Plane([0, 0, 0], [0, 0, 1]), "a mesh": rectangle(1.0, 1.0, (1, 1)),
+        "a body": wild_calls.body(), "a material": cq.Material(1.0, 0.0), "a structure": public_objects.block(),
+        "a surface": wild_calls.side(), "a truss": wild_calls.truss(), "a pairing": made["pairing"],
+        "a spring": cq.Spring("s", 1.0, {"w": 1.0}), "planes": [cq.Plane([0, 0], [0, 1])], "problems": [problem],
+        "bodies": [wild_calls.body()], "a support of nothing": [cq.Support("nobody", "top", 0)],
+        "a support by a word": [cq.Support("block", "top", 0, "x")],
+    }  # fmt: skip
+    others = {
+        "None": None, "no word": "", "a word": "word", "NaN in words": "nan", "5 in words": "5", "two lines": "a\nb",
+        "a long word": "x" * 5000, "bytes": b"bytes", "a mapping": {"a": 1}, "an empty mapping": {},
+        "None by None": {None: None},
+        "a set": {1, 2}, "an object": object(), "a class": Anything, "a function of nothing": lambda *_: None,
+        "a function of NaN": lambda *_: np.nan, "True": True, "1j": 1j, "NaN": np.nan, "inf": np.inf,
+        "-inf": -np.inf,
+        "1e308": 1e308, "-1e308": -1e308, "1e-320": 1e-320, "1e20": 1e20, "-1": -1, "0": 0, "2.5": 2.5, "7": 7,
+        "10**400": 10**400, "a third": Fraction(1, 3), "a decimal NaN": Decimal("NaN"), "a loud NaN": Decimal("sNaN"),
+        "a date": datetime.date(2020, 1, 1), "a duration": np.timedelta64(1, "s"), "[]": [], "[[]]": [[]],
+        "[None]": [None],
+        "['a']": ["a"], "ragged": [1, [2, 3]], "complex": [1j, 2j], "[5]": [5], "[-1]": [-1], "[0, 0]": [0, 0],
+        "[True]": [True, False], "a tuple": (1, 2, 3), "deep": [[[1.0]]], "itself": circle(), "a range": range(3),
+        "numbers once": None, "a folder": pathlib.Path("/"), "a folder by name": "/",
+        "no file": pathlib.Path("/no/such/file"),
+        "a zero byte": "a\0b", "a device": "/dev/null", "labelled": Labelled([1.0, 2.0]), "hostile": Hostile(),
+        "incomplete": Incomplete(), "a stream": io.StringIO("1"), "...": ..., "not implemented": NotImplemented,
+        "an exception": ValueError("x"), "a module": np,
+    }  # fmt: skip
+    return arrays | ours | others
+
+
+@pytest.fixture(scope="module")
+def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, wild_calls.Call]:
+    return wild_calls.calls(tmp_path_factory.mktemp("wild"))
+
+
+def test_every_public_name_is_called_or_takes_nothing_from_a_user(calls: dict[str, wild_calls.Call]) -> None:
+    """A name that is new fails this test until it is called in `wild_calls`, or said there to be called by nobody."""
+    public = set(wild_calls.names())
+    assert public - calls.keys() - wild_calls.NOT_CALLED.keys() == set()
+    assert (calls.keys() | wild_calls.NOT_CALLED.keys()) - public == set()
+    assert calls.keys() & wild_calls.NOT_CALLED.keys() == set()
+
+
+def test_the_calls_work_as_they_stand(calls: dict[str, wild_calls.Call]) -> None:
+    """An argument in a call that is refused anyhow is never looked at."""
+    for call in calls.values():
+        call.function(**call.arguments)
+
+
+NAMES = sorted(set(wild_calls.names()) - wild_calls.NOT_CALLED.keys())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_errors_of_this_package_leave(
+    name: str, calls: dict[str, wild_calls.Call], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    throw_at(name, calls[name], THIN)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_only_errors_of_this_package_leave_whatever_is_thrown(
+    name: str, calls: dict[str, wild_calls.Call], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    throw_at(name, calls[name], 1)
+
+
+def throw_at(name: str, call: wild_calls.Call, thin: int) -> None:
+    """Replace every argument of a call by wild values, every `thin`-th of them."""
+    for one in signature(call.function).parameters.values():
+        if one.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD):
+            continue
+        for label, value in wild().items():
+            if crc32(f"{name} {one.name} {label}".encode()) % thin or value is one.default:
+                continue
+            if one.name in COUNTS and label == "10**400":
+                continue
+            given = numbers() if label == "numbers once" else value
+            message = leaves(f"{name}({one.name} = {label})", call, {one.name: given})
+            assert "\n" not in message, (name, one.name, label)
+            assert len(message) <= LONGEST_MESSAGE, (name, one.name, label, message)
+
+
+def leaves(where: str, call: wild_calls.Call, changed: dict[str, Any]) -> str:
+    """Return the message of an error of this package; any other error and any warning fails."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", cq.StartWarning)
+        warnings.simplefilter("ignore", cq.TimeStepWarning)
+        warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)  # a title that no font has
+        try:
+            found = call.function(**(call.arguments | changed))
+            if not isinstance(found, cq.Scene):  # pydantic's own properties warn
+                ask_everything(found)
+        except cq.ContactQPError as error:
+            return str(error)
+        except Exception as error:  # noqa: BLE001  what this test is about
+            said = isinstance(error, AssertionError) and call.function.__module__ == ASSERTIONS
+            if not said:
+                pytest.fail(f"{where}: {type(error).__name__}: {error}")
+    return ""
