@@ -196,8 +196,9 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "Pairing.per_area": (pairing.per_area, dict(force=np.zeros(2))),
         "Pairing.pressure": (pairing.pressure, dict(normal_force=np.zeros(2))),
         "Units": (cq.Units, dict(length="m", force="N")),
-        "History.plot": (history.plot, {}),
-        "MotionHistory.plot": (given.objects()["motion"].plot, {}),
+        **{f"{kind}.{method}": (getattr(one, method), arguments)
+           for kind, one in (("History", history), ("MotionHistory", given.objects()["motion"]))
+           for method, arguments in (("plot", {}), ("table", {}), ("write_csv", dict(file=folder / "history.csv")))},
         "MotionHistory.resume": (given.objects()["motion"].resume, dict(duration=0.1)),
         "JudgedAnswer.findings_within": (judged.findings_within, dict(operations=1e5)),
         "JudgedAnswer.table": (judged.table, {}),

@@ -84,7 +84,7 @@ class ContactTable(Printed, Sequence[ContactRow]):
         """
         try:
             Path(file).write_text(self.to_csv(), encoding="utf-8", newline="\n")
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise InvalidProblem(f"{file}: expected a file that can be written, got: {error.strerror}") from None
 
 

@@ -24,6 +24,7 @@ from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.refinement import OnSet, answer_on
+from contactqp.model.arguments import checked
 from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -188,6 +189,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         """Draw the history, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
         return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
+    @checked
     def table(self, time_label: str = "") -> ContactTable:
         """Return time, status, normal force, friction and gap of every contact at every instant, a row each.
 
@@ -195,6 +197,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         """
         return contact_table(self, self.times.tolist(), time_label or self.time_label)
 
+    @checked
     def write_csv(self, file: str | Path, time_label: str = "") -> None:
         """Write `table` to a file of comma-separated values; InvalidProblem where it cannot be written."""
         self.table(time_label).write_csv(file)
