@@ -85,7 +85,9 @@ class ContactTable(Printed, Sequence[ContactRow]):
         try:
             Path(file).write_text(self.to_csv(), encoding="utf-8", newline="\n")
         except (OSError, ValueError) as error:
-            raise InvalidProblem(f"{file}: expected a file that can be written, got: {error.strerror}") from None
+            raise InvalidProblem(
+                f"{file}: expected a file that can be written, got: {getattr(error, 'strerror', None) or error}"
+            ) from None
 
 
 def contact_table(history: Sequence[Solution], times: Sequence[float], time_label: str) -> ContactTable:
