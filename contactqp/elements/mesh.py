@@ -62,9 +62,7 @@ class Mesh(ReadOnly):
     sides: Mapping[str, Index] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        points = real_array("mesh: points", self.points)
-        points.setflags(write=False)
-        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "points", read_only(real_array("mesh: points", self.points)))
         check_mesh(self.points, self.blocks)
         object.__setattr__(self, "node_sets", self._sets(self.node_sets))
         object.__setattr__(self, "sides", self._checked(self.sides))
@@ -319,16 +317,13 @@ def check_mesh(points: Points, blocks: Sequence[Block]) -> None:
         the same nodes, an inverted or flat element, linear elements beside quadratic ones, a node in no element.
     """
     _check_points(points, blocks)
-    first = 0
-    for block in blocks:
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    for block, first in zip(blocks, starts, strict=False):
         _check_numbers(points, block, first)
-        first += len(block)
     _check_duplicates(blocks)
     _check_neighbours(blocks)
-    first = 0
-    for block in blocks:
+    for block, first in zip(blocks, starts, strict=False):
         _check_jacobians(points, block, first)
-        first += len(block)
     _check_connected(points, blocks)
 
 
@@ -485,7 +480,7 @@ def checked_set(name: str, given: ArrayLike, count: int) -> Index:
 
 
 def checked_side(name: str, given: ArrayLike, blocks: Sequence[Block]) -> Index:
-    """Return a named side as a set of facets: (element, local facet) pairs that the mesh has, one or more, each once."""
+    """Return a named side as a set of facets: (element, local facet) pairs of the mesh, one or more, each once."""
     pairs = read_whole(f"side {name!r}", given)
     if not pairs.size:
         raise InvalidProblem(f"side {name!r} is empty; expected at least one facet")
@@ -498,5 +493,4 @@ def checked_side(name: str, given: ArrayLike, blocks: Sequence[Block]) -> Index:
         element, facet = pairs[np.argmin(known)]
         raise InvalidProblem(f"side {name!r}: there is no facet {facet} of an element {element}")
     _, first = np.unique(pairs, axis=0, return_index=True)
-    once: Index = pairs[np.sort(first)]
-    return once
+    return np.asarray(pairs[np.sort(first)])
