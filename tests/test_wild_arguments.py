@@ -212,3 +212,15 @@ def leaves(where: str, call: wild_calls.Call, changed: dict[str, Any]) -> str:
             if not said:
                 pytest.fail(f"{where}: {type(error).__name__}: {error}")
     return ""
+
+
+def test_an_unknown_argument_is_told_with_the_function_and_the_nearest_one() -> None:
+    with pytest.raises(TypeError, match=r"^Material: .*(do you mean|its arguments: modulus, poisson)"):
+        cq.Material(young=1.0, poisson=0.3)
+    with pytest.raises(
+        TypeError, match=r"^Material: got an unexpected keyword argument 'poison' \(do you mean 'poisson'\?\)"
+    ):
+        cq.Material(modulus=1.0, poisson=0.3, poison=0.3)
+    solution = cq.solve(cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0]))
+    with pytest.raises(TypeError, match=r"^draw: got an unexpected keyword argument 'pairings'.*contacts"):
+        cq.draw(solution, "x.png", pairings=[])

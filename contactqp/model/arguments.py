@@ -12,6 +12,7 @@ import numbers
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from decimal import Decimal
+from difflib import get_close_matches
 from fractions import Fraction
 from functools import wraps
 from pathlib import Path
@@ -51,7 +52,10 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     def checking(*args: P.args, **kwargs: P.kwargs) -> R:
         if not stated:
             stated.update(_stated_types(function, signature))
-        given = signature.bind(*args, **kwargs)
+        try:
+            given = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{_called(function, args, {})}: {error}{_meant(signature, kwargs)}") from None
         for name in given.arguments.keys() & stated.keys():
             place = f"{_called(function, args, given.arguments)}: {name}"
             given.arguments[name] = _accepted(place, given.arguments[name], stated[name])
@@ -76,6 +80,16 @@ def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[
     if function.__name__ != "__init__":
         return f"{kind}.{function.__name__}"
     return given["name"] if isinstance(given.get("name"), str) else kind
+
+
+def _meant(signature: inspect.Signature, given: Mapping[str, Any]) -> str:
+    """Return the arguments whose names are nearest to those that a function has not, in words."""
+    names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
+    unknown = [name for name in given if name not in names]
+    near = [one for name in unknown for one in get_close_matches(name, names, n=1)]
+    if near:
+        return f" (do you mean {' and '.join(map(repr, near))}?)"
+    return f"; its arguments: {', '.join(names)}" if unknown else ""
 
 
 def _stated_types(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:

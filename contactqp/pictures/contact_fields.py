@@ -275,7 +275,7 @@ def contact_fields(
     if expected != got:
         raise InvalidProblem(
             f"solution: expected {expected[0]} unknowns and {expected[1]} contacts, as the system and the pairings "
-            f"have, got {got[0]} and {got[1]}"
+            f"have, got {got[0]} and {got[1]}: contacts=[...] are the pairings of its problem, in their order"
         )
     names = _default_names(len(pairings)) if names is None else names
     if len(names) != len(pairings):

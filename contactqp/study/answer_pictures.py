@@ -208,8 +208,8 @@ def draw(
         The title of the picture.
     scale : float, optional
         How many times displacements of bodies and structures are magnified; by default as many as make them visible,
-        and bodies that meet across a gap overlap by no more than a five-hundredth of their size. The title states it.
-        Gaps stay as they are; membranes, histories and bars of forces have no scale.
+        and bodies that meet across a gap, or that an interference presses together, overlap or part by no more than a
+        five-hundredth of their size. The title states it. Membranes, histories and bars of forces have no scale.
     time_unit : str
         Unit of the times of a motion, for labels.
 
