@@ -183,7 +183,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         return self.__dict__ | found | dict(_find_notes=_found(lambda: self.notes))
 
     def __repr__(self) -> str:
-        return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
+        return f"{type(self).__name__}({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
 
     def plot(self, file: str | Path | None = None, **options: Any) -> Any:
         """Draw the history, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""

@@ -28,6 +28,7 @@ from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.summary import number
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300
@@ -62,6 +63,15 @@ class CriticalFriction(ReadOnly):
         return read_only(_above(self._friction, self.single))
 
     _friction: Vector
+
+    def __repr__(self) -> str:
+        least = int(np.argmin(self.single)) if len(self.single) else None
+        alone = "no contacts" if least is None else f"least {number(self.single[least])} at contact {least}"
+        words = "one answer to every load" if self.unique else "several answers are not excluded"
+        return (
+            f"CriticalFriction({alone}, contraction {number(self.contraction)}, kappa {number(self.kappa)}, {words}: "
+            f"{self.examined})"
+        )
 
 
 @checked

@@ -23,6 +23,7 @@ from contactqp.errors import InvalidProblem, StartWarning
 from contactqp.model.arguments import checked, checks
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
+from contactqp.model.summary import counted, number
 
 # The part of the size of a body that no interference fit overlaps by.
 DEEP = 0.25
@@ -123,6 +124,13 @@ class Pairing(ReadOnly):
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.normal, self.gap, self.tangent))
+
+    def __repr__(self) -> str:
+        gaps = f", gaps from {number(self.gap.min())} to {number(self.gap.max())}" if len(self.gap) else ""
+        left = f", {counted('node', len(self.unpaired))} unpaired" if len(self.unpaired) else ""
+        noted = f", {counted('note', len(self.notes))}" if self.notes else ""
+        unknowns = counted("unknown", self.normal.shape[1])
+        return f"Pairing({counted('contact', len(self.gap))} on {unknowns}{gaps}{left}{noted})"
 
     def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
         """Return the contact pressure at each node, positive in compression, (p,) [force / area].

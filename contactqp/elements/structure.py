@@ -25,6 +25,7 @@ from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_coefficient
+from contactqp.model.summary import counted
 
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
@@ -221,6 +222,10 @@ class System:
     structure: Structure
     load: Vector
     prescribed: Vector
+
+    def __repr__(self) -> str:
+        bodies = ", ".join(body.name for body in self.structure.bodies)
+        return f"System({counted('unknown', len(self.prescribed))}, {len(self.free)} of them free, of {bodies})"
 
     @cached_property
     def free(self) -> Index:

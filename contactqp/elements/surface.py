@@ -19,6 +19,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
+from contactqp.model.summary import counted
 
 _LINE = np.array([[-1.0], [1.0]])
 _TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -73,6 +74,9 @@ class Surface(ReadOnly):
         if self.points.ndim != 2:
             raise InvalidProblem(f"{self.name}: points: expected shape (N, d), got {self.points.shape}")
         positive_number(f"{self.name}: thickness", self.thickness, "length")
+
+    def __repr__(self) -> str:
+        return f"Surface({self.name}, {counted('facet', len(self.facets))})"
 
     @property
     def dimension(self) -> int:

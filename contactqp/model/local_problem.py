@@ -33,7 +33,7 @@ from contactqp.model.problem_data import (
     read_vector,
 )
 from contactqp.model.solution import LocalCertificate
-from contactqp.model.summary import Printed, local_summary
+from contactqp.model.summary import Printed, counted, local_summary
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -270,6 +270,10 @@ class LocalSolution(ReadOnly, Printed):
     def summary(self) -> str:
         """Return verdict, forces and velocities as a table of at most 80 columns; what `print` shows."""
         return local_summary(self)
+
+    def __repr__(self) -> str:
+        verdict = "passed" if self.certificate.passed else "REFUSED"
+        return f"LocalSolution({self.method}, {counted('contact', len(self.force))}, {verdict})"
 
     def __str__(self) -> str:
         return local_summary(self)

@@ -16,7 +16,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import Printed, html_of, place_of, summary_of
+from contactqp.model.summary import Printed, counted, html_of, place_of, summary_of, verdict_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -151,6 +151,9 @@ class Certificate(ReadOnly, Printed):
     def __bool__(self) -> bool:
         """Return `passed`, so that ``assert contactqp.certify(...)`` fails where the answer is refused."""
         return self.passed
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({verdict_of(self)})"
 
     def __str__(self) -> str:
         verdict = "passed" if self.passed else "REFUSED"
@@ -395,6 +398,11 @@ class Solution(ReadOnly):
     def plot(self, file: str | Path | None = None, **options: Any) -> Any:
         """Draw the answer, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
         return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
+
+    def __repr__(self) -> str:
+        problem = self.problem
+        sizes = f"{counted('unknown', problem.dimension)}, {counted('contact', problem.contacts)}"
+        return f"{type(self).__name__}({self.method}, {sizes}, {verdict_of(self.certificate)})"
 
     def __str__(self) -> str:
         return summary_of(self)

@@ -146,7 +146,7 @@ def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
     count = {name: int(np.sum(np.asarray(status) == name)) for name in ("slip", "stick", "open", "closed", "grazing")}
     told = [f"{n} {name}" for name, n in count.items() if n or name in ("slip", "stick", "open")]
     few = f"; {shown} shown, slip first" if shown < len(status) else ""
-    return f"{_counted('contact', len(status), len(status))}: {', '.join(told)}{few}"
+    return f"{counted('contact', len(status))}: {', '.join(told)}{few}"
 
 
 def closed_contacts(status: Any) -> int:
@@ -208,7 +208,16 @@ def _largest(*sizes: Vector) -> Sequence[int]:
 
 
 def _counted(what: str, count: int, shown: int) -> str:
-    return f"{count} {what}{'s' * (count != 1)}{f', the {shown} largest' if shown < count else ''}"
+    return counted(what, count) + (f", the {shown} largest" if shown < count else "")
+
+
+def counted(what: str, count: int) -> str:
+    """Return how many there are of something.
+
+    >>> counted("contact", 1), counted("contact", 2)
+    ('1 contact', '2 contacts')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _named(what: str, unit: str) -> str:
@@ -277,7 +286,7 @@ def history_table(
     if len(told) > MOST_EVENTS:
         lines.append(f"and {sum(count for *_, count in told[MOST_EVENTS:])} events more")
     shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"
-    title = f"{_counted('instant', len(times), len(times))}{shown}; {_counted('event', len(events), len(events))}"
+    title = f"{counted('instant', len(times))}{shown}; {counted('event', len(events))}"
     if events and not exact:
         lines.insert(0, "each event is told at the first instant that has it")
     return "\n".join([Table(title, tuple(columns), rows).text(), *(f"  {line}" for line in lines)])

@@ -26,7 +26,7 @@ from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judge, judged_contacts, right_answer
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class JudgedAnswer(Certificate):
     """The certificate of a given answer, and what went wrong with it in words.
 

@@ -23,7 +23,7 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
-from contactqp.model.summary import Printed
+from contactqp.model.summary import Printed, counted
 from contactqp.solving.methods import Method, meant_option, takes
 from contactqp.solving.solve import seconds_to_answer, solve
 from contactqp.study import rows
@@ -374,6 +374,9 @@ class Comparison(Printed, Sequence[Row]):
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __repr__(self) -> str:
+        return f"Comparison({counted('row', len(self))} against {self.truth})"
 
     def __str__(self) -> str:
         return brief_comparison(self.rows, self.truth)

@@ -254,3 +254,41 @@ def test_a_method_takes_the_same_way_whatever_its_case() -> None:
     assert cq.solve(slides, "Active-Set").method == cq.solve(slides).method == "newton"
     rough = TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3)
     assert cq.solve(rough, "ACTIVE_SET").method == cq.solve(rough).method
+
+
+def test_what_is_shown_in_a_line_has_no_arrays() -> None:
+    mesh, material = cq.rectangle(1.0, 0.5, (20, 10), "quad4"), cq.Material(modulus=1.0, poisson=0.3)
+    structure = cq.Structure([cq.Body(mesh, material, "plane-strain", name="block")])
+    system = structure.assemble([cq.Support("block", "top", 0), cq.Support("block", "top", 1, -0.02)])
+    surface = structure.surface("block", "bottom")
+    pairing = cq.pair(surface, cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0))
+    problem = system.problem([pairing], friction=0.3)
+    solution = cq.solve(problem)
+    ball = cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
+    motion = cq.impact(ball, [2.0], [0.0], [4.0], duration=1.0, time_step=0.1)
+    klarbring = cq.ContactProblem(
+        stiffness=[[5.0, -2.0], [-2.0, 1.0]], load=[-1.0, 0.65], normal=[[-1.0, 0.0]], gap=[0.0],
+        tangent=[[0.0, 1.0]], friction=0.8,
+    )  # fmt: skip
+    judged = cq.certify(problem, solution.displacement, solution.normal_force, solution.friction_force)
+    local = cq.solve(cq.LocalProblem(delassus=np.eye(2), offset=[-2.0, 5.0], friction=0.5, dimension=2))
+    shown = {
+        repr(pairing): "Pairing(21 contacts on 462 unknowns, gaps from 0 to 0.025)",
+        repr(system): "System(462 unknowns, 420 of them free, of block)",
+        repr(surface): "Surface(block.bottom, 20 facets)",
+        repr(solution): f"Solution({solution.method}, 420 unknowns, 21 contacts, passed)",
+        repr(motion): "MotionHistory(11 solutions, times 0 to 1)",
+        repr(motion[-1]): "Moving(moreau-jean with active-set, 1 unknown, 1 contact, passed, proven)",
+        repr(motion.motion): "Motion(moreau-jean, 11 states a time step of 0.1 apart, "
+        "ContactProblem(1 unknowns, 1 contacts, 0 ties))",
+        repr(judged): "JudgedAnswer(passed, proven)",
+        repr(local): f"LocalSolution({local.method}, 1 contact, passed)",
+        repr(cq.exact_equilibria(klarbring)[-1]): "ExactEquilibrium(2 unknowns, contacts: slip)",
+        repr(cq.exact(TRUSS)): "ExactSolution(rational, 2 unknowns, 1 contact)",
+    }
+    assert list(shown) == list(shown.values())
+    critical = repr(cq.critical_friction(problem))
+    assert critical.startswith(
+        "CriticalFriction(least 1.65906 at contact 20, contraction 0.180825, kappa 0.970311, one "
+    )
+    assert "\n" not in critical + repr(cq.compare(TRUSS, "active-set"))

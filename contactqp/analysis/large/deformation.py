@@ -188,7 +188,7 @@ class NewtonIteration:
         return max(self.force_error, self.length_error)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LargeSolution(Solution):
     """An equilibrium at a large displacement.
 

@@ -22,7 +22,7 @@ from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
-from contactqp.model.summary import wrapped
+from contactqp.model.summary import counted, wrapped
 
 # Steps whose energies are found at once.
 BLOCK = 256
@@ -37,7 +37,7 @@ KEEP_ENERGY = ("modified-mass", "moreau-jean")
 WITHOUT_MASS = ("modified-mass", "modified-mass-central")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Moving(Solution):
     """One instant of a motion.
 
@@ -419,6 +419,10 @@ class Motion:
     method: str
     seconds: list[float]  # of all steps, one number
     work: Callable[[], Any]  # Work so far
+
+    def __repr__(self) -> str:
+        body, states = self.scheme.body, counted("state", len(self.states))
+        return f"Motion({self.scheme.name}, {states} a time step of {body.step:g} apart, {body.problem!r})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is copied or pickled: the states, and the load by its values at their times."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import FreeMotion
+from contactqp.model.summary import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -171,8 +172,16 @@ class ExactSolution(ReadOnly):
             None if self.slip is None else _floats(self.slip),
         )
 
+    def __repr__(self) -> str:
+        kind = "rational" if self.rational else "enclosed"
+        return f"ExactSolution({kind}, {_sizes(self.problem)})"
+
     def __str__(self) -> str:
         return text(self)
+
+
+def _sizes(problem: ContactProblem) -> str:
+    return f"{counted('unknown', problem.dimension)}, {counted('contact', problem.contacts)}"
 
 
 def _floats(values: Fractions) -> Floats:
@@ -183,7 +192,7 @@ def text(answer: ExactSolution) -> str:
     """Return a few lines: what is exact, the contacts, and what was proven."""
     problem = answer.problem
     kind = "exact" if answer.rational else "enclosed"
-    lines = [f"{kind}, of {answer.data}: {problem.dimension} unknowns, {problem.contacts} contacts"]
+    lines = [f"{kind}, of {answer.data}: {_sizes(problem)}"]
     for i, word in enumerate(answer.contact_status):
         if word != "open":
             shown = shown_at(answer, "normal_force", i)

@@ -30,6 +30,7 @@ from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
+from contactqp.model.summary import counted
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
 ROUNDED = 1e-9
@@ -118,6 +119,11 @@ class ExactEquilibrium(ReadOnly):
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     continuum: bool  # one of many displacements, arbitrarily near to each other, that are equilibria
     unique_forces: bool  # no other contact forces belong to this displacement
+
+    def __repr__(self) -> str:
+        many = ", one of a continuum" if self.continuum else ""
+        unknowns = counted("unknown", len(self.displacement))
+        return f"ExactEquilibrium({unknowns}, contacts: {', '.join(self.contact_status)}{many})"
 
 
 @checked
