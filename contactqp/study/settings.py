@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.subset_bounds import contacts_are_many
-from contactqp.errors import InvalidProblem
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.model.problem import ContactProblem
@@ -81,16 +80,8 @@ def chosen_methods(names: str | Sequence[str] | None) -> tuple[Method, ...]:
     ------
     Unsupported
         There is no method of that name; the nearest names are given.
-    InvalidProblem
-        Something that is no name.
     """
     names = [names] if isinstance(names, str) else names
-    for name in names or ():
-        if not isinstance(name, str):
-            raise InvalidProblem(
-                f"methods: expected names, got {name!r}; options stand beside them, as in compare(problem, "
-                "methods=['penalty'], penalty=1e4), several values of a knob in knobs={'penalty': [1e4, 1e6]}"
-            )
     by_name = {method.name: method for method in methods()}
     return tuple(by_name.values()) if names is None else tuple(by_name.get(name) or find(name) for name in names)
 

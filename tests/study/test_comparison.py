@@ -256,7 +256,7 @@ def test_options_go_to_the_methods_that_take_them() -> None:
     with pytest.raises(cq.InvalidProblem, match="none of the methods takes an option 'penalty'"):
         cq.compare(two_bars(), "active-set", penalty=1e6)
     with pytest.raises(
-        cq.InvalidProblem, match=r"methods: expected names, got .*compare.problem, methods=\['penalty'\], pen"
+        cq.InvalidProblem, match=r"methods\[0\]: expected a string, got .'penalty', {'penalty': 10000.0}."
     ):
         cq.compare(two_bars(), [("penalty", {"penalty": 1e4})])
 
