@@ -26,6 +26,8 @@ from contactqp.solving.methods import find
 Array = np.ndarray
 # Seconds of the processor within which everything that is asked must be answered, unless `--patience` says another.
 PATIENCE = 5.0
+# One refused answer in so many is asked what is wrong with it.
+DIAGNOSED = 4
 # Seconds that an iteration may take which is asked for by name.
 ITERATES = 60.0
 # Time limits that methods are given, so that those which know none of their own stop.
@@ -106,7 +108,11 @@ class Judge:
         u = self.posed.units
         rubbed = None if friction is None else friction * (u.force / u.row)[:, None]
         forces = (normal * u.force / u.row, rubbed, tie * u.force)
-        return self.ask(what, lambda: cq.certify(self.posed.problem, displacement * u.unknown * u.length, *forces))[0]
+        given = displacement * u.unknown * u.length
+        judged = self.ask(what, lambda: cq.certify(self.posed.problem, given, *forces))[0]
+        if judged is not None and not judged.passed and self.judgements % DIAGNOSED == 0:
+            self.ask(f"findings of {what}", lambda: judged.findings)
+        return judged
 
 
 def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | None]:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.oracle.diagnosis import evidence
 from contactqp.oracle.diagnosis.scales import _proportion
+from contactqp.oracle.foreign.judging import judge
 
 K = np.array([[4.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
 CAUSES: dict[str, tuple[float, float]] = {
@@ -88,3 +90,23 @@ def test_what_is_proportional_is_told_from_what_is_not() -> None:
         assert _proportion(size * one, 0 * one) == 1.0
     assert _proportion(1e300 * one, 1e-300 * one) is None  # that factor is no double
     assert _proportion(np.array([1.0, 0.0]), np.array([0.0, 1.0])) is None
+
+
+def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each may look for bounds in vain, for a tenth of a second even of a few unknowns."""
+    asked: list[object] = []
+
+    def counted(*given: object) -> object:
+        asked.append(given)
+        return judge(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(evidence, "judge", counted)
+    judged = cq.certify(cq.ContactProblem([[0.0]], [-1.0], [[1.0]], [0.0]), [0.0], [5.0])
+    assert judged.right is None
+    hurried = judged.findings_within(1.0)
+    assert len(asked) == 1
+    assert any("not examined after 1 operations" in one.text and "signs and units" in one.text for one in hurried)
+    judged.findings_within(1e9)
+    assert len(asked) >= 6

@@ -229,6 +229,10 @@ class Explanation:
     beside: tuple[Finding, ...] = ()  # other causes that are needed too
 
 
+# Operations of a certificate where no right answer is known and bounds are sought in vain, a tenth of a second.
+PER_CERTIFICATE = 1e8
+
+
 @dataclass(eq=False)
 class Effort:
     """The operations that other questions may take, those that they took, and the kinds of those left unasked."""
@@ -358,7 +362,15 @@ class Evidence:
         return left <= max(NOTHING, min(LEFT, GONE * self.before))
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
-        """Return whether the certificate passes a changed answer, or the same answer to another problem."""
+        """Return whether the certificate passes a changed answer, or the same answer to another problem.
+
+        Where no right answer is known a certificate tries much before it gives up: these count as other questions do.
+        """
+        if self.right is None:
+            if self.effort.exhausted:
+                self.effort.unasked.append("signs and units")
+                return False
+            self.effort.spent += PER_CERTIFICATE
         try:
             found, _ = judge(
                 problem or self.problem, changed, self.certificate.tolerance, self.certificate.error_tolerance
