@@ -113,7 +113,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
-    lengths = row_sizes(problem, problem.normal).size @ abs(solution.displacement) + abs(problem.gap)
+    lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
     rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0

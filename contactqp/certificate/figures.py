@@ -247,7 +247,7 @@ def violations(
 
 def _lengths(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """|E||u| + |g| (m,) of rows [length]."""
-    return np.asarray(row_sizes(problem, rows).size @ abs(displacement) + abs(limit))
+    return np.asarray(row_sizes(problem, rows).lengths(abs(displacement)) + abs(limit))
 
 
 def _lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
@@ -263,7 +263,8 @@ def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
-    rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
+    moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
+    rounding = rounded_slips(moved, problem.slip_origin)
     hardly = hardly_felt(*_compliances(problem))
     return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
@@ -315,10 +316,9 @@ def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Ca
     return measure
 
 
-def rounded_slips(rows: Any, displacement: Vector, origin: Array) -> Vector:
-    """(m,) what rounding a displacement to doubles makes of slips, of |E_T| ((d-1) m, n) and origins (m, d-1)."""
-    size = rows @ abs(displacement) + abs(origin).ravel()
-    return np.asarray(HELD_BY_DOUBLES * lengths(size.reshape(origin.shape)))
+def rounded_slips(moved: Vector, origin: Array) -> Vector:
+    """(m,) what rounding a displacement u to doubles makes of slips, from |E_T||u| and origins (m, d-1) [length]."""
+    return np.asarray(HELD_BY_DOUBLES * lengths(moved.reshape(origin.shape) + abs(origin)))
 
 
 @dataclass(frozen=True, eq=False)

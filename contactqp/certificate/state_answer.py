@@ -245,8 +245,8 @@ class _Comparison:
         self._along, self._across = bodies.along, bodies.across
         self._own = _own_compliances(problem, self._along, self._across)
         # Along a tangent whose unknowns are all supported any friction would do.
-        lengths_of_rows = row_sizes(problem, problem.tangent).size.sum(axis=1)
-        self._felt = np.asarray(lengths_of_rows).reshape(problem.contacts, -1) > 0
+        lengths_of_rows = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
+        self._felt = lengths_of_rows.reshape(problem.contacts, -1) > 0
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
         self.compared: Compared | None = None

@@ -168,7 +168,7 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
         Felt(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(none))
         for rows in (tangent, problem.normal)
     )
-    rounding = rounded_slips(tangent.sizes, near, origin)
+    rounding = rounded_slips(tangent.sizes @ abs(near), origin)
     hardly = hardly_felt(*_compliances(problem))
     return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 

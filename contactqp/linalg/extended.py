@@ -31,6 +31,8 @@ LONG = 2**9
 # Matrices of at most so many places, as wide as their longest row, are one block, which takes a step for each column
 # of it: no wider than this.
 ONE_BLOCK, NARROW = 2**11, 2**6
+# Entries of a block whose products are formed at once: calls cost less than that, and all of it stays in the cache.
+WORTH_A_CALL = 2**11
 _SPLITTER = 2.0**27 + 1.0
 
 
@@ -54,18 +56,20 @@ class Extended:
         return Extended(self.hi[index], self.lo[index])
 
     def __neg__(self) -> Extended:
-        return Extended(-self.hi, -self.lo)
+        return _holding(-self.hi, -self.lo)
 
     def __add__(self, other: Extended | Array) -> Extended:
-        other = extend(other)
-        total, error = two_sum(self.hi, other.hi)
-        return Extended(*two_sum(total, error + (self.lo + other.lo)))
+        if isinstance(other, Extended):
+            return _normalised(*two_sum(self.hi, other.hi), self.lo + other.lo)
+        return _normalised(*two_sum(self.hi, np.asarray(other, dtype=float)), self.lo)
 
     def __sub__(self, other: Extended | Array) -> Extended:
-        return self + (-extend(other))
+        if isinstance(other, Extended):
+            return _normalised(*two_sum(self.hi, -other.hi), self.lo - other.lo)
+        return self + np.negative(other)
 
     def half(self) -> Extended:
-        return Extended(self.hi / 2, self.lo / 2)
+        return _holding(self.hi / 2, self.lo / 2)
 
     def added_at(self, index: Any, values: Array) -> Extended:
         """A copy with doubles added to some entries."""
@@ -76,7 +80,7 @@ class Extended:
     def positive_part(self) -> Extended:
         """max(x, 0) of every entry."""
         positive = self.hi > 0
-        return Extended(np.where(positive, self.hi, 0.0), np.where(positive, self.lo, 0.0))
+        return _holding(np.where(positive, self.hi, 0.0), np.where(positive, self.lo, 0.0))
 
     def double(self) -> Array:
         """Rounded to double precision."""
@@ -95,6 +99,18 @@ class Extended:
             carried += (total - (partial - virtual)) + (term - virtual) + rest
             total = partial
         return total + carried
+
+
+def _holding(hi: Array, lo: Array) -> Extended:
+    """Return hi + lo of two arrays that nobody else holds, which are therefore not copied."""
+    made = object.__new__(Extended)
+    made.hi, made.lo = hi, lo
+    return made
+
+
+def _normalised(total: Array, error: Array, lower: Array) -> Extended:
+    """Return total + (error + lower), the error being that of the total."""
+    return _holding(*two_sum(total, error + lower))
 
 
 def extend(values: Any) -> Extended:
@@ -123,11 +139,35 @@ def _split(a: Array) -> tuple[Array, Array]:
     return high, a - high
 
 
+class _Entries(NamedTuple):
+    """The entries of a matrix, row by row, as those of a CSR matrix."""
+
+    data: Array
+    indices: NDArray[np.intp]
+    indptr: NDArray[np.intp]
+    shape: tuple[int, int]
+
+
+def _transposed(matrices: list[Any]) -> _Entries:
+    """Return the entries of [A; B; ...]' of CSR matrices with the same columns."""
+    columns, count = np.concatenate([matrix.indices for matrix in matrices]), matrices[0].shape[1]
+    lengths = np.concatenate([np.diff(matrix.indptr) for matrix in matrices])
+    order = np.argsort(columns, kind="stable")
+    starts = np.zeros(count + 1, dtype=np.intp)
+    np.cumsum(np.bincount(columns, minlength=count), out=starts[1:])
+    data = np.concatenate([matrix.data for matrix in matrices])
+    return _Entries(data[order], np.repeat(np.arange(len(lengths)), lengths)[order], starts, (count, len(lengths)))
+
+
 class SparseRows:
     """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
 
     def __init__(self, matrix: Any) -> None:
-        rows = matrix if getattr(matrix, "format", "") == "csr" else sp.csr_matrix(matrix)
+        rows = (
+            matrix
+            if isinstance(matrix, _Entries) or (sp.issparse(matrix) and matrix.format == "csr")
+            else sp.csr_matrix(matrix)
+        )
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
         widest = int(np.max(lengths, initial=0))
@@ -144,21 +184,35 @@ class SparseRows:
         ]
 
     def __matmul__(self, vector: Extended) -> Extended:
+        doubles = not vector.lo.any()
+        if self._blocks and not self._long and len(self._blocks[0].members) == self.shape[0]:
+            return _holding(*two_sum(*_product(self._blocks[0], vector, doubles)))
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
-        if not (self._blocks or self._long):
-            return Extended(hi, lo)
-        doubles = not np.any(vector.lo)
         for block in self._blocks:
-            total, rest = np.zeros(len(block.members)), np.zeros(len(block.members))
-            for value, column in zip(block.values, block.columns, strict=True):
-                product, error = two_product(value, vector.hi[column])
-                total, carried = two_sum(total, product)
-                rest += carried + (error if doubles else error + value * vector.lo[column])
-            hi[block.members], lo[block.members] = two_sum(total, rest)
+            hi[block.members], lo[block.members] = two_sum(*_product(block, vector, doubles))
         for i, value, column in self._long:
             product, error = two_product(value, vector.hi[column])
             hi[i], lo[i] = _summed(product, error + value * vector.lo[column])
-        return Extended(hi, lo)
+        return _holding(hi, lo)
+
+
+def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Array]:
+    """Return the rounded sums (q,) of the rows of a block times a vector, and their errors.
+
+    Products are formed for as many slots at once as make an operation worth its call; their sums run slot by slot.
+    """
+    width, count = block.values.shape
+    total, rest = np.zeros(count), np.zeros(count)
+    together = max(1, WORTH_A_CALL // count)
+    for start in range(0, width, together):
+        values, columns = block.values[start : start + together], block.columns[start : start + together]
+        products, errors = two_product(values, vector.hi[columns])
+        if not doubles:
+            errors = errors + values * vector.lo[columns]
+        for product, error in zip(products, errors, strict=True):
+            total, carried = two_sum(total, product)
+            rest = rest + (carried + error)
+    return total, rest
 
 
 def _summed(terms: Array, errors: Array) -> tuple[float, float]:
@@ -235,13 +289,13 @@ class ExtendedRows:
         self.normal = SparseRows(problem.normal)
         self.tie = SparseRows(problem.tie)
         self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
-        self._outward = SparseRows((sp.vstack([problem.normal, problem.tie]) if problem.ties else problem.normal).T)
-        self._tangent_transposed = None if problem.tangent is None else SparseRows(problem.tangent.T)
+        self._outward = SparseRows(_transposed([problem.normal, problem.tie]))
+        self._tangent_transposed = None if problem.tangent is None else SparseRows(_transposed([problem.tangent]))
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """E_N' l_N + A' nu."""
         hi = np.concatenate([normal_force.hi, tie_force.hi])
-        return self._outward @ Extended(hi, np.concatenate([normal_force.lo, tie_force.lo]))
+        return self._outward @ _holding(hi, np.concatenate([normal_force.lo, tie_force.lo]))
 
     def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
         """E_T' l_T of forces (m, d-1), or flat in extended precision."""
@@ -326,7 +380,7 @@ class Residuals:
 
     def double(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
         """Return forces, gaps of the closed contacts and ties in double precision."""
-        return self.force.double(), self.gap[closed].double(), self.tie.double()
+        return self.force.double(), self.gap.hi[closed] + self.gap.lo[closed], self.tie.double()
 
 
 def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer) -> Residuals:

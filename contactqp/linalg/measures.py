@@ -40,11 +40,24 @@ from contactqp.model.solution import Answer, Nothing
 
 @dataclass(frozen=True, eq=False)
 class RowSizes:
-    """What rows E are apart from their signs."""
+    """What rows E (r, n) are apart from their signs, entry by entry."""
 
-    size: Any  # |E|
-    transposed: Any  # |E|'
-    compliance: Vector  # |E_i D|^2, D = 1/sqrt(K_jj) [length / force]
+    rows: Any  # E, CSR
+    row: NDArray[np.intp]  # (z,) the row of each entry
+    entries: Vector  # (z,) the sizes of the entries
+    compliance: Vector  # (r,) |E_i D|^2, D = 1/sqrt(K_jj) [length / force]
+
+    def lengths(self, size: Vector) -> Vector:
+        """Return |E||u| (r,) of sizes |u| (n,) [length]."""
+        return self._sums(self.row, self.entries * size[self.rows.indices], self.rows.shape[0])
+
+    def forces(self, size: Vector) -> Vector:
+        """Return |E|'|l| (n,) of sizes |l| (r,) [force]."""
+        return self._sums(self.rows.indices, self.entries * size[self.row], self.rows.shape[1])
+
+    @staticmethod
+    def _sums(at: NDArray[np.intp], terms: Vector, count: int) -> Vector:
+        return np.asarray(np.bincount(at, weights=terms, minlength=count), dtype=float)
 
 
 def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
@@ -60,10 +73,9 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     """Return the sizes of rows over unknowns with these entries K_jj."""
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
-    size = abs(rows)
-    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
-    found = np.bincount(row, weights=size.data**2 * compliance[rows.indices], minlength=rows.shape[0])
-    return RowSizes(size, size.T, found.astype(float))
+    size, row = abs(rows.data), _row_of_entries(rows)
+    found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
+    return RowSizes(rows, row, size, found.astype(float))
 
 
 # A gap that an answer leaves smaller than this part of its lengths is one that it closes.
@@ -122,7 +134,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     np.maximum.at(size, part, D * problem.load_size)
     for rows, limit in _rows(problem):
         u, of_row = answer.displacement, row_sizes(problem, rows)
-        lengths = rows @ u, of_row.size @ abs(u), of_row.size @ abs(elastic)
+        lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         row, unknown = _first_unknowns(rows)
         np.maximum.at(size, part[unknown], imposed(limit, *lengths, of_row.compliance)[row])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
@@ -164,7 +176,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         force[bare] = ROUNDING_OF_LOADS * np.max(problem.load_size, initial=0.0)
 
     def lengths(rows: Any) -> Vector:
-        held = HELD_BY_DOUBLES * (row_sizes(problem, rows).size @ u)
+        held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
         return np.asarray(np.maximum(part * of_rows(problem, rows, size), held))
 
     tangent = np.zeros(0) if problem.tangent is None else lengths(problem.tangent)
@@ -182,7 +194,7 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     of_row = row_sizes(problem, rows)
     felt = np.sqrt(of_row.compliance)
     if np.any(felt == 0) and not np.all(problem.diagonal > 0):
-        felt = np.where(felt > 0, felt, np.sqrt(of_row.size.power(2) @ scale_of_unknowns(problem) ** 2))
+        felt = np.where(felt > 0, felt, np.sqrt(rows.power(2) @ scale_of_unknowns(problem) ** 2))
     return np.asarray(beside * felt)
 
 
@@ -273,7 +285,7 @@ def scale_of_unknowns(problem: ContactProblem) -> Vector:
 
 
 def _given_by(rows: Any, D: Vector) -> Vector:
-    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    row = _row_of_entries(rows)
     size = abs(rows.data)
     largest = np.zeros(rows.shape[0])
     np.maximum.at(largest, row, size * D[rows.indices])
@@ -310,10 +322,10 @@ def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     """F without |K||u|: what acts on the bodies from outside."""
-    outer = problem.load_size + row_sizes(problem, problem.normal).transposed @ abs(answer.normal_force)
-    outer = outer + row_sizes(problem, problem.tie).transposed @ abs(answer.tie_force)
+    outer = problem.load_size + row_sizes(problem, problem.normal).forces(abs(answer.normal_force))
+    outer = outer + row_sizes(problem, problem.tie).forces(abs(answer.tie_force))
     if problem.tangent is not None and answer.friction_force is not None:
-        outer = outer + row_sizes(problem, problem.tangent).transposed @ abs(answer.friction_force).ravel()
+        outer = outer + row_sizes(problem, problem.tangent).forces(abs(answer.friction_force).ravel())
     return np.asarray(outer)
 
 
@@ -371,7 +383,7 @@ def lengths_that_meet(
     measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
     """
     sizes = row_sizes(problem, rows)
-    length = sizes.size @ abs(displacement) + abs(limit)
+    length = sizes.lengths(abs(displacement)) + abs(limit)
     least = rounding * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if np.any(length <= least * np.max(size, initial=0.0)):

@@ -308,8 +308,8 @@ class ClosedState:
         u = abs(doubles.displacement)
         strain = problem.stiffness_sizes @ u
         forces = strain + outer_forces(problem, doubles)
-        lengths = row_sizes(problem, problem.normal).size @ u + abs(problem.gap)
-        of_ties = row_sizes(problem, problem.tie).size @ u + abs(problem.tie_value)
+        lengths = row_sizes(problem, problem.normal).lengths(u) + abs(problem.gap)
+        of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
         longest = max(float(np.max(values, initial=0.0)) for values in (u, lengths[closed], of_ties))
         loaded = float(np.max(problem.load_size, initial=0.0))
         longest = max(longest, least_length(problem))

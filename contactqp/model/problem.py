@@ -38,6 +38,7 @@ from contactqp.model.problem_data import (
     read_rows,
     read_stiffness,
     read_vector,
+    rows_of_dense,
 )
 from contactqp.model.quadratic_program import QuadraticProgram, contact_data, quadratic_program
 
@@ -249,12 +250,9 @@ class ContactProblem:
         for name, value in (dict(load_sum=None, tie_numbers=None) | dict(values)).items():
             object.__setattr__(self, name, read_only(value))
         object.__setattr__(self, "_computed", computed)
-        object.__setattr__(self, "_arrays", self._arrays_held())
-
-    def _arrays_held(self) -> tuple[Any, ...]:
-        """Return the arrays that the sparse matrices hold, matrix by matrix."""
-        matrices: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
-        return tuple(part for one in matrices if sp.issparse(one) for part in (one.data, one.indices, one.indptr))
+        given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
+        matrices = [one for one in given if sp.issparse(one)]
+        object.__setattr__(self, "_arrays", tuple((one, one.data, one.indices, one.indptr) for one in matrices))
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
@@ -264,13 +262,12 @@ class ContactProblem:
         InvalidProblem
             A matrix no longer holds the arrays that it was made with.
         """
-        kept: tuple[Any, ...] = vars(self)["_arrays"]
-        if all(mine is other for mine, other in zip(kept, self._arrays_held(), strict=True)):
-            return
-        raise InvalidProblem(
-            "stiffness, normal, tangent or tie holds other arrays than the problem was made with: a problem does not "
-            "change; make another one, or use problem.replace(stiffness=...)"
-        )
+        for matrix, data, indices, indptr in vars(self)["_arrays"]:
+            if not (matrix.data is data and matrix.indices is indices and matrix.indptr is indptr):
+                raise InvalidProblem(
+                    "stiffness, normal, tangent or tie holds other arrays than the problem was made with: a problem "
+                    "does not change; make another one, or use problem.replace(stiffness=...)"
+                )
 
     @classmethod
     def _of_checked(cls, values: Mapping[str, Any], computed: Computed) -> ContactProblem:
@@ -324,10 +321,12 @@ class ContactProblem:
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.rows is None:
             K = self.stiffness
-            columns = sp.issparse(K) and K.format == "csc"
-            by_rows = K if columns else csr_rows(K)
-            arrays = by_rows.data, by_rows.indices, by_rows.indptr
-            of_stiffness.rows = read_only(sp.csr_matrix(arrays, shape=K.shape))
+            if sp.issparse(K):
+                by_rows = K if K.format == "csc" else csr_rows(K)
+                rows = sp.csr_matrix((by_rows.data, by_rows.indices, by_rows.indptr), shape=K.shape)
+            else:
+                rows = rows_of_dense(K, sp.csr_matrix)
+            of_stiffness.rows = read_only(rows)
         return of_stiffness.rows
 
     @cached_property

@@ -206,16 +206,18 @@ def _sparse(name: str, value: Any) -> Any:
 
 
 def csr_rows(matrix: Any) -> Any:
-    """Return a matrix as a CSR array; one of an array in the order of its rows, without explicit zeros."""
+    """Return a matrix as a CSR array."""
     if isinstance(matrix, sp.csr_array):
         return matrix
-    if sp.issparse(matrix):
-        return sp.csr_array(matrix)
-    dense = np.asarray(matrix)
+    return sp.csr_array(matrix) if sp.issparse(matrix) else rows_of_dense(np.asarray(matrix), sp.csr_array)
+
+
+def rows_of_dense(dense: NDArray[np.float64], kind: Any) -> Any:
+    """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
     filled = dense != 0
     indptr = np.zeros(len(dense) + 1, dtype=np.int32)
     np.cumsum(np.count_nonzero(filled, axis=1), out=indptr[1:])
-    rows = sp.csr_array((dense[filled], np.nonzero(filled)[1].astype(np.int32), indptr), shape=dense.shape)
+    rows = kind((dense[filled], np.nonzero(filled)[1].astype(np.int32), indptr), shape=dense.shape)
     rows.has_canonical_format = True
     return rows
 

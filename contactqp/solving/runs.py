@@ -214,7 +214,7 @@ def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     u = solution.displacement
     for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
         beyond = rows @ u - limit
-        meeting = row_sizes(problem, rows).size @ abs(u) + abs(limit)
+        meeting = row_sizes(problem, rows).lengths(abs(u)) + abs(limit)
         if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):
             return True
     return False
@@ -245,16 +245,14 @@ class CondensedRun(Run):
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
                 )
             try:
-                shown, self.candidate = self._run(settings.now, condense)
+                self._whole, self.candidate = self._run(settings.now, condense)
             except (NotConverged, BackendFailed):
                 self.refuse_conflict()
                 raise
-            self._whole = shown is problem
             self._closed: NDArray[np.intp] | None = None
             if self.candidate.finite:
-                self._closed = closed_contacts(
-                    shown, self._condensation, self.candidate.displacement, self.candidate.normal_force
-                )
+                u = self.start.displacement
+                self._closed = closed_contacts(problem, self._condensation, u, self.candidate.normal_force)
 
     def final(self) -> Final:
         """The answer that is to be certified."""
@@ -281,22 +279,23 @@ class CondensedRun(Run):
             return replace(spent, retained=self.problem.dimension)
         return spent
 
-    def _run(self, settings: Settings, wanted: bool | str) -> tuple[ContactProblem, Candidate]:
-        """The problem as the method was shown it, and the method's candidate."""
-        problem, way = self.problem, self._condensation
+    def _run(self, settings: Settings, wanted: bool | str) -> tuple[bool, Candidate]:
+        """Whether the method was shown all unknowns, and its candidate."""
+        problem, way, method = self.problem, self._condensation, self.method
         # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing
         # lies inside.
         smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
-            return problem, _run_scaled(problem, self.method, settings)
+            return True, _run_scaled(problem, method, settings)
         load, inner = way.reduce_load(problem.load)
-        reduced = way.reduced_problem(problem, load, inner)
         if bare:
-            return reduced, _linear(way, load)
+            return False, _linear(way, load)
         if settings.warm_start is not None:
             settings = replace(settings, warm_start=way.restrict_candidate(settings.warm_start))
-        return reduced, _run_scaled(reduced, self.method, settings)
+        if method.solve_condensed is not None:
+            return False, method.solve_condensed(problem, way, settings)
+        return False, _run_scaled(way.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:
         """The refined answer on the candidate's contact set, or None where its signs do not hold."""

@@ -41,6 +41,18 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
         did not suffice.
     """
     condensation = condense(problem)
+    found = solve_condensed(problem, condensation, settings, problem)
+    _, inner = condensation.reduce_load(problem.load)
+    return replace(found, displacement=condensation.expand(found.displacement, inner))
+
+
+def solve_condensed(
+    problem: ContactProblem, condensation: Condensation, settings: Settings, shown: ContactProblem | None = None
+) -> Candidate:
+    """`solve_active_set` with the displacement of the unknowns that a condensation retains, which is not expanded.
+
+    Where no set is found Lemke's method is shown the condensed problem, or the one given as `shown`.
+    """
     operator = delassus(condensation)
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
@@ -67,19 +79,17 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
         if before is None or not np.array_equal(closed, before):  # a set that does not hold, does not hold later
             answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
-            x, normal_force, tie_force = answer
-            return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+            return Candidate(*answer, iterations=steps)
         before = closed
         if not condensation.rigid.count:
             break
     try:
-        return _without_anchors(problem, settings, steps)
+        return _without_anchors(shown or condensation.reduced_problem(problem, load, inner), settings, steps)
     except NotConverged:
         answer = _equilibrium_on(problem, condensation, operator, load, size, doubtful)
         if answer is None or np.any(_penetrated(condensation, problem, answer[0])):
             raise
-        x, normal_force, tie_force = answer
-        return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+        return Candidate(*answer, iterations=steps)
 
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
@@ -239,6 +249,7 @@ METHODS = (
         name="active-set",
         kind="active set",
         solve=solve_active_set,
+        solve_condensed=solve_condensed,
         polish=True,
         corrections=50,
         note="finite: primal-dual steps, safeguarded by a dual active-set method",

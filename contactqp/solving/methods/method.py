@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.runtime import seconds_left
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -36,6 +37,11 @@ class Method:
     name: str
     kind: str  # "active set", "quadratic program", "modelling language", "complementarity", "classical enforcement"
     solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
+    # The same from a condensation alone, in the unknowns that it retains; without it the method is shown the condensed
+    # problem.
+    solve_condensed: Callable[[ContactProblem, Condensation, Settings], Candidate] | None = field(
+        default=None, repr=False
+    )
     # A frictional problem of the plane by its own systems of stick and slip; without it, what the method can do with
     # friction is to take the convex steps of an algorithm.
     solve_friction: Callable[[ContactProblem, Settings], Candidate] | None = field(default=None, repr=False)

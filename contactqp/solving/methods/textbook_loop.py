@@ -89,7 +89,7 @@ class Sizes:
         """
         meeting = self.stiffness @ np.abs(displacement) + self.problem.load_size
         for rows, force in pushes:
-            meeting = meeting + row_sizes(self.problem, rows).transposed @ np.abs(force)
+            meeting = meeting + row_sizes(self.problem, rows).forces(np.abs(force))
         return np.asarray(meeting)
 
     def noise(self, displacement: Vector, forces: Vector, holds: tuple[Hold, ...]) -> Noise:
@@ -112,11 +112,10 @@ class Sizes:
         That is the least motion, in unknowns where the stiffness has a unit diagonal, which makes up for it. An unknown
         that should be zero may have no other size than this, where neither force nor stiffness is.
         """
-        size = row_sizes(self.problem, rows).size
-        softness = self.bodies.scale**2
-        compliance = size.power(2) @ softness
-        lengths = np.where(held, size @ np.abs(displacement) + np.abs(limits), 0.0)
-        pulled = size.T @ (lengths / np.where(compliance > 0, compliance, 1.0))
+        sizes, softness = row_sizes(self.problem, rows), self.bodies.scale**2
+        compliance = rows.power(2) @ softness
+        lengths = np.where(held, sizes.lengths(np.abs(displacement)) + np.abs(limits), 0.0)
+        pulled = sizes.forces(lengths / np.where(compliance > 0, compliance, 1.0))
         return np.asarray(16 * np.finfo(float).eps * softness * pulled)
 
 
