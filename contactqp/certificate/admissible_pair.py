@@ -24,11 +24,11 @@ from contactqp.certificate.energy_norm import (
     response,
 )
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, saddle_point
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
 from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
-from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

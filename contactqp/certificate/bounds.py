@@ -60,6 +60,7 @@ from contactqp.certificate.energy_norm import (
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.linalg.dense import delassus, free_motions, saddle_point
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RIGID_ENERGY
 from contactqp.linalg.iteration import Iteration
@@ -72,7 +73,6 @@ from contactqp.linalg.measures import (
     rigid_part,
 )
 from contactqp.linalg.refinement import WITHIN_ROUNDING
-from contactqp.linalg.saddle import delassus, free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer

@@ -24,7 +24,7 @@ from contactqp.certificate.failures import (
 )
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
-from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
 from contactqp.certificate.number_range import absurd_parts, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
@@ -36,7 +36,6 @@ from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
-from contactqp.linalg.saddle import dependent_sparse_ties, dependent_ties
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem

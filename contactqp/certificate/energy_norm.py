@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.dense import REGULAR, delassus, free_motions, inverse_root, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
-from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
+from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION, correction
-from contactqp.linalg.saddle import REGULAR, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

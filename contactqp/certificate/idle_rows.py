@@ -2,6 +2,8 @@
 
 A row of zeros says 0 <= g or 0 = b of a node that is fixed: it is met, and then its force is 0, or it proves that there
 is no equilibrium. What solves and what certifies sees the other rows alone.
+
+Ties that depend on others constrain nothing more than these: they are found, and named, at the end of this file.
 """
 
 from __future__ import annotations
@@ -11,11 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_entries import contact_entries, vector_measure
+from contactqp.linalg.dense import independent_rows
 from contactqp.linalg.existence import Conflict
+from contactqp.linalg.krylov import IndependentRows
 from contactqp.linalg.measures import force_measure, forces_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -253,3 +259,43 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     rub = vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))
     held = np.diff(problem.tangent.indptr).reshape(answer.friction_force.shape) == 0
     return push, np.where(np.any(held & (answer.friction_force != 0), axis=1), 1.0, rub)
+
+
+# A row that makes less than this part of another takes no part in it, both of unit length.
+NO_PART = 1e-9
+# What is left of a dependent row of unit length, once those that make it are taken away: rounding of sparse factors.
+VERIFIED, MOST_VERIFIED = 1e-10, 100
+
+
+def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+    """The ties that depend on others, and on which; found once for the rows of a problem.
+
+    They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
+    """
+    if problem._computed.dependent_ties is None:
+        rows = condensation.tie * condensation.scale
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        kept = independent_rows(rows)
+        others = np.setdiff1d(np.arange(len(rows)), kept)
+        shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
+        taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
+        problem._computed.dependent_ties = tuple(zip(others.tolist(), taking_part, strict=True))
+    found: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
+    return found
+
+
+def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+    """The same where ties are many, by sparse factors of their Gram matrix; MOST_VERIFIED of them are looked at."""
+    if problem._computed.dependent_ties is None:
+        length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
+        rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie)
+        gram = IndependentRows(rows, np.ones(problem.dimension))
+        found = []
+        for i in np.setdiff1d(np.arange(problem.ties), gram.kept)[:MOST_VERIFIED].tolist():
+            row = rows[[i]].toarray().ravel()
+            share = gram.solve(rows @ row)
+            if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
+                found.append((i, np.flatnonzero(abs(share) > NO_PART)))
+        problem._computed.dependent_ties = tuple(found)
+    known: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
+    return known

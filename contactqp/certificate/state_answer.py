@@ -34,8 +34,8 @@ from contactqp.certificate.failures import failed_errors
 from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.dense import inverse_root
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
-from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.sparse_saddle import constraints_are_many

@@ -11,11 +11,11 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import extend
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration
 from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
 from contactqp.model.problem import ContactProblem

@@ -11,6 +11,7 @@ factorised once, for every load, gap, method and certificate that follows (`elim
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -21,17 +22,15 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
+from contactqp.linalg.dense import DenseCholesky, inverse_root, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
-    DenseCholesky,
     RigidMotions,
     condensed_null_space,
     connected_parts,
-    inverse_root,
     null_space,
-    orthonormal,
     right_singular,
     stated_motions,
 )
@@ -63,13 +62,19 @@ WRITTEN_OUT = 2**14
 
 
 class Condensation:
-    """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A."""
+    """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A.
+
+    Attributes
+    ----------
+    expand : function
+        The full displacement (n,) from that of the retained unknowns (p,) and what `reduce_load` gave besides.
+    """
+
+    expand: Callable[[Vector, Vector], Vector]
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.delassus: list[
-            Any
-        ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
-        self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
+        self.delassus: list[Any] = []  # filled by `dense.delassus`, for the condensed problem too
+        self.saddles: dict[Any, Any] = {}  # filled by `dense.saddle_point`
         self._cleared: ExtendedRows | None = None
         self.factorisations = 0
         self._spent = 0  # half back-substitutions of eliminations that were given up
@@ -81,10 +86,12 @@ class Condensation:
         self.unknown_scale = unknown_scale(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
-        fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
+        retained = touched
         if problem.near_null_space is None and problem.dimension >= LARGE:
-            fixing = self._precaution(touched)
-        self._eliminate_if_regular(np.union1d(touched, fixing), self.unknown_scale)
+            retained = np.union1d(touched, self._precaution(touched))
+        elif stated.count:
+            retained = np.union1d(touched, fixing_unknowns(stated.motions, touched, self._diagonal))
+        self._eliminate_if_regular(retained, self.unknown_scale)
         if stated.count and self._floats_no_further(stated):
             self.rigid = stated
         elif self._may_be_singular(problem):
@@ -124,7 +131,7 @@ class Condensation:
         self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
         nested = self._nested(retained)
         self._elimination: Elimination = eliminate(self._sparse, retained, singular) if nested is None else nested
-        self.retained = retained
+        self.expand, self.retained = self._elimination.expand, retained
         if nested is None and len(retained) < self._sparse.shape[0]:
             self.factorisations += 1
             if (clock := RUNNING.get()) is not None:
@@ -274,10 +281,6 @@ class Condensation:
         loaded = np.isin(self.bodies, of_body[acting])
         return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))
 
-    def expand(self, retained: Vector, inner: Vector) -> Vector:
-        """The full displacement from that of the retained unknowns; `inner` is what `reduce_load` gave."""
-        return self._elimination.expand(retained, inner)
-
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
         """The sizes behind each entry of f_S: where something floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
         size = problem.load_size[self.retained]
@@ -362,6 +365,7 @@ class Condensation:
         self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
         self.retained, self._reduced, self._crossing = np.arange(problem.dimension), None, None
         self._elimination = eliminate(self._sparse, self.retained)
+        self.expand = self._elimination.expand
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
         """What a candidate says of the retained unknowns."""

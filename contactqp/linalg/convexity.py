@@ -10,8 +10,9 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
+from contactqp.linalg.dense import DENSE_SIZE, inverse_root
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import DENSE_SIZE, SuperLU, inverse_root, with_added_diagonal
+from contactqp.linalg.factorization import SuperLU, with_added_diagonal
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

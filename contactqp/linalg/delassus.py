@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.factorization import DenseCholesky
+from contactqp.linalg.dense import DenseCholesky
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 

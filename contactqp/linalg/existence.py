@@ -21,11 +21,11 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, unknown_scale
+from contactqp.linalg.dense import BALANCED, IDLE
 from contactqp.linalg.equilibration import Scaling, equilibrated
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import scale_of_unknowns
-from contactqp.linalg.saddle import BALANCED, IDLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.linalg.dense import DENSE_SIZE, LIFT, DenseCholesky, Factorization, orthonormal, unit_diagonal_scale
 from contactqp.linalg.extended import exact_images, images
 from contactqp.model.arrays import Array
 
-# Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
-DENSE_SIZE = 300
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
 # Rounding of K mixes motions this far apart in energy by MIXED over their distance.
@@ -26,9 +25,6 @@ MIXED_AT_MOST = 1e-6
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
 # for.
 SUSPICIOUS_PIVOT = 1e-8
-# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
-# matrix then tells whether the factors are good enough.
-LIFT = 4 * np.finfo(float).eps
 # SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
 # of the pattern of A + A' that keeps the factors sparse.
 DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -41,42 +37,6 @@ RIGID_FORCE = 32 * np.finfo(float).eps
 RIGID_ENERGY = np.finfo(float).eps
 # Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
-
-
-class Factorization(Protocol):
-    """A factorised symmetric positive definite matrix."""
-
-    smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
-
-    def solve(self, right: Array) -> Array:
-        """K^-1 right, for one right-hand side (n,) or several (n, q)."""
-
-
-class DenseCholesky:
-    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal or as it is told."""
-
-    def __init__(self, matrix: Array, scale: Array | None = None) -> None:
-        from scipy.linalg import cho_factor, eigvalsh
-
-        self._scale = unit_diagonal_scale(matrix) if scale is None else scale
-        scaled = matrix * np.outer(self._scale, self._scale)
-        try:
-            self._factor = cho_factor(scaled, lower=True, check_finite=False)
-            pivots = np.diag(self._factor[0]) ** 2
-            self.smallest_pivot = float(np.min(pivots)) if len(pivots) else 1.0
-        except np.linalg.LinAlgError:
-            lowest = float(eigvalsh(scaled)[0])
-            self.smallest_pivot = min(lowest, 0.0)
-            lift = max(2 * -lowest, LIFT * len(scaled))
-            self._factor = cho_factor(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
-
-    def solve(self, right: Array) -> Array:
-        from scipy.linalg.lapack import dpotrs
-
-        if not right.size:
-            return np.zeros(right.shape)
-        factor, lower = self._factor
-        return np.asarray((dpotrs(factor, (right.T * self._scale).T, lower=lower)[0].T * self._scale).T)
 
 
 class SuperLU:
@@ -124,19 +84,6 @@ def forget_triangles(factor: Any) -> None:
         triangle.indptr = np.zeros_like(triangle.indptr)
 
 
-def unit_diagonal_scale(matrix: Any) -> Array:
-    """1/sqrt(K_jj), and 1 where the diagonal is zero."""
-    return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
-
-
-def inverse_root(diagonal: Array) -> Array:
-    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
-
-    Products of two of these scales therefore stay in the range of floats.
-    """
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
-
-
 def with_added_diagonal(matrix: Any, added: Array) -> Any:
     """A square CSR matrix with something (n,) added to its diagonal; where all of that is stored, its pattern stays."""
     by_rows = sp.csr_matrix(matrix)
@@ -174,13 +121,6 @@ def refuse_negative(smallest_pivot: float) -> None:
             f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
             "after scaling its diagonal to one"
         )
-
-
-def orthonormal(motions: Array) -> Array:
-    """Orthonormal combinations of independent motions (n, r), as accurate as these at unknowns of any unit."""
-    for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
-        motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
-    return motions
 
 
 def right_singular(rows: Array) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ from typing import Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
+from contactqp.linalg.dense import BALANCED, independent_rows
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -39,7 +40,6 @@ from contactqp.linalg.extended import (
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.runtime import refuse_late
-from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN as OPEN
 from contactqp.model.coulomb import SLIP_BACK as SLIP_BACK

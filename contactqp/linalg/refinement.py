@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation
+from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, free_motions, orthonormal, saddle_point
 from contactqp.linalg.extended import (
     EPS,
     Extended,
@@ -24,7 +25,6 @@ from contactqp.linalg.extended import (
     extended_rows,
     residuals_of,
 )
-from contactqp.linalg.factorization import orthonormal
 from contactqp.linalg.measures import (
     force_measure,
     forces_that_meet,
@@ -33,7 +33,6 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.linalg.nonnegative import shift_within_gaps
-from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -33,18 +33,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.dense import DENSE_SIZE, LIFT, BackSubstitution, DenseCholesky, unit_diagonal_scale
 from contactqp.linalg.factorization import (
-    DENSE_SIZE,
     DIAGONAL_PIVOTS,
-    LIFT,
     SUSPICIOUS_PIVOT,
-    DenseCholesky,
-    Factorization,
     factorise,
     fill_reducing_order,
     forget_triangles,
     refuse_negative,
-    unit_diagonal_scale,
 )
 from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
 from contactqp.linalg.runtime import RUNNING
@@ -159,8 +155,6 @@ def _pivots_and_trailing_block(factor: Any, interior: int) -> tuple[Vector, Arra
     return pivots, lower @ upper
 
 
-# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
-BLOCK = 64
 # Up to so many interior unknowns for each retained one S comes from back-substitutions. The dense block where SuperLU
 # eliminates the retained unknowns cost 2.5 to 6 times as much at one to one, 0.7 to 2 times at three to one.
 FEW = 4
@@ -189,69 +183,6 @@ class Elimination(Protocol):
 
     def expand_motions(self, retained: Array) -> Array:
         """u (n, q) without a load from several u_c (p, q)."""
-
-
-class BackSubstitution:
-    """S from factors of K_ii alone, column by column: for an interior that is small or a few times what is retained."""
-
-    solver = "superlu"
-
-    def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
-        self._retained = retained
-        inner = np.ones(stiffness.shape[0], dtype=bool)
-        inner[retained] = False
-        self._interior = np.flatnonzero(inner)
-        self._coupling = _block(stiffness, self._interior, retained)
-        self._factor: Factorization | None = None
-        self.half_substitutions = 0
-        if self._interior.size:
-            self._factor = factorise(_block(stiffness, self._interior, self._interior))
-        self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
-        self.schur = self._schur_complement(stiffness)
-
-    def _schur_complement(self, stiffness: Any) -> Array:
-        S = _dense(_block(stiffness, self._retained, self._retained))
-        for start in range(0, len(self._retained) if self._interior.size else 0, BLOCK):
-            columns = slice(start, start + BLOCK)
-            right = _dense(self._coupling[:, columns])
-            S[:, columns] -= self._coupling.T @ self._solve(right)
-        return np.asarray((S + S.T) / 2)
-
-    def _solve(self, right: Array) -> Array:
-        if self._factor is None:
-            return np.zeros_like(right)
-        count = 2 * (1 if right.ndim == 1 else right.shape[1])
-        self.half_substitutions += count
-        if (clock := RUNNING.get()) is not None:
-            clock.half_substitutions += count
-        return self._factor.solve(right)
-
-    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
-        inner = self._solve(load[self._interior])
-        return load[self._retained] - self._coupling.T @ inner, inner
-
-    def expand(self, retained: Vector, state: Vector) -> Vector:
-        u = np.empty(len(self._retained) + len(self._interior))
-        u[self._retained] = retained
-        u[self._interior] = state - self._solve(self._coupling @ retained)
-        return u
-
-    def expand_motions(self, retained: Array) -> Array:
-        u = np.empty((len(self._retained) + len(self._interior), retained.shape[1]))
-        u[self._retained] = retained
-        u[self._interior] = -self._solve(self._coupling @ retained)
-        return u
-
-
-def _block(stiffness: Any, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
-    """K of these rows and columns: an array where K is small, else CSR."""
-    if stiffness.shape[0] <= DENSE_SIZE:
-        return stiffness.toarray()[np.ix_(rows, columns)]
-    return stiffness[rows][:, columns]
-
-
-def _dense(matrix: Any) -> Array:
-    return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
 
 
 class LastBlock:
@@ -378,5 +309,6 @@ def _eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool) -> El
         except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
             if not singular:
                 raise
-    pays = count > max(DENSE_SIZE, FEW * len(retained))
-    return (TrailingBlock if pays else BackSubstitution)(sp.csr_matrix(stiffness), retained)
+    if count > max(DENSE_SIZE, FEW * len(retained)):
+        return TrailingBlock(sp.csr_matrix(stiffness), retained)
+    return BackSubstitution(stiffness, retained, factorise)

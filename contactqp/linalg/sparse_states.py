@@ -20,9 +20,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg import pardiso
+from contactqp.linalg.dense import inverse_root
 from contactqp.linalg.equilibration import scaled_by
 from contactqp.linalg.extended import extended_rows
-from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
 from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS, factorised
 from contactqp.model.arrays import Array, Indices, Vector

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.saddle import saddle_point
+from contactqp.linalg.dense import saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array

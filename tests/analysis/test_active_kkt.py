@@ -16,7 +16,7 @@ from contactqp.analysis.large.active_kkt import (
 )
 from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import NotConverged
-from contactqp.linalg.factorization import DENSE_SIZE
+from contactqp.linalg.dense import DENSE_SIZE
 
 LARGE = DENSE_SIZE + 60
 

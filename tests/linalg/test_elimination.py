@@ -1,6 +1,7 @@
 """All ways of eliminating interior unknowns against the dense formula, and the solver that is taken by itself."""
 
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,12 +16,13 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, holding_unknowns, pardiso, schur
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import DenseCholesky, connected_parts, null_space, with_added_diagonal
+from contactqp.linalg.dense import BackSubstitution, DenseCholesky
+from contactqp.linalg.factorization import connected_parts, factorise, null_space, with_added_diagonal
 from contactqp.linalg.pardiso import EliminationOrder, NotPositive, Pardiso, available
-from contactqp.linalg.schur import BackSubstitution, LastBlock, TrailingBlock, eliminate
+from contactqp.linalg.schur import LastBlock, TrailingBlock, eliminate
 
 needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso")
-WAYS = [BackSubstitution, TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
+WAYS = [partial(BackSubstitution, factorise=factorise), TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
 
 
 def pressed_block(cells=12, **held):

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 import contactqp as cq
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.linalg.dense import free_motions, saddle_point
 from contactqp.solving import solve as solving
 from contactqp.solving.methods import find
 

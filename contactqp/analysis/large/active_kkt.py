@@ -14,7 +14,8 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.factorization import DENSE_SIZE, factorise, inverse_root
+from contactqp.linalg.dense import DENSE_SIZE, inverse_root
+from contactqp.linalg.factorization import factorise
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem

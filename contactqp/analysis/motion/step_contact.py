@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from contactqp.analysis.motion.step_friction import correction, frictional_forces, states_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import DenseCholesky
+from contactqp.linalg.dense import DenseCholesky
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN
 from contactqp.model.problem import ContactProblem

@@ -30,11 +30,11 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
+from contactqp.linalg.dense import free_motions, saddle_point
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.linalg.refinement import answer_on, shift_to_least_norm
-from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem

@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
+from contactqp.linalg.dense import BALANCED
 from contactqp.linalg.existence import around, unresisted
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.linalg.saddle import BALANCED
 from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings

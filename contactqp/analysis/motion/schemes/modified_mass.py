@@ -19,7 +19,8 @@ from contactqp.analysis.motion.mass_matrix import massless
 from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
-from contactqp.linalg.factorization import Factorization, factorise
+from contactqp.linalg.dense import Factorization
+from contactqp.linalg.factorization import factorise
 from contactqp.model.arrays import Vector
 
 

@@ -1,6 +1,7 @@
-"""Contacts and ties as the condensed bodies feel them: the Delassus operator, and systems on closed contacts.
+"""Dense systems: Cholesky factors, small interiors, contacts and ties as condensed bodies feel them.
 
-The Delassus operator is
+An interior that is small, or only a few times what is retained, is eliminated by `BackSubstitution`. The Delassus
+operator of what is retained is
 
     W = [E; A] S_e^-1 [E; A]',    S_e = S + e Z Z'
 
@@ -26,18 +27,26 @@ of K, not from small eigenvalues.
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import WRITTEN_OUT, Condensation
-from contactqp.linalg.factorization import DenseCholesky, orthonormal
-from contactqp.linalg.krylov import IndependentRows
+from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 
+# Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
+DENSE_SIZE = 300
+# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
+# matrix then tells whether the factors are good enough.
+LIFT = 4 * np.finfo(float).eps
+# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
+BLOCK = 64
+# Entries, zeros included, of rows that are cheaper to write out than to look up.
+WRITTEN_OUT = 2**14
 # Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
 ANCHOR = 1e-6
 # What a double-precision operator cannot tell from zero, relative to the lengths that meet.
@@ -46,10 +55,161 @@ OPERATOR_ROUNDING = 1e-12
 REGULAR = 1e-7
 
 
+class Factorization(Protocol):
+    """A factorised symmetric positive definite matrix."""
+
+    smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
+
+    def solve(self, right: Array) -> Array:
+        """K^-1 right, for one right-hand side (n,) or several (n, q)."""
+
+
+class DenseCholesky:
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal or as it is told."""
+
+    def __init__(self, matrix: Array, scale: Array | None = None) -> None:
+        self._scale = unit_diagonal_scale(matrix) if scale is None else scale
+        scaled = matrix * (self._scale[:, None] * self._scale)
+        factor = lower_factor(scaled)
+        if factor is not None:
+            self._factor = factor
+            self.smallest_pivot = float((factor.diagonal() ** 2).min(initial=np.inf)) if len(factor) else 1.0
+            return
+        from scipy.linalg import cholesky, eigvalsh
+
+        lowest = float(eigvalsh(scaled)[0])
+        self.smallest_pivot = min(lowest, 0.0)
+        lift = max(2 * -lowest, LIFT * len(scaled))
+        self._factor = cholesky(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
+
+    def solve(self, right: Array) -> Array:
+        from scipy.linalg.lapack import dpotrs
+
+        if not right.size:
+            return np.zeros(right.shape)
+        return np.asarray((dpotrs(self._factor, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
+
+
+def lower_factor(matrix: Array) -> Array | None:
+    """Return L of a symmetric matrix L L', with anything above its diagonal; None where a pivot is not positive."""
+    from scipy.linalg.lapack import dpotrf
+
+    if not len(matrix):
+        return matrix
+    factor, info = dpotrf(matrix, lower=True, clean=False)
+    return factor if info == 0 else None
+
+
+def unit_diagonal_scale(matrix: Any) -> Array:
+    """1/sqrt(K_jj), and 1 where the diagonal is zero."""
+    return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
+
+
+def inverse_root(diagonal: Array) -> Array:
+    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
+
+    Products of two of these scales therefore stay in the range of floats.
+    """
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
+
+
+def orthonormal(motions: Array) -> Array:
+    """Orthonormal combinations of independent motions (n, r), as accurate as these at unknowns of any unit."""
+    for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
+        motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
+    return motions
+
+
+class BackSubstitution:
+    """S from factors of K_ii alone, column by column: for an interior that is small or a few times what is retained."""
+
+    solver = "superlu"
+
+    def __init__(self, stiffness: Any, retained: NDArray[np.intp], factorise: Callable[[Any], Factorization]) -> None:
+        self._retained = retained
+        inner = np.ones(stiffness.shape[0], dtype=bool)
+        inner[retained] = False
+        self._interior = np.flatnonzero(inner)
+        if stiffness.shape[0] <= DENSE_SIZE:
+            stiffness = stiffness.toarray()
+        self._coupling = _block(stiffness, self._interior, retained)
+        self._factor: Factorization | None = None
+        self.half_substitutions = 0
+        if self._interior.size:
+            self._factor = factorise(_block(stiffness, self._interior, self._interior))
+        self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
+        self.schur = self._schur_complement(stiffness)
+
+    def _schur_complement(self, stiffness: Any) -> Array:
+        S = _dense(_block(stiffness, self._retained, self._retained))
+        for start in range(0, len(self._retained) if self._interior.size else 0, BLOCK):
+            columns = slice(start, start + BLOCK)
+            right = _dense(self._coupling[:, columns])
+            S[:, columns] -= self._coupling.T @ self._solve(right)
+        return np.asarray((S + S.T) / 2)
+
+    def _solve(self, right: Array) -> Array:
+        if self._factor is None:
+            return np.zeros_like(right)
+        count = 2 * (1 if right.ndim == 1 else right.shape[1])
+        self.half_substitutions += count
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += count
+        return self._factor.solve(right)
+
+    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        inner = self._solve(load[self._interior])
+        return load[self._retained] - self._coupling.T @ inner, inner
+
+    def expand(self, retained: Vector, state: Vector) -> Vector:
+        u = np.empty(len(self._retained) + len(self._interior))
+        u[self._retained] = retained
+        u[self._interior] = state - self._solve(self._coupling @ retained)
+        return u
+
+    def expand_motions(self, retained: Array) -> Array:
+        u = np.empty((len(self._retained) + len(self._interior), retained.shape[1]))
+        u[self._retained] = retained
+        u[self._interior] = -self._solve(self._coupling @ retained)
+        return u
+
+
+def _block(stiffness: Any, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
+    """K of these rows and columns, of an array or a CSR matrix."""
+    return stiffness[rows[:, None], columns] if isinstance(stiffness, np.ndarray) else stiffness[rows][:, columns]
+
+
+def _dense(matrix: Any) -> Array:
+    return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
+
+
+class Condensed(Protocol):
+    """What dense systems need of a condensation (`contactqp.linalg.condensation.Condensation`)."""
+
+    schur: Array  # (p, p) S
+    scale: Array  # (p,) 1/sqrt(S_jj)
+    normal: Array  # (m, p) E of the retained unknowns
+    tie: Array  # (k, p) A likewise
+    retained: NDArray[np.intp]  # (p,)
+    rigid: Any  # the RigidMotions of K
+    delassus: list[Any]  # the operator, once it was asked for
+    saddles: dict[Any, Any]  # the last saddle points
+
+    @property
+    def bodies(self) -> NDArray[np.intp]:
+        """(p,) the body of each retained unknown."""
+
+    def schur_factor(self) -> DenseCholesky:
+        """Return the factors of S in its scale."""
+
+    def unresisted(self, rows: Array) -> Array:
+        """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
+
+
 class Delassus:
     """W and the free response, for one condensation and all of its loads."""
 
-    def __init__(self, condensation: Condensation) -> None:
+    def __init__(self, condensation: Condensed) -> None:
         self.scale = condensation.scale
         motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
         self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
@@ -65,7 +225,7 @@ class Delassus:
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
         self.response = response * self.row_scale
 
-    def _factorised(self, condensation: Condensation) -> DenseCholesky | None:
+    def _factorised(self, condensation: Condensed) -> DenseCholesky | None:
         """S_e in its scale."""
         if not len(condensation.schur):
             return None
@@ -99,7 +259,7 @@ class Delassus:
         return np.asarray(free - self.response @ force)
 
 
-def delassus(condensation: Condensation) -> Delassus:
+def delassus(condensation: Condensed) -> Delassus:
     """Made once for a condensation."""
     if not condensation.delassus:
         condensation.delassus.append(Delassus(condensation))
@@ -112,7 +272,7 @@ class RangeSpace:
 
     redundant = False
 
-    def __init__(self, condensation: Condensation, operator: Delassus, closed: NDArray[np.intp], tied: bool) -> None:
+    def __init__(self, condensation: Condensed, operator: Delassus, closed: NDArray[np.intp], tied: bool) -> None:
         self.closed = closed
         self.contraction: float | None = None
         self._operator = operator
@@ -149,10 +309,6 @@ class RangeSpace:
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
-# A row that makes less than this part of another takes no part in it, both of unit length.
-NO_PART = 1e-9
-# What is left of a dependent row of unit length, once those that make it are taken away: rounding of sparse factors.
-VERIFIED, MOST_VERIFIED = 1e-10, 100
 # Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
 KEPT = 6
 # Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
@@ -184,7 +340,7 @@ class SaddlePoint(Protocol):
 class NullSpace:
     """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
 
-    def __init__(self, condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> None:
+    def __init__(self, condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> None:
         from scipy.linalg import qr
 
         self.closed = np.asarray(closed, dtype=np.intp)
@@ -268,12 +424,12 @@ class NullSpace:
         return motion if float(push @ push) > rounding else np.zeros(len(load))
 
 
-def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
+def free_motions(condensation: Condensed, saddle: SaddlePoint) -> Array:
     """An orthonormal basis (n, q) of the motions of all unknowns that neither K nor a row of the set resists."""
     return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
 
 
-def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
+def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
     """The factorisation for a set of closed contacts; the last few are kept, since polish and certificate ask alike."""
     kept: dict[tuple[bytes, bool], SaddlePoint] = condensation.saddles
     key = (np.asarray(closed, dtype=np.intp).tobytes(), tied)
@@ -284,7 +440,7 @@ def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: boo
     return kept[key]
 
 
-def _factorised(condensation: Condensation, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
+def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
     if not condensation.rigid.count:
         operator = delassus(condensation)
         if operator.smallest_pivot >= REGULAR:
@@ -301,40 +457,6 @@ def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]
     basis, _ = np.linalg.qr(rows[chosen].T)
     beyond = rows[others] - (rows[others] @ basis) @ basis.T
     return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
-
-
-def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
-    """The ties that depend on others, and on which; found once for the rows of a problem.
-
-    They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
-    """
-    if problem._computed.dependent_ties is None:
-        rows = condensation.tie * condensation.scale
-        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        kept = independent_rows(rows)
-        others = np.setdiff1d(np.arange(len(rows)), kept)
-        shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
-        taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
-        problem._computed.dependent_ties = tuple(zip(others.tolist(), taking_part, strict=True))
-    found: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
-    return found
-
-
-def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[np.intp]], ...]:
-    """The same where ties are many, by sparse factors of their Gram matrix; MOST_VERIFIED of them are looked at."""
-    if problem._computed.dependent_ties is None:
-        length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
-        rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie)
-        gram = IndependentRows(rows, np.ones(problem.dimension))
-        found = []
-        for i in np.setdiff1d(np.arange(problem.ties), gram.kept)[:MOST_VERIFIED].tolist():
-            row = rows[[i]].toarray().ravel()
-            share = gram.solve(rows @ row)
-            if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
-                found.append((i, np.flatnonzero(abs(share) > NO_PART)))
-        problem._computed.dependent_ties = tuple(found)
-    known: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
-    return known
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
