@@ -24,7 +24,6 @@ from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
 from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
 from contactqp.certificate.figures import holds
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import (
     ContactQPError,
@@ -38,7 +37,7 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.friction_states import STICK
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem

@@ -21,10 +21,9 @@ from contactqp.analysis.history import (
 )
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point

@@ -28,7 +28,7 @@ from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, saddle_point
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
 from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, polish
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -298,7 +298,7 @@ def _of_penetration(
 
     nothing = np.zeros(problem.dimension), -excess[closed], np.zeros(problem.ties)
     saddle = saddle_point(condensation, closed)
-    closing, _, _ = correction(condensation, saddle, *nothing)
+    closing, _, _ = condensation.correction(saddle, *nothing)
     if not saddle.redundant or np.max(abs(left_by(closing))) <= MISSED:
         return 2 * sum(energy_norm(problem, extend(closing)))
     _, unloaded = condensation.reduce_load(np.zeros(problem.dimension))
@@ -385,7 +385,7 @@ def _close(
         for _ in range(CLOSING_SWEEPS):
             gap = rows.gap(problem, start + step)
             open_tie = (extend(problem.tie_value) - rows.tie @ (start + step)).double()
-            step = step + correction(condensation, saddle, np.zeros(len(start)), gap.double()[closed], open_tie)[0]
+            step = step + condensation.correction(saddle, np.zeros(len(start)), gap.double()[closed], open_tie)[0]
         gap = rows.gap(problem, start + step)
         penetrated = np.flatnonzero(-gap.double() > WITHIN_ROUNDING * length)
         if not penetrated.size:

@@ -38,6 +38,7 @@ of rounding, not an interval enclosure.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -414,3 +415,57 @@ def _out_of_balance(
     rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
     share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ left)
     return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])
+
+
+def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """What is said of the bounds on the whole answer; errors up to `nothing` [square root of energy] are none."""
+    if known.suspicious is not None:
+        yield f"unproven: {known.suspicious}"
+    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
+    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none, in
+    # the truth as in the error, unless the contact forces say how little that is.
+    beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
+    strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
+    # What touching contacts leave open is no strain of a body that only moves; it is in the bound and its uncertainty.
+    forgiven_strain = known.free_distance + (0.0 if known.energy_scale > beside_forces else 2 * known.undecided)
+    # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
+    rigidly = 4 * known.force_rounding
+    pairs = (
+        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, forgiven_strain),
+        ("force_error", "contact forces", known.force_scale, 0.0, pushed, rigidly),
+    )
+    for name, what, scale, none, absolute, forgiven in pairs:
+        value = getattr(known, name)
+        if value is None or (name == "energy_error" and known.by_energy):
+            continue  # `failed_energy` judges the energy itself
+        if scale > none:
+            kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
+        else:
+            value = value * (scale or 1.0)
+            kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
+        # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
+        if not value * size <= max(limit * size, known.rounding) + forgiven:
+            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+
+
+def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """What is said of the energy, where that is all that a problem determines; `nothing` [energy] is none."""
+    if known.energy_bounds is None or not known.by_energy:
+        return
+    lower, upper = known.energy_bounds
+    if not upper - lower <= max(tolerance * known.energy_size, nothing, known.energy_rounding):
+        part = (upper - lower) / known.energy_size if known.energy_size > 0 else float("inf")
+        yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
+
+
+def fails_force_bound(known: Bounds, tolerance: float, nothing: float) -> bool:
+    """Whether the bound of a contact force, of those that are here, is beyond the tolerance.
+
+    On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
+    presses them together.
+    """
+    relative = known.relative_force_bound
+    beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
+    if known.largest_force > 0:
+        beneath = max(known.rounding, nothing) / known.largest_force
+    return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))

@@ -8,19 +8,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, bounds, no_bounds
-from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.failures import (
+from contactqp.certificate.bounds import (
+    FRICTION_HAS_NONE,
+    Bounds,
+    bounds,
     failed_energy,
     failed_errors,
+    fails_force_bound,
+    no_bounds,
+)
+from contactqp.certificate.energy_bounds import energy_bounds
+from contactqp.certificate.failures import (
+    FORCES_NOT_UNIQUE,
+    MOST_NAMED,
     failed_figures,
     failed_law,
-    fails_force_bound,
     not_finite_parts,
-    notes,
     said_of_absurd_part,
     said_of_dependent_ties,
+    said_of_estimates,
     said_of_force_bound,
+    said_of_grazing,
+    said_of_printing,
 )
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
@@ -33,7 +42,7 @@ from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.iteration import iterated, iteration
+from contactqp.linalg.iteration import contacts_are_many, iterated, iteration
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.sparse_saddle import constraints_are_many
@@ -48,6 +57,8 @@ ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
+# Changes of the forces that are less than this part of them are as good as none.
+WORTH_SAYING = 1e-9
 AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
@@ -222,14 +233,19 @@ def _worded(
     found, known, law = measured.found, measured.known, measured.law
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = measured.balance
-    failures = list(failed_figures(problem, answer, found, figures, tolerance))
-    failures += failed_law(problem, law, IMPLIED * tolerance)
+    failures: list[str] = []
+    if not all(figure <= tolerance for figure in figures.values()):
+        failures += failed_figures(problem, answer, found, figures, tolerance)
+    if law is not None:
+        failures += failed_law(problem, law, IMPLIED * tolerance)
     failures += measured.errors
     if measured.fails_force_bound and known.relative_force_bound is not None:
         worst = int(np.argmax(known.relative_force_bound))
         failures.append(said_of_force_bound(problem, answer, known, worst, error_tolerance))
     failures += measured.state.failures
-    said = (*notes(problem, measured.grazing, known), *said_of_dependent_ties(problem, measured.dependent))
+    said = _notes(problem, measured.grazing, known)
+    if measured.dependent:
+        said += said_of_dependent_ties(problem, measured.dependent)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(np.max(law, initial=0.0)),
@@ -256,11 +272,35 @@ def _worded(
     )
 
 
+def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
+    """What a certificate says besides its verdict."""
+    said: list[str] = []
+    if grazing.any():
+        said += said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]])
+    if known.redundant and not problem.frictional:
+        said.append(FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else ""))
+    if problem.asymmetry > 0:
+        said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+    if known.cleared > WORTH_SAYING:
+        said.append(
+            f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
+            f"{known.cleared:.2g} of the forces there"
+        )
+    if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
+        said.append(
+            f"{known.free_distance / known.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
+            "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
+        )
+    if problem.rigid_change > 0:
+        said.append(said_of_printing(problem))
+    return (*said, *said_of_estimates(known)) if known.estimated else tuple(said)
+
+
 def _candidates(problem: ContactProblem, answer: Answer, factorization: Condensation | None) -> NDArray[np.intp] | None:
     """The contacts that an answer is judged with, the others being open; None where all are few enough."""
     if factorization is not None or iterated(problem) or constraints_are_many(problem):
         return None
-    return believed_candidates(problem, answer)
+    return believed_candidates(problem, answer) if contacts_are_many(problem) else None
 
 
 def _residuals_and_bounds(

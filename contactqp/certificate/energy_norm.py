@@ -14,7 +14,7 @@ from contactqp.linalg.dense import REGULAR, delassus, free_motions, inverse_root
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part
-from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION, correction
+from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -102,9 +102,7 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     none = np.zeros(0)
 
     def step(residual: Extended) -> tuple[Vector, Vector, float]:
-        du, _, dn = correction(
-            condensation, saddle, residual.double(), none, -(rows.tie @ u).double() if tied else none
-        )
+        du, _, dn = condensation.correction(saddle, residual.double(), none, -(rows.tie @ u).double() if tied else none)
         return du, dn if tied else np.zeros(problem.ties), energy_norm(problem, extend(du))[0]
 
     du, dn, first = step(load)

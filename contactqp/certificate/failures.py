@@ -15,8 +15,6 @@ from contactqp.model.solution import FIGURES, Answer, Violations
 
 # Grazing contacts, and dependent ties, that a note names.
 MOST_NAMED = 8
-# Changes of the forces that are less than this part of them are as good as none.
-WORTH_SAYING = 1e-9
 
 
 class Named(Protocol):
@@ -117,60 +115,6 @@ def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     )
 
 
-def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """What is said of the bounds on the whole answer; errors up to `nothing` [square root of energy] are none."""
-    if known.suspicious is not None:
-        yield f"unproven: {known.suspicious}"
-    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
-    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none, in
-    # the truth as in the error, unless the contact forces say how little that is.
-    beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
-    strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
-    # What touching contacts leave open is no strain of a body that only moves; it is in the bound and its uncertainty.
-    forgiven_strain = known.free_distance + (0.0 if known.energy_scale > beside_forces else 2 * known.undecided)
-    # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
-    rigidly = 4 * known.force_rounding
-    pairs = (
-        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, forgiven_strain),
-        ("force_error", "contact forces", known.force_scale, 0.0, pushed, rigidly),
-    )
-    for name, what, scale, none, absolute, forgiven in pairs:
-        value = getattr(known, name)
-        if value is None or (name == "energy_error" and known.by_energy):
-            continue  # `failed_energy` judges the energy itself
-        if scale > none:
-            kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
-        else:
-            value = value * (scale or 1.0)
-            kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
-        # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
-        if not value * size <= max(limit * size, known.rounding) + forgiven:
-            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
-
-
-def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """What is said of the energy, where that is all that a problem determines; `nothing` [energy] is none."""
-    if known.energy_bounds is None or not known.by_energy:
-        return
-    lower, upper = known.energy_bounds
-    if not upper - lower <= max(tolerance * known.energy_size, nothing, known.energy_rounding):
-        part = (upper - lower) / known.energy_size if known.energy_size > 0 else float("inf")
-        yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
-
-
-def fails_force_bound(known: Bounds, tolerance: float, nothing: float) -> bool:
-    """Whether the bound of a contact force, of those that are here, is beyond the tolerance.
-
-    On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
-    presses them together.
-    """
-    relative = known.relative_force_bound
-    beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
-    if known.largest_force > 0:
-        beneath = max(known.rounding, nothing) / known.largest_force
-    return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
-
-
 def said_of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
     if known.force_bound is None or known.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
@@ -191,27 +135,6 @@ FORCES_NOT_UNIQUE = (
     "forces are not unique: closed contacts or ties depend on each other, and other answers share their forces "
     "differently (contactqp.exact gives the range of each)"
 )
-
-
-def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
-    said = list(said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]]))
-    if known.redundant and not problem.frictional:
-        said.append(FORCES_NOT_UNIQUE + (": those that graze here may press in another" if np.any(grazing) else ""))
-    if problem.asymmetry > 0:
-        said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
-    if known.cleared > WORTH_SAYING:
-        said.append(
-            f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
-            f"{known.cleared:.2g} of the forces there"
-        )
-    if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
-        said.append(
-            f"{known.free_distance / known.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
-            "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
-        )
-    if problem.rigid_change > 0:
-        said.append(said_of_printing(problem))
-    return (*said, *said_of_estimates(known))
 
 
 def said_of_dependent_ties(

@@ -225,7 +225,9 @@ def violations(
     """
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
-    none = slips_that_are_nothing(nothing(problem, answer, elastic, size, rounding), *_compliances(problem))
+    none = nothing(problem, answer, elastic, size, rounding)
+    if none.tangent.size:
+        none = slips_that_are_nothing(none, *_compliances(problem))
     inner = problem.stiffness_sizes @ abs(elastic)
     F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
     return figures(
@@ -235,9 +237,9 @@ def violations(
             meeting=F,
             push=force_measure(problem.normal, answer.normal_force, F),
             felt=force_measure(problem.normal, answer.normal_force, F, none.force),
-            lengths=_lengths(problem, problem.normal, problem.gap, elastic),
+            lengths=row_sizes(problem, problem.normal).lengths(abs(elastic)) + abs(problem.gap),
+            tie_lengths=row_sizes(problem, problem.tie).lengths(abs(elastic)) + abs(problem.tie_value),
             tangential_lengths=_lengths_across(problem, elastic),
-            tie_lengths=_lengths(problem, problem.tie, problem.tie_value, elastic),
             intrinsic_size=float(np.max(size, initial=0.0)),
             nothing=none,
         ),
@@ -245,17 +247,12 @@ def violations(
     )
 
 
-def _lengths(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
-    """|E||u| + |g| (m,) of rows [length]."""
-    return np.asarray(row_sizes(problem, rows).lengths(abs(displacement)) + abs(limit))
-
-
 def _lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
-    """The same (m,) of the tangential rows of each contact together."""
+    """|E_T||u| + |slip_origin| (m,) of the tangential rows of each contact together [length]."""
     if problem.tangent is None or problem.slip_origin is None:
         return np.zeros(problem.contacts)
-    origin = problem.slip_origin
-    return lengths(_lengths(problem, problem.tangent, origin.ravel(), displacement).reshape(origin.shape))
+    origin, moved = problem.slip_origin, row_sizes(problem, problem.tangent).lengths(abs(displacement))
+    return lengths(moved.reshape(origin.shape) + abs(origin))
 
 
 def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
@@ -349,8 +346,8 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
     """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
-    gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
     cone, direction, slip_measure, turned = _friction(answer, rubbing, sizes)
+    gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
     return Violations(
         equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
         residual=residual,

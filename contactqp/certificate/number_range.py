@@ -28,6 +28,7 @@ from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
 
 # Numbers up to this and down to its inverse need no other units: 1e24 and 1e-24.
 FARTHEST = 80
+LEAST_NEAR = 2.0 ** (-FARTHEST - 1)  # the least number whose exponent is not below that
 # Displacements and forces beyond this (1e60), in units in which the problem's numbers are near one, answer nothing.
 ABSURD = 2.0**200
 # Gaps beyond this part of the lengths that move are as far as that: nothing that is no absurd answer reaches them.
@@ -231,10 +232,10 @@ def _exponent(values: Any) -> Index:
     return np.where(values == 0, NONE, np.frexp(values)[1]).astype(np.int64)
 
 
-def _near(values: Array, least: int = -FARTHEST) -> bool:
+def _near(values: Array) -> bool:
     """Whether the exponents of all numbers but zeros are within the range."""
-    exponents = _exponent(values[values != 0])
-    return bool(np.all((exponents <= FARTHEST) & (exponents >= least)))
+    size = abs(values[values != 0])
+    return not size.size or bool(size.min() >= LEAST_NEAR and size.max() < 2.0**FARTHEST)
 
 
 def _matrices_are_near_one(problem: ContactProblem) -> bool:
@@ -249,7 +250,7 @@ def _matrices_are_near_one(problem: ContactProblem) -> bool:
 def _largest_without_stiffness(problem: ContactProblem, matrices: list[Any]) -> Vector:
     """(n,) the largest entry of the rows at each unknown without stiffness, whose unit rows alone say; zeros else."""
     largest = np.zeros(problem.dimension)
-    if np.all(problem.diagonal > 0):
+    if problem.diagonal.all():
         return largest
     for matrix in matrices:
         np.maximum.at(largest, matrix.indices, abs(matrix.data))
@@ -262,10 +263,11 @@ def _matrices(problem: ContactProblem) -> list[Any]:
 
 def _vectors_are_near_one(problem: ContactProblem) -> bool:
     """Whether the largest of load, gaps, ties and slip origins are within the range, and not all far below it."""
-    gap = problem.gap[np.isfinite(problem.gap)]
-    parts = (problem.load, gap, problem.tie_value, np.zeros(0) if problem.slip_origin is None else problem.slip_origin)
-    largest = np.array([np.max(abs(part), initial=0.0) for part in parts])
-    return _near(largest, NONE) and _near(np.max(largest, keepdims=True))
+    parts = [problem.load, problem.gap[np.isfinite(problem.gap)], problem.tie_value]
+    if problem.slip_origin is not None:
+        parts.append(problem.slip_origin)
+    largest = max(float(abs(part).max(initial=0.0)) for part in parts)
+    return largest == 0 or LEAST_NEAR <= largest < 2.0**FARTHEST
 
 
 def _units_are_own(problem: ContactProblem) -> bool:
@@ -273,7 +275,7 @@ def _units_are_own(problem: ContactProblem) -> bool:
 
     Without one, what is found among many right answers would depend on the units of length and force.
     """
-    return bool(np.all(problem.diagonal > 0)) or _uniform_unit(problem) == 0
+    return bool(problem.diagonal.all()) or _uniform_unit(problem) == 0
 
 
 def _largest(rows: Any) -> Vector:

@@ -27,10 +27,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size
-from contactqp.certificate.failures import failed_errors
 from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation

@@ -20,15 +20,13 @@ from contactqp.certificate.state_answer import StateVerdict, figures_alone, last
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.iteration import MANY_WITH_FRICTION
+from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
-MANY = 3000
 # Contact unknowns to begin with.
 FIRST = 1000
 # Layers of unknowns around a penetrated contact whose contacts become candidates with it; around one that closes
@@ -59,10 +57,8 @@ def candidates_around(problem: ContactProblem, closed: NDArray[np.intp]) -> NDAr
     return np.union1d(before, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION))).astype(np.intp)
 
 
-def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp] | None:
-    """The contacts that an answer closes, or the nearest, and the candidates of before; None: all are few enough."""
-    if not contacts_are_many(problem):
-        return None
+def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+    """The contacts that an answer closes, or the nearest, and the candidates of before."""
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
@@ -83,21 +79,6 @@ def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
 def take_all(problem: ContactProblem) -> None:
     """Have every contact of a problem condensed onto, however many there are."""
     problem._computed.subset, problem._computed.all_contacts[problem.frictional] = None, True
-
-
-def contacts_are_many(problem: ContactProblem) -> bool:
-    """Whether contacts are so many that candidates among them cost less: never with friction in the plane."""
-    known = problem._computed.all_contacts
-    if problem.frictional not in known:
-        known[problem.frictional] = not _are_many(problem)
-    return not known[problem.frictional]
-
-
-def _are_many(problem: ContactProblem) -> bool:
-    if problem.frictional:
-        in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
-        return in_space and problem.contacts > MANY_WITH_FRICTION
-    return problem.normal.nnz > MANY and problem.contacts > 1 and len(np.unique(problem.normal.indices)) > MANY
 
 
 def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:

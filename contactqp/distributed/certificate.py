@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
+from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
 from contactqp.certificate.failures import (
     MOST_NAMED,
     PARTS,
-    failed_errors,
-    fails_force_bound,
     said_of_balance,
     said_of_estimates,
     said_of_figure,

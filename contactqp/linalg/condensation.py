@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import DenseCholesky, inverse_root, orthonormal
+from contactqp.linalg.dense import DenseCholesky, SaddlePoint, inverse_root, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
@@ -262,6 +262,14 @@ class Condensation:
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
         """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
         return self._elimination.reduce(load)
+
+    def correction(
+        self, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector
+    ) -> tuple[Vector, Vector, Vector]:
+        """One solve of the full saddle-point system with the condensed factors, in double precision."""
+        reduced, inner = self.reduce_residual(residual)
+        dx, dl, dn = saddle.solve(reduced, gap, open_tie)
+        return self.expand(dx, inner), dl, dn
 
     def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
         """Have `reduce_load` know a load that is combined from reduced ones."""

@@ -86,8 +86,6 @@ def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
 
 def slips_that_are_nothing(none: Nothing, normal: Vector, tangent: Array) -> Nothing:
     """What is nothing, with the length of its normal row for the slip of a contact that is `hardly_felt`."""
-    if not none.tangent.size:
-        return none
     lengths_ = none.tangent.reshape(tangent.shape)
     along = np.maximum(lengths_, none.normal[:, None])
     return replace(none, tangent=np.where(hardly_felt(normal, tangent)[:, None], along, lengths_).ravel())

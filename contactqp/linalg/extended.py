@@ -360,6 +360,11 @@ class ExtendedAnswer:
         force = self.normal_force.added_at(closed, dl)
         return ExtendedAnswer(self.displacement + du, force, self.tie_force + dn, self.friction_force)
 
+    def rounded(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
+        """Return displacement, forces of the closed contacts and of ties in double precision."""
+        force = self.normal_force.hi[closed] + self.normal_force.lo[closed]
+        return self.displacement.double(), force, self.tie_force.double()
+
     def double(self) -> Answer:
         """Return the answer without friction, rounded to double precision."""
         return Answer(self.displacement.double(), self.normal_force.double(), None, self.tie_force.double())

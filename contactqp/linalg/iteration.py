@@ -1,6 +1,7 @@
 """What replaces condensation where a body is too large to factorise: a hierarchy of its stiffness, in one process.
 
-Which problems are iterated on is decided here, and what of them may be factorised all the same.
+Which problems are iterated on is decided here, what of them may be factorised all the same, and which are solved with
+some of their contacts at first.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from contactqp.model.problem import ContactProblem
 # friction from fewer, where its contacts, with three condensed unknowns each, are more than so many.
 LARGE, COUPLED = 200_000, 40
 LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 10_000, 300
+# Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
+MANY = 3000
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
 LARGEST_BY_SUPERLU = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
@@ -63,6 +66,21 @@ def _is_large(problem: ContactProblem) -> bool:
     in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
     many = problem.frictional and in_space and problem.contacts > MANY_WITH_FRICTION
     return n >= (LARGE_WITH_FRICTION if many else LARGE)
+
+
+def contacts_are_many(problem: ContactProblem) -> bool:
+    """Whether contacts are so many that candidates among them cost less: never with friction in the plane."""
+    known = problem._computed.all_contacts
+    if problem.frictional not in known:
+        known[problem.frictional] = not _are_many(problem)
+    return not known[problem.frictional]
+
+
+def _are_many(problem: ContactProblem) -> bool:
+    if problem.frictional:
+        in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
+        return in_space and problem.contacts > MANY_WITH_FRICTION
+    return problem.normal.nnz > MANY and problem.contacts > 1 and len(np.unique(problem.normal.indices)) > MANY
 
 
 def may_be_factorised(problem: ContactProblem) -> bool:

@@ -163,7 +163,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
     `elastic` (n,) is the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most.
     """
-    if mostly_bare(problem) or not (problem.frictional or np.any(problem.diagonal)):
+    stiff = problem.diagonal.all()
+    if not stiff and (mostly_bare(problem) or not (problem.frictional or problem.diagonal.any())):
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u = abs(answer.displacement)
     D = scale_of_unknowns(problem)

@@ -146,28 +146,30 @@ def _refined(
     if start is None:
         answer, left = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
     else:
-        kept = np.isin(np.arange(problem.contacts), closed)
+        kept = np.zeros(problem.contacts, dtype=bool)
+        kept[closed] = True
         left = None if np.any(start.normal_force[~kept]) else left
-        begun = Answer(start.displacement, np.where(kept, start.normal_force, 0.0), None, start.tie_force)
-        answer = ExtendedAnswer.of(begun)
+        force = np.where(kept, start.normal_force, 0.0)
+        answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:
             left = residuals_of(rows, problem, answer)
-        du, dl, dn = correction(condensation, saddle, *left.double(closed))
+        du, dl, dn = condensation.correction(saddle, *left.double(closed))
         left = None
         answer = answer.corrected(du, closed, dl, dn)
         if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
             shift, _ = shift_to_least_norm(problem, condensation, answer.double(), closed)
             answer = replace(answer, displacement=answer.displacement + shift)
-        size, whole = size_of(du, dl, dn), size_of.answer(answer)
+        u, force, tie = answer.rounded(closed)
+        size, whole = size_of(du, dl, dn), size_of(u, force, tie)
         if sweep == 1 and q is None:
             rounding = ROUNDED_AWAY * whole
             q = max(size / max(last, rounding) if last > 0 else 0.0, LEAST_CONTRACTION)
             saddle.contraction = q if last > rounding else None
         if sweep > 1 and size > 0.5 * last:
             break
-        if q is not None and size_of.is_negligible(size * min(q * caution, 1.0), answer, whole):
+        if q is not None and size_of.is_negligible(size * min(q * caution, 1.0), (u, force, tie), whole):
             break
         last = size
     nothing = INVISIBLE * whole * size_of.row_sizes
@@ -191,37 +193,21 @@ class _CorrectionSize:
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
         self.row_sizes = np.sqrt(delassus(condensation).compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
-        self._closed = closed
         self._row = np.concatenate([self.row_sizes[closed], self.row_sizes[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
         moved = np.max(self._unknown * abs(du), initial=0.0)
         return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
 
-    def answer(self, answer: ExtendedAnswer) -> float:
-        """The same of an answer."""
-        found = answer.double()
-        return self(found.displacement, found.normal_force[self._closed], found.tie_force)
-
-    def is_negligible(self, size: float, answer: ExtendedAnswer, whole: float) -> bool:
+    def is_negligible(self, size: float, answer: tuple[Vector, Vector, Vector], whole: float) -> bool:
         """Whether a correction is far below what doubles hold of an answer of size `whole`, or what two doubles hold.
 
         The rigid part of a displacement strains nothing and counts for the latter alone.
         """
         if size <= EPS * whole or not (size <= NEGLIGIBLE * whole and self._rigid.count):
             return size <= NEGLIGIBLE * whole
-        found = answer.double()
-        moved = without_rigid_part(self._problem, found.displacement, self._rigid)
-        return size <= NEGLIGIBLE * self(moved, found.normal_force[self._closed], found.tie_force)
-
-
-def correction(
-    condensation: Condensation, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector
-) -> tuple[Vector, Vector, Vector]:
-    """One solve of the full saddle-point system with the condensed factors, in double precision."""
-    reduced, inner = condensation.reduce_residual(residual)
-    dx, dl, dn = saddle.solve(reduced, gap, open_tie)
-    return condensation.expand(dx, inner), dl, dn
+        u, force, tie = answer
+        return size <= NEGLIGIBLE * self(without_rigid_part(self._problem, u, self._rigid), force, tie)
 
 
 def closed_contacts(problem: ContactProblem, condensation: Condensation, u: Vector, force: Vector) -> NDArray[np.intp]:

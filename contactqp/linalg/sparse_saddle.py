@@ -93,7 +93,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
         return False
     if problem.frictional and not _in_the_plane(problem):
         return False
-    if mostly_bare(problem):
+    if not problem.diagonal.all() and mostly_bare(problem):
         return True
     rows = [problem.normal, problem.tie]
     if problem.frictional and problem.tangent is not None:

@@ -63,7 +63,7 @@ class Computed:
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
     critical_friction: Any = None  # certificate.critical_friction
-    all_contacts: dict[bool, bool] = field(default_factory=dict)  # certificate.subset_bounds: with friction, without
+    all_contacts: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
     judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
     judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of

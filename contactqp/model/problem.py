@@ -250,6 +250,9 @@ class ContactProblem:
         for name, value in (dict(load_sum=None, tie_numbers=None) | dict(values)).items():
             object.__setattr__(self, name, read_only(value))
         object.__setattr__(self, "_computed", computed)
+        # What everything asks for is there without a call.
+        sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
+        vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
         matrices = [one for one in given if sp.issparse(one)]
         object.__setattr__(self, "_arrays", tuple((one, one.data, one.indices, one.indptr) for one in matrices))
@@ -312,7 +315,8 @@ class ContactProblem:
         """(n,) the K_jj, looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
-            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
+            of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
+            of_stiffness.diagonal.setflags(write=False)
         return of_stiffness.diagonal
 
     @cached_property
@@ -350,7 +354,11 @@ class ContactProblem:
     @cached_property
     def load_size(self) -> Vector:
         """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
-        return read_only(abs(self.load)) if self.load_sum is None else self.load_sum
+        if self.load_sum is not None:
+            return self.load_sum
+        size = abs(self.load)
+        size.setflags(write=False)
+        return size
 
     @cached_property
     def frictional(self) -> bool:
@@ -420,8 +428,10 @@ class ContactProblem:
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
         if self._computed.idle_rows is None:
-            zero = (np.diff(self.normal.indptr) == 0, np.diff(self.tie.indptr) == 0)
-            self._computed.idle_rows = read_only(zero)
+            zero = np.diff(self.normal.indptr) == 0, np.diff(self.tie.indptr) == 0
+            for rows in zero:
+                rows.setflags(write=False)
+            self._computed.idle_rows = zero
         contacts, ties = self._computed.idle_rows
         return contacts | (self.gap == np.inf), ties
 

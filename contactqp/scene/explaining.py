@@ -12,11 +12,10 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.iteration import LARGE, iterated
+from contactqp.linalg.iteration import LARGE, contacts_are_many, iterated
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem, Units

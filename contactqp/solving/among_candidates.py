@@ -11,16 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import compute_certificate, contact_status
-from contactqp.certificate.subset_bounds import (
-    among,
-    candidates_around,
-    contacts_are_many,
-    first_candidates,
-    take_all,
-    widened,
-)
+from contactqp.certificate.subset_bounds import among, candidates_around, first_candidates, take_all, widened
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem

@@ -167,9 +167,7 @@ class Presolved:
 
 
 def presolved(problem: ContactProblem) -> Presolved | None:
-    """The problem without rows that it can do without; None where rows do not outnumber the unknowns, or all count."""
-    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
-        return None
+    """The problem without friction and without rows that it can do without; None where all count."""
     groups = problem._computed.parallel_rows
     if groups is None:
         groups = parallel_rows(problem.normal, True), parallel_rows(problem.tie, False)

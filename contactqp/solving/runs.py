@@ -67,7 +67,7 @@ class Meter:
         return (known.factorisations, known.back_substitutions) if known else (0, 0)
 
     def read(self, iterations: int | None, corrections: int) -> Work:
-        way = condense(self.problem)
+        way: Condensation = self.problem._computed.condensation or condense(self.problem)
         interior = self.problem.dimension - len(way.retained)
         return Work(
             factorisations=self._factorisations,

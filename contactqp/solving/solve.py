@@ -15,7 +15,6 @@ import numpy as np
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -28,7 +27,7 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
-from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
+from contactqp.linalg.iteration import contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
 from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
@@ -212,7 +211,8 @@ def _solve(
     if _works_with_factors(find(method), condense, algorithm) and iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
-    if algorithm != "associated" and not iterated(problem) and not constraints_are_many(problem):
+    some = not iterated(problem) and not constraints_are_many(problem) and contacts_are_many(problem)
+    if some and algorithm != "associated":
         with problem.lock, stage(METHOD):
             among = solve_among(
                 problem, warm_start, lambda few, known: solve(few, method, warm_start=known, **same), _without_friction
@@ -439,6 +439,8 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
 
 
 def _has_rows_to_spare(problem: ContactProblem, method: Method, _: Any) -> bool:
+    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
+        return False
     return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
 
 

@@ -13,14 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
-from contactqp.linalg.iteration import held_by_hierarchy, iterated, iteration
+from contactqp.linalg.iteration import contacts_are_many, held_by_hierarchy, iterated, iteration
 from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import on_one_thread, refuse_late, tell
 from contactqp.linalg.schur import LARGE

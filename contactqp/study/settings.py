@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.subset_bounds import contacts_are_many
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import Method, find, methods
 

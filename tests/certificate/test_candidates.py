@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate import subset_bounds
+from contactqp.linalg import iteration
 from contactqp.linalg.condensation import condense
 
 LINKS = 40
@@ -18,7 +19,7 @@ LINKS = 40
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six contact unknowns are many, three the first candidates."""
-    monkeypatch.setattr(subset_bounds, "MANY", 6)
+    monkeypatch.setattr(iteration, "MANY", 6)
     monkeypatch.setattr(subset_bounds, "FIRST", 3)
     monkeypatch.setattr(subset_bounds, "LAYERS", 1)
 

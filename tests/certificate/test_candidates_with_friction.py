@@ -13,6 +13,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.linalg import iteration
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.schur import NestedBlock, eliminate
 from contactqp.scene import explaining
@@ -27,7 +28,7 @@ HELD = {
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty contacts are many."""
-    monkeypatch.setattr(subset_bounds, "MANY_WITH_FRICTION", 20)
+    monkeypatch.setattr(iteration, "MANY_WITH_FRICTION", 20)
 
 
 def pressed(held: str, friction: float = 0.3, weight: float = 1.0) -> cq.ContactProblem:
@@ -124,7 +125,7 @@ def test_explain_says_what_is_condensed_onto(monkeypatch: pytest.MonkeyPatch) ->
         f"onto contacts that may close, of {CONTACTS} that touch {3 * CONTACTS} unknowns with the ties: friction "
         "retains three rows of each"
     )
-    monkeypatch.setattr(subset_bounds, "MANY_WITH_FRICTION", 300)
+    monkeypatch.setattr(iteration, "MANY_WITH_FRICTION", 300)
     assert explaining._systems(problem.afresh()).reason == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
 
 

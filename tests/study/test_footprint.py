@@ -110,7 +110,7 @@ def test_what_is_optional_in_the_extras_is_known_here():
 
 
 def test_contacts_that_are_dropped_are_counted_and_checked(monkeypatch):
-    monkeypatch.setattr("contactqp.certificate.subset_bounds.MANY", 40)  # contact unknowns; 3000 otherwise
+    monkeypatch.setattr("contactqp.linalg.iteration.MANY", 40)  # contact unknowns; 3000 otherwise
     monkeypatch.setattr("contactqp.certificate.subset_bounds.FIRST", 20)
     model = build(load_scene(CASES / "hertz_line.toml"))
     history = run_model(model, "active-set")
