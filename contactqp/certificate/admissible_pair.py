@@ -170,10 +170,11 @@ def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Conden
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
-    size = force * np.sqrt(delassus(condensation).compliance[: problem.contacts])
+    compliance = delassus(condensation).compliance[: problem.contacts]
+    size = force * np.sqrt(compliance)
     pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
     acting = np.flatnonzero(abs(size) > TOUCHING * np.max(abs(size), initial=0.0))  # of the wrong sign, perhaps
-    return [closed_contacts(problem, condensation, u, force), touching, pushing, acting]
+    return [closed_contacts(problem, compliance, u, force), touching, pushing, acting]
 
 
 def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArray[np.intp] | None:
@@ -194,7 +195,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     """The refined answer on a set whose signs hold is the solution, to its last correction and to `undecided`."""
     dropped, tie_change = _without_tension(problem, condensation, on_set)
     undecided = _undecided(problem, condensation, on_set)
-    if np.any(dropped.double()):
+    if dropped.hi.any():
         undecided += sum(force_norm(problem, condensation, dropped))
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
@@ -205,7 +206,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         dual_radius=allowance,
         force=(on_set.normal_force + dropped).positive_part(),
         tie_force=on_set.tie_force + tie_change,
-        open_gap=np.maximum(on_set.gap.double(), 0.0),
+        open_gap=np.maximum(on_set.gaps, 0.0),
         saddle=on_set.saddle,
         exact=True,
         cleared=on_set.cleared,
@@ -223,7 +224,7 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
     force, push = on_set.normal_force, on_set.doubles.normal_force
     dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
     Z, acting = condensation.rigid.motions, np.flatnonzero(push > 0)
-    if not (Z.shape[1] and np.any(dropped.double())):
+    if not (Z.shape[1] and dropped.hi.any()):
         return dropped, tie_change
     weight = 1.0 / np.sqrt(delassus(condensation).compliance)
     weight = np.concatenate([weight[acting], weight[problem.contacts :]])
@@ -243,7 +244,7 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """How far the solution may be from an answer that penetrates by rounding."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.doubles.displacement)
-    excess = np.maximum(-on_set.gap.double(), 0.0)
+    excess = np.maximum(-on_set.gaps, 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
     undecided = _of_noise(problem, condensation, on_set, length)
     if np.any(excess):
@@ -257,7 +258,7 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
     """
-    gap, force = on_set.gap.double(), np.maximum(on_set.doubles.normal_force, 0.0)
+    gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
     touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
     if not saddle_point(condensation, touching).redundant:
         return 0.0

@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import DenseCholesky, SaddlePoint, inverse_root, orthonormal
+from contactqp.linalg.dense import SUSPICIOUS_PIVOT, DenseCholesky, SaddlePoint, inverse_root, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
-    SUSPICIOUS_PIVOT,
     RigidMotions,
     condensed_null_space,
     connected_parts,
@@ -68,9 +67,12 @@ class Condensation:
     ----------
     expand : function
         The full displacement (n,) from that of the retained unknowns (p,) and what `reduce_load` gave besides.
+    solver : str
+        Whose factors they are.
     """
 
     expand: Callable[[Vector, Vector], Vector]
+    solver: str
 
     def __init__(self, problem: ContactProblem) -> None:
         self.delassus: list[Any] = []  # filled by `dense.delassus`, for the condensed problem too
@@ -82,10 +84,10 @@ class Condensation:
         self._sparse = problem.stiffness_rows
         self._diagonal = problem.diagonal
         touched = _touched_unknowns(problem)
-        self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         self.unknown_scale = unknown_scale(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
+        self.rigid = RigidMotions(stated.motions[:, :0]) if stated.count else stated
         retained = touched
         if problem.near_null_space is None and problem.dimension >= LARGE:
             retained = np.union1d(touched, self._precaution(touched))
@@ -131,14 +133,14 @@ class Condensation:
         self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
         nested = self._nested(retained)
         self._elimination: Elimination = eliminate(self._sparse, retained, singular) if nested is None else nested
-        self.expand, self.retained = self._elimination.expand, retained
+        self.expand, self.solver, self.retained = self._elimination.expand, self._elimination.solver, retained
         if nested is None and len(retained) < self._sparse.shape[0]:
             self.factorisations += 1
             if (clock := RUNNING.get()) is not None:
                 clock.factorisations += 1
         self.schur = self._elimination.schur
         self.scale = self._scale(of_stiffness)
-        self._schur_factor: DenseCholesky | None = None
+        vars(self).pop("schur_factor", None)
 
     def _nested(self, retained: NDArray[np.intp]) -> NestedBlock | None:
         """The elimination that goes on from a wider condensation, where that retains all of these unknowns."""
@@ -149,11 +151,6 @@ class Condensation:
             return NestedBlock(wider._elimination, wider.retained, retained)
         except NotPositive:
             return None
-
-    @property
-    def solver(self) -> str:
-        """Whose factors they are."""
-        return self._elimination.solver
 
     @property
     def back_substitutions(self) -> int:
@@ -214,7 +211,7 @@ class Condensation:
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
     def _schur_smallest_pivot(self, problem: ContactProblem) -> float:
-        lowest = self.schur_factor().smallest_pivot if len(self.schur) else 1.0
+        lowest = self.schur_factor.smallest_pivot if len(self.schur) else 1.0
         if lowest < -CONDENSED_ROUNDING:
             refuse_indefinite(problem)
             raise InvalidProblem(
@@ -223,15 +220,14 @@ class Condensation:
             )
         return lowest
 
+    @cached_property
     def schur_factor(self) -> DenseCholesky:
-        """Return the Cholesky factors of S in its scale, made when first asked for.
+        """The Cholesky factors of S in its scale.
 
         Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
         """
-        if self._schur_factor is None:
-            scaled = self.schur * np.outer(self.scale, self.scale)
-            self._schur_factor = DenseCholesky(scaled, np.ones(len(scaled)))
-        return self._schur_factor
+        scaled = self.schur * np.outer(self.scale, self.scale)
+        return DenseCholesky(scaled, np.ones(len(scaled)))
 
     def _clear_rigid_motions(self) -> None:
         """Take the rounding of S along rigid motions away: there S is zero."""
@@ -243,7 +239,7 @@ class Condensation:
         cleared = cleared - (cleared @ Q) @ Q.T
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
-        self._schur_factor = None
+        vars(self).pop("schur_factor", None)
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
         """f_S, and what `expand` needs of the load; remembered, since method and polishing start from the same load."""
@@ -362,7 +358,7 @@ class Condensation:
         made = object.__new__(cls)
         made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
         made._cleared, made._wider = None, None
-        made.rigid, made.scale, made.unknown_scale, made._schur_factor = rigid, scale, scale, None
+        made.rigid, made.scale, made.unknown_scale = rigid, scale, scale
         made._retain_all(problem)
         made.schur = made._elimination.schur
         made.normal, made.tie, made.tangent = problem.normal.toarray(), problem.tie.toarray(), problem.tangent
@@ -373,7 +369,7 @@ class Condensation:
         self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
         self.retained, self._reduced, self._crossing = np.arange(problem.dimension), None, None
         self._elimination = eliminate(self._sparse, self.retained)
-        self.expand = self._elimination.expand
+        self.expand, self.solver = self._elimination.expand, self._elimination.solver
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
         """What a candidate says of the retained unknowns."""

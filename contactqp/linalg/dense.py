@@ -34,6 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -43,6 +44,9 @@ DENSE_SIZE = 300
 # Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
 # matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
+# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
+# for.
+SUSPICIOUS_PIVOT = 1e-8
 # Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
 BLOCK = 64
 # Entries, zeros included, of rows that are cheaper to write out than to look up.
@@ -90,6 +94,19 @@ class DenseCholesky:
         return np.asarray((dpotrs(self._factor, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
 
 
+def dense_factor(matrix: Any) -> DenseCholesky:
+    """Factorise a small matrix, dense or sparse.
+
+    Raises
+    ------
+    InvalidProblem
+        A pivot is negative beyond rounding: the matrix is indefinite.
+    """
+    factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
+    refuse_negative(factor.smallest_pivot)
+    return factor
+
+
 def lower_factor(matrix: Array) -> Array | None:
     """Return L of a symmetric matrix L L', with anything above its diagonal; None where a pivot is not positive."""
     from scipy.linalg.lapack import dpotrf
@@ -98,6 +115,15 @@ def lower_factor(matrix: Array) -> Array | None:
         return matrix
     factor, info = dpotrf(matrix, lower=True, clean=False)
     return factor if info == 0 else None
+
+
+def refuse_negative(smallest_pivot: float) -> None:
+    """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
+    if smallest_pivot < -SUSPICIOUS_PIVOT:
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
+            "after scaling its diagonal to one"
+        )
 
 
 def unit_diagonal_scale(matrix: Any) -> Array:
@@ -127,16 +153,17 @@ class BackSubstitution:
 
     def __init__(self, stiffness: Any, retained: NDArray[np.intp], factorise: Callable[[Any], Factorization]) -> None:
         self._retained = retained
-        inner = np.ones(stiffness.shape[0], dtype=bool)
-        inner[retained] = False
-        self._interior = np.flatnonzero(inner)
+        eliminated = np.ones(stiffness.shape[0], dtype=bool)
+        eliminated[retained] = False
+        self._interior = np.flatnonzero(eliminated)
         if stiffness.shape[0] <= DENSE_SIZE:
             stiffness = stiffness.toarray()
         self._coupling = _block(stiffness, self._interior, retained)
         self._factor: Factorization | None = None
         self.half_substitutions = 0
         if self._interior.size:
-            self._factor = factorise(_block(stiffness, self._interior, self._interior))
+            inner = _block(stiffness, self._interior, self._interior)
+            self._factor = (dense_factor if self._interior.size <= DENSE_SIZE else factorise)(inner)
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
         self.schur = self._schur_complement(stiffness)
 
@@ -199,8 +226,9 @@ class Condensed(Protocol):
     def bodies(self) -> NDArray[np.intp]:
         """(p,) the body of each retained unknown."""
 
+    @property
     def schur_factor(self) -> DenseCholesky:
-        """Return the factors of S in its scale."""
+        """The factors of S in its scale."""
 
     def unresisted(self, rows: Array) -> Array:
         """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
@@ -230,7 +258,7 @@ class Delassus:
         if not len(condensation.schur):
             return None
         if not self.motions.shape[1]:
-            return condensation.schur_factor()
+            return condensation.schur_factor
         S = condensation.schur * np.outer(self.scale, self.scale)
         return DenseCholesky(S + ANCHOR * self.motions @ self.motions.T)
 

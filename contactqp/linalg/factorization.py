@@ -10,8 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
-from contactqp.linalg.dense import DENSE_SIZE, LIFT, DenseCholesky, Factorization, orthonormal, unit_diagonal_scale
+from contactqp.linalg.dense import (
+    DENSE_SIZE,
+    LIFT,
+    DenseCholesky,
+    Factorization,
+    dense_factor,
+    orthonormal,
+    refuse_negative,
+    unit_diagonal_scale,
+)
 from contactqp.linalg.extended import exact_images, images
 from contactqp.model.arrays import Array
 
@@ -22,9 +30,6 @@ MIXING = 1e-6
 MIXED = 64 * np.finfo(float).eps
 # What is more mixed than this is refused rather than forgiven.
 MIXED_AT_MOST = 1e-6
-# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
-# for.
-SUSPICIOUS_PIVOT = 1e-8
 # SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
 # of the pattern of A + A' that keeps the factors sparse.
 DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -104,23 +109,11 @@ def factorise(matrix: Any) -> Factorization:
     InvalidProblem
         A pivot is negative beyond rounding: the matrix is indefinite.
     """
-    size = matrix.shape[0]
-    factor: Factorization
-    if size <= DENSE_SIZE:
-        factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
-    else:
-        factor = SuperLU(matrix)
+    if matrix.shape[0] <= DENSE_SIZE:
+        return dense_factor(matrix)
+    factor = SuperLU(matrix)
     refuse_negative(factor.smallest_pivot)
     return factor
-
-
-def refuse_negative(smallest_pivot: float) -> None:
-    """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
-    if smallest_pivot < -SUSPICIOUS_PIVOT:
-        raise InvalidProblem(
-            f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
-            "after scaling its diagonal to one"
-        )
 
 
 def right_singular(rows: Array) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ answer is right to the last digits of double precision as long as eps * conditio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from contactqp.linalg.extended import (
     EPS,
     Extended,
     ExtendedAnswer,
-    ExtendedRows,
     Residuals,
     extend,
     extended_rows,
@@ -66,17 +64,14 @@ SHIFT_CORRECTIONS = 3
 class OnSet(ExtendedAnswer):
     """The equality-constrained answer on one set of closed contacts, in extended precision."""
 
-    gap: Extended
+    gap: Extended  # (m,)
+    gaps: Vector  # (m,) the same in double precision
+    doubles: Answer  # the answer in double precision
     saddle: SaddlePoint
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
     remainder: float  # what further refinement would change, the largest entry in the square root of energy
     nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
-
-    @cached_property
-    def doubles(self) -> Answer:
-        """The answer in double precision."""
-        return self.double()
 
 
 def answer_on(
@@ -97,19 +92,16 @@ def answer_on(
     K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
     taken to be zero along these.
     """
-    rows = extended_rows(problem)
-    found = _refined(rows, problem, condensation, closed, start, left, caution, at_rest)
-    missed = _imbalance(problem, condensation, found)
+    found = _refined(problem, condensation, closed, start, left, caution, at_rest)
+    missed = _imbalance(problem, condensation, found) if condensation.rigid.count else 0.0
     if missed <= BALANCED:
         return found
-    rows = condensation.cleared_rows(rows)
-    return replace(_refined(rows, problem, condensation, closed, start, None, caution, at_rest), cleared=missed)
+    again = _refined(problem, condensation, closed, start, None, caution, at_rest, cleared=True)
+    return replace(again, cleared=missed)
 
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
     """The part by which the outer forces miss balance on rigid motions, if noise does not make them miss it."""
-    if not condensation.rigid.count:
-        return 0.0
     missed = imbalance(problem, found.doubles, condensation.rigid)
     if missed <= BALANCED:
         return missed
@@ -131,7 +123,6 @@ def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vect
 
 
 def _refined(
-    rows: ExtendedRows,
     problem: ContactProblem,
     condensation: Condensation,
     closed: NDArray[np.intp],
@@ -139,10 +130,14 @@ def _refined(
     left: Residuals | None,
     caution: float,
     at_rest: bool,
+    cleared: bool = False,
 ) -> OnSet:
-    """`answer_on` with the products of these rows."""
-    saddle = saddle_point(condensation, closed)
-    size_of = _CorrectionSize(problem, condensation, closed)
+    """`answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
+    saddle, compliance = saddle_point(condensation, closed), delassus(condensation).compliance
+    size_of = _CorrectionSize(problem, condensation, compliance, closed)
+    rows = extended_rows(problem)
+    if cleared:
+        rows = condensation.cleared_rows(rows)
     if start is None:
         answer, left = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
     else:
@@ -175,11 +170,14 @@ def _refined(
     nothing = INVISIBLE * whole * size_of.row_sizes
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
+    gap = rows.gap(problem, answer.displacement)
     return OnSet(
         displacement=answer.displacement,
         normal_force=answer.normal_force,
         tie_force=answer.tie_force,
-        gap=rows.gap(problem, answer.displacement),
+        gap=gap,
+        gaps=gap.double(),
+        doubles=answer.double(),
         saddle=saddle,
         contraction=q,
         remainder=remainder,
@@ -190,8 +188,10 @@ def _refined(
 class _CorrectionSize:
     """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
-        self.row_sizes = np.sqrt(delassus(condensation).compliance)  # (m + k,) of a unit force in the root of energy
+    def __init__(
+        self, problem: ContactProblem, condensation: Condensation, compliance: Vector, closed: NDArray[np.intp]
+    ) -> None:
+        self.row_sizes = np.sqrt(compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
         self._row = np.concatenate([self.row_sizes[closed], self.row_sizes[problem.contacts :]])
 
@@ -210,9 +210,8 @@ class _CorrectionSize:
         return size <= NEGLIGIBLE * self(without_rigid_part(self._problem, u, self._rigid), force, tie)
 
 
-def closed_contacts(problem: ContactProblem, condensation: Condensation, u: Vector, force: Vector) -> NDArray[np.intp]:
-    """The contacts that an answer says are closed: W_ii l_i > gap_i, both lengths."""
-    compliance = delassus(condensation).compliance[: problem.contacts]
+def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
+    """The contacts that an answer says are closed: W_ii l_i > gap_i, both lengths; `compliance` (m,) is W_ii."""
     return np.flatnonzero(compliance * force > problem.gap - problem.normal @ u)
 
 
@@ -283,7 +282,7 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
     closed = answer.saddle.closed
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
-    excess = (-answer.gap.double() / length)[closed[dependent]]
+    excess = (-answer.gaps / length)[closed[dependent]]
     if not np.any(excess > WITHIN_ROUNDING):
         return None
     leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.doubles.normal_force[closed])
@@ -295,7 +294,7 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
 
     Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
     """
-    gap, push = answer.gap.double(), answer.doubles.normal_force
+    gap, push = answer.gaps, answer.doubles.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
     penetrated = -gap > rounding
@@ -322,7 +321,7 @@ def _decided(
     """
     if condensation.rigid.count or not _regular(answer):
         return None
-    push, gap = answer.doubles.normal_force, answer.gap.double()
+    push, gap = answer.doubles.normal_force, answer.gaps
     compliance = delassus(condensation).compliance[: len(push)]
     settled = answer.nothing[: len(compliance)]
     noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
@@ -332,7 +331,7 @@ def _decided(
     if np.any((abs(length) > settled) & (abs(length) <= noise)):
         answer = answer_on(problem, condensation, closed, caution=CAUTION)
         noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
-        push, gap = answer.doubles.normal_force, answer.gap.double()
+        push, gap = answer.doubles.normal_force, answer.gaps
     return np.flatnonzero(np.where(is_closed, push * compliance >= -noise, gap < -noise))
 
 
@@ -353,7 +352,7 @@ def _reached_by_drive(
     approach = condensation.normal @ drive
     ahead = approach > UNRESISTED * (abs(condensation.normal) @ abs(drive))
     travel = np.full(problem.contacts, np.inf)
-    travel[ahead] = np.maximum(answer.gap.double()[ahead], 0.0) / approach[ahead]
+    travel[ahead] = np.maximum(answer.gaps[ahead], 0.0) / approach[ahead]
     return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
 
 
@@ -389,7 +388,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
     """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
     u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
-    push = answer.normal_force.positive_part().double()
+    push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
     loads = abs(problem.load) / root
@@ -415,7 +414,9 @@ def least_displacement(
         return answer, free
     if far <= SLIGHT * largest:
         closer = answer.displacement + shift
-        return replace(answer, displacement=closer, gap=answer.gap - problem.normal @ shift), free
+        gap = answer.gap - problem.normal @ shift
+        doubles = replace(answer.doubles, displacement=closer.double())
+        return replace(answer, displacement=closer, gap=gap, gaps=gap.double(), doubles=doubles), free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
     closed = pushing_contacts(problem, Answer(u, force, None, tie))

@@ -33,15 +33,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg.dense import DENSE_SIZE, LIFT, BackSubstitution, DenseCholesky, unit_diagonal_scale
-from contactqp.linalg.factorization import (
-    DIAGONAL_PIVOTS,
+from contactqp.linalg.dense import (
+    DENSE_SIZE,
+    LIFT,
     SUSPICIOUS_PIVOT,
-    factorise,
-    fill_reducing_order,
-    forget_triangles,
+    BackSubstitution,
+    DenseCholesky,
     refuse_negative,
+    unit_diagonal_scale,
 )
+from contactqp.linalg.factorization import DIAGONAL_PIVOTS, factorise, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
 from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector

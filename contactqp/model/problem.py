@@ -167,8 +167,8 @@ class ContactProblem:
             tie_value=read_vector("tie_value", np.zeros(A.shape[0]) if tie_value is None else tie_value, A.shape[0]),
             dof_names=read_names("dof_names", dof_names, n),
             contact_names=read_names("contact_names", contact_names, m),
-            units=_units(units),
             near_null_space=read_motions("near_null_space", near_null_space, n),
+            units=_units(units),
         )
         self._keep(values, Computed())
 

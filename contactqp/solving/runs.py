@@ -23,7 +23,7 @@ from contactqp.certificate.certificate import compute_certificate, contact_statu
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense, unknown_scale
 from contactqp.linalg.condensation import condense as condensation_of
-from contactqp.linalg.dense import DENSE_SIZE, saddle_point
+from contactqp.linalg.dense import DENSE_SIZE, delassus, saddle_point
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.measures import lay_out, row_sizes
@@ -244,14 +244,14 @@ class CondensedRun(Run):
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
                 )
             try:
-                self._whole, self.candidate = self._run(settings.now, condense)
+                self._whole, self.candidate = self._run(settings.now if settings.time_limit else settings, condense)
             except (NotConverged, BackendFailed):
                 self.refuse_conflict()
                 raise
             self._closed: NDArray[np.intp] | None = None
             if self.candidate.finite:
-                u = self.start.displacement
-                self._closed = closed_contacts(problem, self._condensation, u, self.candidate.normal_force)
+                u, compliance = self.start.displacement, delassus(self._condensation).compliance[: problem.contacts]
+                self._closed = closed_contacts(problem, compliance, u, self.candidate.normal_force)
 
     def final(self) -> Final:
         """The answer that is to be certified."""
@@ -287,13 +287,13 @@ class CondensedRun(Run):
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
             return True, _run_scaled(problem, method, settings)
+        if settings.warm_start is not None:
+            settings = replace(settings, warm_start=way.restrict_candidate(settings.warm_start))
+        if method.solve_condensed is not None and not bare:
+            return False, method.solve_condensed(problem, way, settings)
         load, inner = way.reduce_load(problem.load)
         if bare:
             return False, _linear(way, load)
-        if settings.warm_start is not None:
-            settings = replace(settings, warm_start=way.restrict_candidate(settings.warm_start))
-        if method.solve_condensed is not None:
-            return False, method.solve_condensed(problem, way, settings)
         return False, _run_scaled(way.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:

@@ -146,7 +146,7 @@ class StepContact:
 
     def _solved(self, right: Array) -> Array:
         scale = self._condensation.scale
-        return np.asarray((self._condensation.schur_factor().solve((right.T * scale).T).T * scale).T)
+        return np.asarray((self._condensation.schur_factor.solve((right.T * scale).T).T * scale).T)
 
     def _respond(self, right: Array) -> Array:
         """Return S^-1 right, without ties."""

@@ -53,9 +53,9 @@ def solve_condensed(
 
     Where no set is found Lemke's method is shown the condensed problem, or the one given as `shown`.
     """
-    operator = delassus(condensation)
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
+    operator = delassus(condensation)
     limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
     anchor = _rigid_answer(problem, operator, load)
     force = _warm(settings, operator, problem.contacts)
