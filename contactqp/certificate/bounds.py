@@ -246,18 +246,23 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
-    energy_scale, uncertain = _strain(problem, answer, condensation, pair)
+    solution, change = extend(answer.displacement) + pair.to_middle, extend(answer.normal_force) - pair.force
+    push, changed = pair.force.double(), change.double()
+    energy_scale, uncertain = _strain(problem, solution, condensation, pair)
+    distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
+    size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    # A displacement without strain has none in extended precision, but for that of its rigid part, which K's rounding
-    # makes.
-    rigid = rigid_rounding(problem, condensation, answer.displacement)
-    # A solution that is known has its own rigid part, however far away the answer is.
-    moved = (extend(answer.displacement) + pair.to_middle).double() if pair.exact else answer.displacement
-    if condensation.rigid.count and energy_scale <= rigid_rounding(problem, condensation, moved):
-        uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, moved)
+    rigid = 0.0
+    if condensation.rigid.count:
+        # A displacement without strain has none in extended precision, but for that of its rigid part, which K's
+        # rounding makes.
+        rigid = rigid_rounding(problem, condensation, answer.displacement)
+        # A solution that is known has its own rigid part, however far away the answer is.
+        moved = solution.double() if pair.exact else answer.displacement
+        if energy_scale <= rigid_rounding(problem, condensation, moved):
+            uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
-    size = force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
     # nothing.
     force_rounding = RIGID_ROUNDING * size if condensation.rigid.count or problem.ties else 0.0
@@ -266,19 +271,19 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=_free_distance(problem, condensation, pair),
+        free_distance=_free_distance(problem, condensation, pair) if condensation.rigid.count else 0.0,
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
-    distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
-    error, scale = _force_error(problem, answer, condensation, pair, known)
+    error, scale = _force_error(problem, change, condensation, pair, known)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not np.any(problem.diagonal)
     relative, own = None, np.sqrt(own_compliance(problem, problem.normal))
-    largest = float(np.max(own * abs(pair.force.double()), initial=0.0)) if condensation.rigid.count else 0.0
+    largest = float(np.max(own * abs(push), initial=0.0)) if condensation.rigid.count else 0.0
+    force_bound = None if force_bound is None else force_bound + abs(changed)
     if force_bound is not None and max(largest, scale) > 0:
         relative = force_bound * own / (largest or max(scale, size))
     energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
@@ -293,22 +298,23 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         largest_force=largest,
         force_bound=force_bound,
         relative_force_bound=relative,
-        solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,
+        solution=solution if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
 
 
 def _strain(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
+    problem: ContactProblem, solution: Extended, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[float, float]:
-    """|u*|_K, and what it may be off by.
+    """|u*|_K of a solution, or what is near it, and what it may be off by.
 
     Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
     does not move rigidly.
     """
-    solution = extend(answer.displacement) + pair.to_middle
     norm, uncertain = energy_norm(problem, solution)
-    if not (condensation.rigid.count and pair.exact and uncertain > FEW_DIGITS * norm):
+    if not condensation.rigid.count:
+        return norm, uncertain
+    if not (pair.exact and uncertain > FEW_DIGITS * norm):
         return energy_norms(problem, condensation, solution)[0], uncertain
     forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
     elastic, missing = response(problem, condensation, forces, tied=False)
@@ -338,9 +344,9 @@ def _free_distance(problem: ContactProblem, condensation: Condensation, pair: Ad
 
 
 def _force_error(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, known: Bounds
+    problem: ContactProblem, change: Extended, condensation: Condensation, pair: AdmissiblePair, known: Bounds
 ) -> tuple[float, float]:
-    """(3) relative to |l*|_W, and |l*|_W.
+    """(3) relative to |l*|_W, and |l*|_W; `change` (m,) are the answer's forces less the pair's.
 
     Zero are forces beneath the rounding of the data: a load that is one unit in its last place larger changes |l*|_W by
     as much as it changes |u*|_K.
@@ -348,7 +354,6 @@ def _force_error(
     Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
     itself both are known, and the larger error is the bound.
     """
-    change = extend(answer.normal_force) - pair.force
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
@@ -372,7 +377,8 @@ def _relative(error: float, scale: float, uncertainty: float) -> float:
 def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[Vector | None, str | None]:
-    """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
+    """(4) on every contact that is closed in v, the bound of the first lines on those that are open, for the forces of
+    the pair."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
     saddle = saddle_point(condensation, active)
@@ -388,8 +394,9 @@ def _force_bound(
         motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
         stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
         bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
-        bound[active] += _out_of_balance(problem, answer, condensation, pair, active)
-    return bound + abs((extend(answer.normal_force) - pair.force).double()), None
+        if condensation.rigid.count:
+            bound[active] += _out_of_balance(problem, answer, condensation, pair, active)
+    return bound, None
 
 
 def _out_of_balance(
@@ -401,8 +408,6 @@ def _out_of_balance(
     that meet, |K||u| of a large motion in it, those of a repair to eps of the outer forces.
     """
     motions = condensation.rigid.motions
-    if not motions.shape[1]:
-        return np.zeros(len(active))
     solution = (extend(answer.displacement) + pair.to_middle).double()
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
     if pair.exact:

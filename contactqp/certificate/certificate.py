@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,18 @@ def compute_certificate(
     if type(problem) is not ContactProblem:
         refuse_other("certify", problem, ContactProblem)
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
+    return certificate_of(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
+
+
+def certificate_of(
+    problem: ContactProblem,
+    answer: Answer,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+    prove_friction: bool = False,
+) -> Certificate:
+    """`compute_certificate` of an answer that has the shapes of the problem."""
     if not answer.finite():
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
@@ -184,14 +197,16 @@ def _measured(
 ) -> _Measured:
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
-        candidates = _candidates(problem, answer, factorization)
+        route = _route(problem, factorization)
+        candidates = believed_candidates(problem, answer) if route is _Route.CANDIDATES else None
         if candidates is not None and problem.frictional:
             reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE
             left, known, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:
-            left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization, candidates)
+            left, known, rigid, condensation = _residuals_and_bounds(problem, answer, route, factorization, candidates)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
+        out_of_balance, law = balance(problem, answer, rigid), coulomb_residual(problem, answer, found)
         if problem.frictional:
             others = uniqueness(problem, answer, found, condensation, tolerance)
             if state is None:
@@ -215,8 +230,8 @@ def _measured(
         dependent = dependent_sparse_ties(problem)
     return _Measured(
         found,
-        balance(problem, answer, rigid),
-        coulomb_residual(problem, answer, found),
+        out_of_balance,
+        law,
         known,
         (*failed_errors(known, error_tolerance, nothing), *failed_energy(known, tolerance, nothing * nothing)),
         fails_force_bound(known, error_tolerance, nothing),
@@ -296,16 +311,29 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
     return (*said, *said_of_estimates(known)) if known.estimated else tuple(said)
 
 
-def _candidates(problem: ContactProblem, answer: Answer, factorization: Condensation | None) -> NDArray[np.intp] | None:
-    """The contacts that an answer is judged with, the others being open; None where all are few enough."""
-    if factorization is not None or iterated(problem) or constraints_are_many(problem):
-        return None
-    return believed_candidates(problem, answer) if contacts_are_many(problem) else None
+class _Route(Enum):
+    """How far an answer is from the truth is found in one of these ways."""
+
+    ITERATED = "by products, nothing being factorised"
+    SPARSE = "by sparse systems of all unknowns"
+    CANDIDATES = "by the contacts that an answer closes, the others being open"
+    CONDENSED = "by the bodies condensed onto all contacts"
+
+
+def _route(problem: ContactProblem, factorization: Condensation | None) -> _Route:
+    if factorization is not None:
+        return _Route.CONDENSED
+    if iterated(problem):
+        return _Route.ITERATED
+    if constraints_are_many(problem):
+        return _Route.SPARSE
+    return _Route.CANDIDATES if contacts_are_many(problem) else _Route.CONDENSED
 
 
 def _residuals_and_bounds(
     problem: ContactProblem,
     answer: Answer,
+    route: _Route,
     factorization: Condensation | None,
     candidates: NDArray[np.intp] | None,
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
@@ -313,12 +341,12 @@ def _residuals_and_bounds(
 
     The last is None where not all contacts were condensed onto.
     """
-    if factorization is None and iterated(problem):
+    if route is _Route.ITERATED:
         left = plain_residuals(problem, answer)
         known = bounds(problem, answer, left, iteration(problem))
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
     left = residuals(problem, answer)
-    if factorization is None and constraints_are_many(problem):
+    if route is _Route.SPARSE:
         known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
     if candidates is not None:

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.certificate import certificate_of, compute_certificate, contact_status
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense, unknown_scale
 from contactqp.linalg.condensation import condense as condensation_of
@@ -169,9 +169,8 @@ class Run(ABC):
             if friction is None and problem.slip_origin is not None:
                 friction = np.zeros_like(problem.slip_origin)
             answered = time.perf_counter()
-            certificate = compute_certificate(
-                problem, final.displacement, final.normal_force, friction, final.tie_force
-            )
+            answer = Answer(final.displacement, final.normal_force, friction, final.tie_force)
+            certificate = certificate_of(problem, answer)
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
             raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, overload
 
@@ -56,6 +57,8 @@ if TYPE_CHECKING:
 DEFAULT_METHOD = "active-set"
 # The active set on sparse systems, nothing being condensed.
 SPARSE = "sparse"
+# Arguments that every method has; all others are options of its own.
+OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
 # anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems;
 # the last first where there are more constraints than unknowns, among which pivots may go a long way.
@@ -169,7 +172,7 @@ def solve(
         raise InvalidProblem(f"progress: expected a function of one text, got {type(progress).__name__}")
     if algorithm is not None and not isinstance(algorithm, str):
         raise InvalidProblem(f"algorithm: expected a name, got {shown(algorithm)}")
-    with telling(progress):
+    with nullcontext() if progress is None else telling(progress):
         return _solve_any(problem, method, engine, condense, warm_start, same)
 
 
@@ -188,9 +191,10 @@ def _solve_any(
         return solve_local(problem, method, warm_start=warm_start, **same)
     if type(problem) is not ContactProblem:
         refuse_other("solve", problem, ContactProblem, LocalProblem)
+    limit = same["time_limit"]
+    refuse_arguments(same["tolerance"], condense, same["polish"], limit, same["max_iter"])
     problem.refuse_exchanged_arrays()
-    refuse_arguments(same["tolerance"], condense, same["polish"], same["time_limit"], same["max_iter"])
-    with within_time(same["time_limit"]):
+    with nullcontext() if limit is None else within_time(limit):
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
 
 
@@ -208,7 +212,8 @@ def _solve(
         return found
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    if _works_with_factors(find(method), condense, algorithm) and iterated(problem) and may_be_factorised(problem):
+    chosen = find(method)
+    if _works_with_factors(chosen, condense, algorithm) and iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
     some = not iterated(problem) and not constraints_are_many(problem) and contacts_are_many(problem)
@@ -219,8 +224,10 @@ def _solve(
             )
         if among is not None:
             return among
+    options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
+    settings = Settings(same["tolerance"], same["max_iter"], same["time_limit"], start, options)
     try:
-        return begin(problem, method, start, **same).finish()
+        return _begun(problem, chosen, settings, condense, same["polish"], algorithm).finish()
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or same["time_limit"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
@@ -407,9 +414,21 @@ def begin(
     NoEquilibrium, SeveralEquilibria, NotConverged, BackendFailed, BackendMissing, Unsupported, InvalidProblem
         As `solve`.
     """
-    started = time.perf_counter()
     refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
-    chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
+    settings = Settings(tolerance, max_iter, time_limit, start, options)
+    return _begun(problem, find(method), settings, condense, polish, algorithm)
+
+
+def _begun(
+    problem: ContactProblem,
+    chosen: Method,
+    settings: Settings,
+    condense: bool | str,
+    polish: bool,
+    algorithm: str | None,
+) -> Run:
+    """`begin` with arguments that are checked."""
+    started = time.perf_counter()
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
         run = _run(problem, chosen, settings, condense, algorithm)
