@@ -18,6 +18,7 @@ from contactqp.certificate.bounds import (
     fails_force_bound,
     no_bounds,
 )
+from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.failures import (
     FORCES_NOT_UNIQUE,
@@ -32,7 +33,7 @@ from contactqp.certificate.failures import (
     said_of_grazing,
     said_of_printing,
 )
-from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
+from contactqp.certificate.figures import balance, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
 from contactqp.certificate.number_range import absurd_parts, near_one
@@ -206,8 +207,9 @@ def _measured(
         else:
             left, known, rigid, condensation = _residuals_and_bounds(problem, answer, route, factorization, candidates)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        out_of_balance, law = balance(problem, answer, rigid), coulomb_residual(problem, answer, found)
+        out_of_balance, law = balance(problem, answer, rigid), None
         if problem.frictional:
+            law = coulomb_residual(problem, answer, found)
             others = uniqueness(problem, answer, found, condensation, tolerance)
             if state is None:
                 state = state_verdict(problem, answer, found, condensation, allowed)

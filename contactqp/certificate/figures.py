@@ -9,23 +9,11 @@ and L, u is the displacement without its rigid part. What is nothing beside the 
 
 `balance` is the work that the outer forces of every body do on its rigid motions.
 
-`coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force
-on the body and u = (g - E_N u, E_T u - slip_origin). The law is
-
-    n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
-
-(De Saxce and Feng 1998; `contactqp.model.coulomb`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
-meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
-dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
-
-Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
-slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
-twice the move of r and once that of u + mu |u_T| e_N.
+Coulomb's law is judged in `contactqp.certificate.coulomb_law`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,18 +21,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import condense
-from contactqp.linalg.contact_entries import (
-    ContactEntries,
-    contact_entries,
-    hardly_felt,
+from contactqp.certificate.coulomb_law import (
+    Rubbing,
+    compliances,
+    friction_figures,
+    lengths_across,
+    rubbing_of,
     slips_that_are_nothing,
-    vector_measure,
 )
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, extended_rows, images, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import (
-    HELD_BY_DOUBLES,
     ROUNDING_OF_LENGTH,
     beyond,
     bodies,
@@ -59,7 +47,6 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Nothing, Violations
 
@@ -227,9 +214,10 @@ def violations(
     size = intrinsic_size(problem, answer, elastic)
     none = nothing(problem, answer, elastic, size, rounding)
     if none.tangent.size:
-        none = slips_that_are_nothing(none, *_compliances(problem))
+        none = slips_that_are_nothing(none, *compliances(problem))
     inner = problem.stiffness_sizes @ abs(elastic)
     F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
+    rubbing = None if problem.tangent is None else rubbing_of(problem, answer, F, none.force)
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),
@@ -239,83 +227,12 @@ def violations(
             felt=force_measure(problem.normal, answer.normal_force, F, none.force),
             lengths=row_sizes(problem, problem.normal).lengths(abs(elastic)) + abs(problem.gap),
             tie_lengths=row_sizes(problem, problem.tie).lengths(abs(elastic)) + abs(problem.tie_value),
-            tangential_lengths=_lengths_across(problem, elastic),
+            tangential_lengths=np.zeros(problem.contacts) if rubbing is None else lengths_across(problem, elastic),
             intrinsic_size=float(np.max(size, initial=0.0)),
             nothing=none,
         ),
-        _rubbing(problem, answer, F, none.force),
+        rubbing,
     )
-
-
-def _lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
-    """|E_T||u| + |slip_origin| (m,) of the tangential rows of each contact together [length]."""
-    if problem.tangent is None or problem.slip_origin is None:
-        return np.zeros(problem.contacts)
-    origin, moved = problem.slip_origin, row_sizes(problem, problem.tangent).lengths(abs(displacement))
-    return lengths(moved.reshape(origin.shape) + abs(origin))
-
-
-def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
-    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
-        return None
-    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
-    moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
-    rounding = rounded_slips(moved, problem.slip_origin)
-    hardly = hardly_felt(*_compliances(problem))
-    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
-
-
-def _compliances(problem: ContactProblem) -> tuple[Vector, Array]:
-    """The compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
-
-    They are sum E_ij^2 / K_jj, and infinite where a tangential row acts on an unknown without stiffness.
-    """
-    normal = row_sizes(problem, problem.normal).compliance
-    if problem.tangent is None or problem.slip_origin is None:
-        return normal, np.zeros((problem.contacts, 0))
-    tangent = row_sizes(problem, problem.tangent).compliance
-    return normal, bare_infinite(problem.tangent, tangent, problem.diagonal).reshape(problem.slip_origin.shape)
-
-
-def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
-    """The compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
-    bare = abs(rows) @ (diagonal == 0).astype(float) > 0
-    return np.asarray(np.where(bare, np.inf, compliance))
-
-
-@dataclass(frozen=True, eq=False)
-class Felt:
-    """The unknowns that rows of contacts act on, the forces that meet there, and those that are nothing [force]."""
-
-    entries: ContactEntries
-    meeting: Vector
-    nothing: Vector
-
-    def measure(self, force: Array) -> Vector:
-        """max_j |E_i'v|_j / F_j (m,) of one force vector v (m, w) a contact."""
-        return vector_measure(self.entries, force, self.meeting, self.nothing)
-
-
-def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Callable[[Array], Vector]:
-    """The measure (m,) of tangential forces (m, d-1): what the unknowns feel of them.
-
-    Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
-    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too; so are
-    those of contacts that have a row which is `hardly` felt (m,).
-    """
-    felt = tangential_force(across.entries, across.meeting)[1] & ~hardly
-
-    def measure(force: Array) -> Vector:
-        own = across.measure(force)
-        return own if np.all(felt) else np.where(felt, own, np.maximum(own, along.measure(lengths(force)[:, None])))
-
-    return measure
-
-
-def rounded_slips(moved: Vector, origin: Array) -> Vector:
-    """(m,) what rounding a displacement u to doubles makes of slips, from |E_T||u| and origins (m, d-1) [length]."""
-    return np.asarray(HELD_BY_DOUBLES * lengths(moved.reshape(origin.shape) + abs(origin)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,21 +249,14 @@ class Sizes:
     nothing: Nothing
 
 
-@dataclass(frozen=True, eq=False)
-class Rubbing:
-    """What Coulomb's law is judged by."""
-
-    slip: Array  # (m, d-1) E_T u - slip_origin [length]
-    rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
-    friction: Vector  # (m,) the coefficients
-    measure: Callable[[Array], Vector]  # `friction_measure`
-
-
 def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
     """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
-    cone, direction, slip_measure, turned = _friction(answer, rubbing, sizes)
+    if rubbing is None or answer.friction_force is None:
+        cone = direction = slip_measure = turned = np.zeros(len(answer.normal_force))
+    else:
+        cone, direction, slip_measure, turned = friction_figures(answer, rubbing, sizes.tangential_lengths, none)
     gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
     return Violations(
         equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
@@ -370,32 +280,6 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
     )
 
 
-def _friction(answer: Any, rubbing: Rubbing | None, sizes: Sizes) -> tuple[Vector, Vector, Vector, Vector]:
-    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, the slip, and the
-    force that rounding of a small slip's direction turns."""
-    if rubbing is None or answer.friction_force is None:
-        none = np.zeros(len(answer.normal_force))
-        return none, none, none, none
-    force = answer.friction_force
-    slip = slips(rubbing.slip, sizes.nothing)
-    size = lengths(force)
-    bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
-    excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
-    moved = lengths(slip)
-    part = np.divide(rubbing.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
-    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
-    off = force - bound[:, None] * directions(slip)
-    wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
-    slip_measure = ratio(moved, sizes.tangential_lengths)
-    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure, turned
-
-
-def slips(slip: Array, none: Nothing) -> Array:
-    """Slips (m, d-1), zero at contacts where they are nothing."""
-    slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
-    return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))
-
-
 def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
     """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
     the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
@@ -413,92 +297,3 @@ def holds_by_products(problem: ContactProblem, answer: Answer, tolerance: float)
     rigid = RigidMotions(np.zeros((problem.dimension, 0)))
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")
-
-
-# The other figures imply this one up to this factor.
-IMPLIED = 4.0
-# Tangential rows, each scaled by the forces that meet, whose angle has a smaller squared sine than this are parallel.
-PARALLEL = 1e-14
-
-
-def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
-    """|n_i| / (phi_i (1 + mu_i)) (m,), or None without friction.
-
-    A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
-    friction within the bound would do in that direction.
-    """
-    if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
-        return None
-    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    along = normal_force(contact_entries(problem, "normal"), found.meeting)
-    across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
-    least = least_force(contact_entries(problem, "normal"), found.nothing.force)
-    return law_residual(answer, found, (slip, problem.friction), (along, across, felt), least)
-
-
-def law_residual(
-    answer: Any,
-    found: Violations,
-    rubbing: tuple[Vectors, Vector],
-    unit: tuple[Vector, Vector, NDArray[np.bool_]],
-    nothing: Vector,
-) -> Vector:
-    """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
-
-    Parameters
-    ----------
-    rubbing : (m, d-1) and (m,) arrays
-        The slips [length] and the coefficients of friction.
-    unit : three (m,) arrays
-        `normal_force` and what `tangential_force` returns.
-    nothing : (m,) array
-        `least_force`: the contact forces up to which there is none.
-    """
-    (slip, friction), (along, across, felt), least = rubbing, unit, nothing
-    phi = np.maximum(along, np.where(felt, across, 0.0))
-    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
-    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
-    slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
-    rubbed = answer.friction_force
-    rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
-    force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
-    velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
-    mu = np.where(felt, friction, 0.0)
-    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * _inverse(phi)
-    missed = np.maximum(missed, 0.0) / (1.0 + mu)
-    return beyond(missed, least * _inverse(phi))
-
-
-def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
-    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one; zero where no force meets."""
-    return np.where(entries.meets(meeting), _inverse(entries.largest(entries.over(meeting))), 0.0)
-
-
-def least_force(entries: ContactEntries, none: Vector) -> Vector:
-    """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
-    return _inverse(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
-
-
-def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
-    """(m,) at least the largest |l_T| whose own measure is one, zero where no force meets, and whether every direction
-    of it is felt.
-
-    max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
-    """
-    scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
-    unit = _inverse(entries.largest(scaled))  # so that squares are doubles
-    scaled = scaled * unit[entries.contact]
-    own = [entries.sums(row * row) for row in scaled]
-    meets = entries.meets(meeting)
-    if len(own) == 1:
-        return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), 0.0), own[0] > 0
-    shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
-    sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
-    felt = sine > PARALLEL
-    largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
-    smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
-    return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), 0.0), felt
-
-
-def _inverse(size: Vector) -> Vector:
-    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)

@@ -16,9 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.certificate.coulomb_law import contact_entries, vector_measure
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.contact_entries import contact_entries, vector_measure
 from contactqp.linalg.dense import independent_rows
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.krylov import IndependentRows

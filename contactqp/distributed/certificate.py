@@ -10,6 +10,7 @@ import numpy as np
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
+from contactqp.certificate.coulomb_law import IMPLIED
 from contactqp.certificate.failures import (
     MOST_NAMED,
     PARTS,
@@ -21,7 +22,7 @@ from contactqp.certificate.failures import (
     said_of_law,
     said_of_part,
 )
-from contactqp.certificate.figures import IMPLIED, NO_RESULTANT, Resultants, resultants
+from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.floating import floating_bodies
 from contactqp.distributed.problem import (

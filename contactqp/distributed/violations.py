@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate.figures import (
+from contactqp.certificate.coulomb_law import (
     Felt,
     Rubbing,
-    Sizes,
     bare_infinite,
-    figures,
+    entries_of,
     friction_measure,
+    hardly_felt,
     law_residual,
     least_force,
     normal_force,
     rounded_slips,
+    slips_that_are_nothing,
     tangential_force,
 )
+from contactqp.certificate.figures import Sizes, figures
 from contactqp.distributed.floating import without_rigid_part
 from contactqp.distributed.problem import Bodies, DistributedProblem
 from contactqp.distributed.rows import Rows
-from contactqp.linalg.contact_entries import entries_of, hardly_felt, slips_that_are_nothing
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import HELD_BY_DOUBLES, RowSizes, force_measure, imposed, sizes_of
 from contactqp.model.arrays import Array, Vector
@@ -108,7 +109,7 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
 def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violations) -> Vector | None:
     """Return the residual (m_here,) of Signorini's and Coulomb's law as one equation. Collective.
 
-    It is that of `contactqp.certificate.figures.coulomb_residual`; None where no contact of any rank has friction.
+    It is that of `contactqp.certificate.coulomb_law.coulomb_residual`; None where no contact of any rank has friction.
     """
     data = _friction_data(problem, answer.displacement, found.meeting, found.nothing.force)
     if not problem.frictional or data is None or problem.tangent is None:
@@ -174,7 +175,7 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
 
 
 def _compliances(problem: DistributedProblem) -> tuple[Vector, Array]:
-    """Return the compliances of this rank's normal and tangential rows, as `contactqp.certificate.figures` has them.
+    """Return the compliances of this rank's normal and tangential rows, as `contactqp.certificate.coulomb_law` does.
 
     Collective.
     """

@@ -328,7 +328,8 @@ def refined_in(
         return StateSystem(problem, condensation, rows, status, directions, turning, independent)
 
     found = refined_by(system, exact, problem, rows, status, start)
-    if imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
+    balanced = not condensation.rigid.count
+    if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
         return found
     return refined_by(system, condensation.cleared_rows(exact), problem, rows, status, start)
 
@@ -346,14 +347,14 @@ def refined_by(
 
     In the plane it takes so many `sweeps` at most.
     """
-    u, tie = extend(start.displacement), extend(start.tie_force)
-    force = extend(np.where(status != OPEN, start.normal_force, 0.0))
-    stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
-    origin = extend(_origin(problem))
+    pushing = np.where(status != OPEN, start.normal_force, 0.0)
+    sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
+    origin = _origin(problem)
+    u, force, stick, tie = (extend(part) for part in (start.displacement, pushing, sticking, start.tie_force))
     system, size, last, regular = None, np.inf, np.inf, True
     for sweep in range(sweeps if rows.width == 1 else SLOW_SWEEPS):
         slip = (exact.slip(u) - origin).double()
-        directions, turning = _directions(rows, status, slip, force.double())
+        directions, turning = _directions(rows, status, slip, force)
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
             refuse_late("the answer was solved for on its combination of open, stick and slip")
@@ -364,13 +365,14 @@ def refined_by(
         left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
-        size = max(_part(du, u.double()), _pushed_part(rows, (dl, dt), (force, stick)), _part(dn, tie.double()))
+        whole = u.double(), force.double(), stick.double(), tie.double()
+        size = max(_part(du, whole[0]), _pushed_part(rows, (dl, dt.ravel()), whole[1:3]), _part(dn, whole[3]))
         turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
         halves = rows.width > 1 and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
             break
     if rows.width > 1:
-        directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
+        directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force)
     friction = stick + _bound(problem, force, directions)
     redundant = system is not None and system.redundant
     return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
@@ -398,14 +400,14 @@ def _settled(refined: RefinedState) -> bool:
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
-def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
+def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
     """Unit directions of slip (m, d-1), and how slip turns them (m,), nothing in the plane."""
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
     sliding = abs(status) == 1
     vectors = np.where(sliding[:, None], slip.reshape(-1, rows.width), 0.0)
     size = lengths(vectors) / rows.tangent_length
-    bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
+    bound = rows.coefficient * np.maximum(force.double(), 0.0) * rows.normal_length
     turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
     return directions_of(vectors), turning
 
@@ -447,14 +449,13 @@ def _origin(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
 
 
-def _pushed_part(rows: ScaledRows, change: tuple[Vector, Array], whole: tuple[Extended, Extended]) -> float:
+def _pushed_part(rows: ScaledRows, change: tuple[Vector, Vector], whole: tuple[Vector, Vector]) -> float:
     """Return the part of normal and friction forces, in energy scale together, that a correction of them changes.
 
     Apart, any correction of the friction of contacts that stick without friction would be all of it.
     """
     lengths = np.concatenate([rows.normal_length, np.repeat(rows.tangent_length, rows.width)])
-    parts = (change[0], change[1].ravel()), tuple(force.double() for force in whole)
-    return _part(*(lengths * np.concatenate(part) for part in parts))
+    return _part(lengths * np.concatenate(change), lengths * np.concatenate(whole))
 
 
 def _part(change: Vector, whole: Vector) -> float:

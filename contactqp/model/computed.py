@@ -56,7 +56,7 @@ class Computed:
     iteration: Any = None  # linalg.iteration
     frictional_iteration: Any = None  # linalg.iteration, with the tangential rows
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
-    contact_entries: dict[int, Any] = field(default_factory=dict)  # linalg.measures: likewise
+    contact_entries: dict[int, Any] = field(default_factory=dict)  # certificate.coulomb_law: likewise
     parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
     scale_of_unknowns: Vector | None = None  # linalg.measures
     untouched: NDArray[np.bool_] | None = None  # linalg.measures

@@ -122,7 +122,7 @@ class Certificate(ReadOnly, Printed):
     tie: float
     natural_map: (
         float | None
-    )  # contact and friction as one equation (`contactqp.certificate.figures`); None without friction
+    )  # contact and friction as one equation (`contactqp.certificate.coulomb_law`); None without friction
     energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
     force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
     force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]

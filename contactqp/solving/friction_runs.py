@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.certificate import compute_certificate
-from contactqp.certificate.figures import holds, holds_by_products, rounded_slips
+from contactqp.certificate.coulomb_law import rounded_slips
+from contactqp.certificate.figures import holds, holds_by_products
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense

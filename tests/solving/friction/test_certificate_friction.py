@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.figures import IMPLIED
+from contactqp.certificate.coulomb_law import IMPLIED
 from tests.examples import truss
 from tests.solving.friction.problems import Known, known_answer, random_problem, rough_truss, two_masses
 

@@ -1,0 +1,312 @@
+"""Coulomb's law at every contact: what its force vectors do at the unknowns, and how far an answer is from the law.
+
+`coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force
+on the body and u = (g - E_N u, E_T u - slip_origin). The law is
+
+    n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
+
+(De Saxce and Feng 1998; `contactqp.model.coulomb`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
+meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
+dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
+
+Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
+slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
+twice the move of r and once that of u + mu |u_T| e_N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer, Nothing, Violations
+
+
+@dataclass(frozen=True, eq=False)
+class ContactEntries:
+    """The entries of the w rows of every contact, at every unknown that one of them touches."""
+
+    contact: NDArray[np.intp]  # (z,)
+    unknown: NDArray[np.intp]  # (z,)
+    values: NDArray[np.float64]  # (w, z)
+    contacts: int
+
+    def over(self, meeting: Vector) -> NDArray[np.float64]:
+        """E_ij / F_j (w, z); where no force meets, and so none acts, as much as the contact's largest."""
+        F = meeting[self.unknown]
+        scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
+        if not np.all(F > 0):
+            largest = self.largest(scaled)
+            idle = np.where(largest > 0, largest, 1.0)[self.contact] * np.sign(self.values)
+            scaled = np.where(F > 0, scaled, idle)
+        return scaled
+
+    def meets(self, meeting: Vector) -> NDArray[np.bool_]:
+        """(m,) whether any force meets at an unknown of a contact."""
+        return self.sums((meeting[self.unknown] > 0).astype(float)) > 0
+
+    def largest(self, values: NDArray[np.float64]) -> Vector:
+        """The largest size (m,) of values (w, z), contact by contact."""
+        found = np.zeros(self.contacts)
+        np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
+        return found
+
+    def sums(self, values: NDArray[np.float64]) -> Vector:
+        """Sums (m,) of (z,) values, contact by contact."""
+        return np.asarray(np.bincount(self.contact, weights=values, minlength=self.contacts), dtype=float)
+
+    def forces(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """E_i'v (z,) of one vector v (m, w) a contact."""
+        return np.asarray(np.sum(self.values * force.T[:, self.contact], axis=0))
+
+
+def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
+    """Return the entries of the rows `normal` or `tangent`, computed once."""
+    rows, made = getattr(problem, name), problem._computed.contact_entries
+    if id(rows) not in made:
+        made[id(rows)] = entries_of(rows, problem.contacts)
+    entries: ContactEntries = made[id(rows)]
+    return entries
+
+
+def entries_of(rows: Any, contacts: int) -> ContactEntries:
+    """Return the entries of CSR rows, as many rows for each of the contacts."""
+    width = rows.shape[0] // contacts if contacts else 1
+    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    places, at = np.unique(row // width * rows.shape[1] + rows.indices, return_inverse=True)
+    values = np.zeros((width, len(places)))
+    values[row % width, at] = rows.data
+    return ContactEntries(places // rows.shape[1], places % rows.shape[1], values, contacts)
+
+
+# Tangential rows of which this part of the normal row's compliance is left are the rounding of zero.
+WEAK = 1e-16
+
+
+def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
+    """Which contacts have a tangential row that is rounding beside their normal one, or zero, (m,).
+
+    `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; nothing is
+    told of unknowns without stiffness.
+    """
+    return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
+
+
+def slips_that_are_nothing(none: Nothing, normal: Vector, tangent: Array) -> Nothing:
+    """What is nothing, with the length of its normal row for the slip of a contact that is `hardly_felt`."""
+    lengths_ = none.tangent.reshape(tangent.shape)
+    along = np.maximum(lengths_, none.normal[:, None])
+    return replace(none, tangent=np.where(hardly_felt(normal, tangent)[:, None], along, lengths_).ravel())
+
+
+def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
+    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact; what is no more than `none` (n,) does not count."""
+    acting = beyond(abs(entries.forces(force)), none[entries.unknown])
+    return entries.largest(ratio(acting, meeting[entries.unknown])[None])
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """The unknowns that rows of contacts act on, the forces that meet there, and those that are nothing [force]."""
+
+    entries: ContactEntries
+    meeting: Vector
+    nothing: Vector
+
+    def measure(self, force: Array) -> Vector:
+        """max_j |E_i'v|_j / F_j (m,) of one force vector v (m, w) a contact."""
+        return vector_measure(self.entries, force, self.meeting, self.nothing)
+
+
+def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Callable[[Array], Vector]:
+    """The measure (m,) of tangential forces (m, d-1): what the unknowns feel of them.
+
+    Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
+    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too; so are
+    those of contacts that have a row which is `hardly` felt (m,).
+    """
+    felt = tangential_force(across.entries, across.meeting)[1] & ~hardly
+
+    def measure(force: Array) -> Vector:
+        own = across.measure(force)
+        return own if np.all(felt) else np.where(felt, own, np.maximum(own, along.measure(lengths(force)[:, None])))
+
+    return measure
+
+
+def rounded_slips(moved: Vector, origin: Array) -> Vector:
+    """(m,) what rounding a displacement u to doubles makes of slips, from |E_T||u| and origins (m, d-1) [length]."""
+    return np.asarray(HELD_BY_DOUBLES * lengths(moved.reshape(origin.shape) + abs(origin)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rubbing:
+    """What Coulomb's law is judged by."""
+
+    slip: Array  # (m, d-1) E_T u - slip_origin [length]
+    rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
+    friction: Vector  # (m,) the coefficients
+    measure: Callable[[Array], Vector]  # `friction_measure`
+
+
+def rubbing_of(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
+    """What Coulomb's law is judged by, or None without tangential rows; F and `none` (n,) are forces [force]."""
+    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
+    moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
+    rounding = rounded_slips(moved, problem.slip_origin)
+    hardly = hardly_felt(*compliances(problem))
+    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+
+
+def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
+    """|E_T||u| + |slip_origin| (m,) of the tangential rows of each contact together [length]."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.zeros(problem.contacts)
+    origin, moved = problem.slip_origin, row_sizes(problem, problem.tangent).lengths(abs(displacement))
+    return lengths(moved.reshape(origin.shape) + abs(origin))
+
+
+def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
+    """The compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
+
+    They are sum E_ij^2 / K_jj, and infinite where a tangential row acts on an unknown without stiffness.
+    """
+    normal = row_sizes(problem, problem.normal).compliance
+    if problem.tangent is None or problem.slip_origin is None:
+        return normal, np.zeros((problem.contacts, 0))
+    tangent = row_sizes(problem, problem.tangent).compliance
+    return normal, bare_infinite(problem.tangent, tangent, problem.diagonal).reshape(problem.slip_origin.shape)
+
+
+def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
+    """The compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
+    bare = abs(rows) @ (diagonal == 0).astype(float) > 0
+    return np.asarray(np.where(bare, np.inf, compliance))
+
+
+def friction_figures(
+    answer: Any, rubbing: Rubbing, meeting: Vector, none: Nothing
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, the slip, and the
+    force that rounding of a small slip's direction turns.
+
+    `meeting` (m,) are the lengths that meet along the tangential rows of each contact [length].
+    """
+    force = answer.friction_force
+    slip = slips(rubbing.slip, none)
+    size = lengths(force)
+    bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
+    excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
+    moved = lengths(slip)
+    part = np.divide(rubbing.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
+    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
+    off = force - bound[:, None] * directions(slip)
+    wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
+    slip_measure = ratio(moved, meeting)
+    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure, turned
+
+
+def slips(slip: Array, none: Nothing) -> Array:
+    """Slips (m, d-1), zero at contacts where they are nothing."""
+    slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
+    return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))
+
+
+# The other figures imply this one up to this factor.
+IMPLIED = 4.0
+# Tangential rows, each scaled by the forces that meet, whose angle has a smaller squared sine than this are parallel.
+PARALLEL = 1e-14
+
+
+def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
+    """|n_i| / (phi_i (1 + mu_i)) (m,), or None without friction.
+
+    A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
+    friction within the bound would do in that direction.
+    """
+    if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
+        return None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    along = normal_force(contact_entries(problem, "normal"), found.meeting)
+    across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
+    least = least_force(contact_entries(problem, "normal"), found.nothing.force)
+    return law_residual(answer, found, (slip, problem.friction), (along, across, felt), least)
+
+
+def law_residual(
+    answer: Any,
+    found: Violations,
+    rubbing: tuple[Vectors, Vector],
+    unit: tuple[Vector, Vector, NDArray[np.bool_]],
+    nothing: Vector,
+) -> Vector:
+    """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
+
+    Parameters
+    ----------
+    rubbing : (m, d-1) and (m,) arrays
+        The slips [length] and the coefficients of friction.
+    unit : three (m,) arrays
+        `normal_force` and what `tangential_force` returns.
+    nothing : (m,) array
+        `least_force`: the contact forces up to which there is none.
+    """
+    (slip, friction), (along, across, felt), least = rubbing, unit, nothing
+    phi = np.maximum(along, np.where(felt, across, 0.0))
+    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
+    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
+    slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
+    rubbed = answer.friction_force
+    rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
+    force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
+    velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
+    mu = np.where(felt, friction, 0.0)
+    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * _inverse(phi)
+    missed = np.maximum(missed, 0.0) / (1.0 + mu)
+    return beyond(missed, least * _inverse(phi))
+
+
+def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
+    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one; zero where no force meets."""
+    return np.where(entries.meets(meeting), _inverse(entries.largest(entries.over(meeting))), 0.0)
+
+
+def least_force(entries: ContactEntries, none: Vector) -> Vector:
+    """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
+    return _inverse(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
+
+
+def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+    """(m,) at least the largest |l_T| whose own measure is one, zero where no force meets, and whether every direction
+    of it is felt.
+
+    max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
+    """
+    scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
+    unit = _inverse(entries.largest(scaled))  # so that squares are doubles
+    scaled = scaled * unit[entries.contact]
+    own = [entries.sums(row * row) for row in scaled]
+    meets = entries.meets(meeting)
+    if len(own) == 1:
+        return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), 0.0), own[0] > 0
+    shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
+    sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
+    felt = sine > PARALLEL
+    largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
+    smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
+    return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), 0.0), felt
+
+
+def _inverse(size: Vector) -> Vector:
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
