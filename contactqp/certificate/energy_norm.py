@@ -13,7 +13,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import REGULAR, delassus, free_motions, inverse_root, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.measures import forces_that_meet, rigid_part
+from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -174,4 +174,5 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
 
 def force_size(problem: ContactProblem, force: Vector) -> float:
     """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
-    return float(np.linalg.norm(inverse_root(problem.diagonal) * (problem.normal.T @ force)))
+    resultant = row_sizes(problem, problem.normal).resultant(force)
+    return float(np.linalg.norm(inverse_root(problem.diagonal) * resultant))

@@ -310,18 +310,19 @@ class RangeSpace:
         self.free: Array = np.zeros((len(condensation.retained), 0))
         self.free_coordinates: Array = np.zeros((condensation.rigid.count, 0))
         self._factor = DenseCholesky(operator.W[np.ix_(self._members, self._members)]) if len(self._members) else None
+        self._rows, self._row_scale = operator.rows[self._members], operator.row_scale[self._members]
+        self._response = operator.response[:, self._members]
         self.regular = self._factor is None or self._factor.smallest_pivot >= REGULAR
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
         """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
-        operator, members = self._operator, self._members
+        operator = self._operator
         x = operator.solve((r.T * operator.scale).T) if np.any(r) else np.zeros_like(r)
         force = np.concatenate([e, a])
         if self._factor is not None:
-            rows, scale = operator.rows[members], operator.row_scale[members]
-            load = self._factor.solve(((rows @ x - force).T * scale).T)
-            x = x - operator.response[:, members] @ load
-            force = (load.T * scale).T
+            load = self._factor.solve(((self._rows @ x - force).T * self._row_scale).T)
+            x = x - self._response @ load
+            force = (load.T * self._row_scale).T
         return (x.T * operator.scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
     def exchange(self, entering: int, force: Vector) -> int | None:

@@ -34,6 +34,7 @@ ONE_BLOCK, NARROW = 2**11, 2**6
 # Entries of a block whose products are formed at once: calls cost less than that, and all of it stays in the cache.
 WORTH_A_CALL = 2**11
 _SPLITTER = 2.0**27 + 1.0
+_NONE: Array = np.zeros(0)  # a sum without terms
 
 
 class Extended:
@@ -202,7 +203,7 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
     Products are formed for as many slots at once as make an operation worth its call; their sums run slot by slot.
     """
     width, count = block.values.shape
-    total, rest = np.zeros(count), np.zeros(count)
+    total, rest = _NONE, _NONE
     together = max(1, WORTH_A_CALL // count)
     for start in range(0, width, together):
         values, columns = block.values[start : start + together], block.columns[start : start + together]
@@ -210,6 +211,9 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
         if not doubles:
             errors = errors + values * vector.lo[columns]
         for product, error in zip(products, errors, strict=True):
+            if total is _NONE:
+                total, rest = product, error
+                continue
             total, carried = two_sum(total, product)
             rest = rest + (carried + error)
     return total, rest

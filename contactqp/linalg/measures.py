@@ -46,6 +46,12 @@ class RowSizes:
     row: NDArray[np.intp]  # (z,) the row of each entry
     entries: Vector  # (z,) the sizes of the entries
     compliance: Vector  # (r,) |E_i D|^2, D = 1/sqrt(K_jj) [length / force]
+    touching: NDArray[np.intp]  # the rows that touch an unknown
+    first: NDArray[np.intp]  # the first unknown of each of these
+
+    def resultant(self, force: Vector) -> Vector:
+        """Return E'l (n,) of forces l (r,) [force]."""
+        return self._sums(self.rows.indices, self.rows.data * force[self.row], self.rows.shape[1])
 
     def lengths(self, size: Vector) -> Vector:
         """Return |E||u| (r,) of sizes |u| (n,) [length]."""
@@ -75,7 +81,8 @@ def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     size, row = abs(rows.data), _row_of_entries(rows)
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
-    return RowSizes(rows, row, size, found.astype(float))
+    touching = np.flatnonzero(np.diff(rows.indptr))
+    return RowSizes(rows, row, size, found.astype(float), touching, rows.indices[rows.indptr[touching]])
 
 
 # A gap that an answer leaves smaller than this part of its lengths is one that it closes.
@@ -135,8 +142,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     for rows, limit in _rows(problem):
         u, of_row = answer.displacement, row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
-        row, unknown = _first_unknowns(rows)
-        np.maximum.at(size, part[unknown], imposed(limit, *lengths, of_row.compliance)[row])
+        np.maximum.at(size, part[of_row.first], imposed(limit, *lengths, of_row.compliance)[of_row.touching])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
     whole = float(np.max(size, initial=0.0))
     if not np.any(problem.load_size) and not np.any(problem.tie_value):
@@ -152,9 +158,10 @@ def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
     for rows, limit in _rows(problem):
-        row, unknown = _first_unknowns(rows)
-        moving = limit[row] < 0 if rows is problem.normal else limit[row] != 0
-        driven[part[unknown[moving]]] = True
+        of_row = row_sizes(problem, rows)
+        reached = limit[of_row.touching]
+        moving = reached < 0 if rows is problem.normal else reached != 0
+        driven[part[of_row.first[moving]]] = True
     return driven
 
 
@@ -189,10 +196,8 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
 
     Rows that touch nothing stiff move with what other rows join them to (`scale_of_unknowns`).
     """
-    beside = np.zeros(rows.shape[0])
-    row, unknown = _first_unknowns(rows)
-    beside[row] = size[unknown]
-    of_row = row_sizes(problem, rows)
+    of_row, beside = row_sizes(problem, rows), np.zeros(rows.shape[0])
+    beside[of_row.touching] = size[of_row.first]
     felt = np.sqrt(of_row.compliance)
     if np.any(felt == 0) and not np.all(problem.diagonal > 0):
         felt = np.where(felt > 0, felt, np.sqrt(rows.power(2) @ scale_of_unknowns(problem) ** 2))
@@ -213,6 +218,9 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
     if found is None:
         found = bodies(problem)
         count = int(found.max(initial=-1)) + 1
+        if count <= 1:
+            problem._computed.parts = found
+            return found
         joined = [_joined(rows, found) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
         one, other = np.concatenate(joined, axis=1)
         apart = one != other
@@ -228,12 +236,6 @@ def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
     counts = np.diff(rows.indptr)
     first = rows.indices[rows.indptr[:-1][counts > 0]]
     return np.stack([body[rows.indices], np.repeat(body[first], counts[counts > 0])])
-
-
-def _first_unknowns(rows: Any) -> tuple[Any, Any]:
-    """The rows that touch an unknown, and for each of them one that it touches."""
-    row = np.flatnonzero(np.diff(rows.indptr))
-    return row, rows.indices[rows.indptr[row]]
 
 
 def _rows(problem: ContactProblem) -> list[tuple[Any, Vector]]:

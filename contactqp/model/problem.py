@@ -21,11 +21,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported, shown
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.computed import Computed
 from contactqp.model.problem_data import Matrix as Matrix
+from contactqp.model.problem_data import Units as Units
 from contactqp.model.problem_data import (
     csr_rows,
     read_array,
@@ -37,6 +38,7 @@ from contactqp.model.problem_data import (
     read_places,
     read_rows,
     read_stiffness,
+    read_units,
     read_vector,
     rows_of_dense,
 )
@@ -46,19 +48,6 @@ from contactqp.model.quadratic_program import QuadraticProgram, contact_data, qu
 MEASURED = ("asymmetry", "rigid_change")
 # What problems that are derived from others carry along beside their data.
 CARRIED = ("load_sum", "tie_numbers", "_computed")
-
-
-@dataclass(frozen=True)
-class Units:
-    """Names of the units that the numbers of a problem are in; they label messages and tables and convert nothing."""
-
-    length: str = ""
-    force: str = ""
-
-
-# Names that are units of one and never of the other.
-LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
-FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -168,7 +157,7 @@ class ContactProblem:
             dof_names=read_names("dof_names", dof_names, n),
             contact_names=read_names("contact_names", contact_names, m),
             near_null_space=read_motions("near_null_space", near_null_space, n),
-            units=_units(units),
+            units=read_units(units),
         )
         self._keep(values, Computed())
 
@@ -247,15 +236,14 @@ class ContactProblem:
 
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
         """Set the fields of the problem, arrays read-only; `load_sum` and `tie_numbers` are None where not given."""
-        for name, value in (dict(load_sum=None, tie_numbers=None) | dict(values)).items():
-            object.__setattr__(self, name, read_only(value))
-        object.__setattr__(self, "_computed", computed)
+        kept = {name: read_only(value) for name, value in values.items()}
+        vars(self).update(dict(load_sum=None, tie_numbers=None) | kept, _computed=computed)
         # What everything asks for is there without a call.
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
         matrices = [one for one in given if sp.issparse(one)]
-        object.__setattr__(self, "_arrays", tuple((one, one.data, one.indices, one.indptr) for one in matrices))
+        vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in matrices]
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
@@ -396,7 +384,7 @@ class ContactProblem:
             if name in changes:
                 checked[name] = read_names(name, changes[name], size)
         if "units" in changes:
-            checked["units"] = _units(changes["units"])
+            checked["units"] = read_units(changes["units"])
         return ContactProblem._of_checked(checked, self._computed)
 
     def afresh(self) -> ContactProblem:
@@ -496,14 +484,3 @@ class ContactProblem:
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""
         return f"ContactProblem({self.dimension} unknowns, {self.contacts} contacts, {self.ties} ties{friction})"
-
-
-def _units(value: Units | Mapping[str, str] | None) -> Units:
-    if value is None or isinstance(value, Units):
-        return value or Units()
-    if not isinstance(value, Mapping) or (value and set(value) != {"length", "force"}):
-        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
-    for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
-        if not isinstance(value[what], str) or value[what] in others:
-            raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
-    return Units(**value)

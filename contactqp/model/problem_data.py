@@ -5,6 +5,7 @@ from __future__ import annotations
 import numbers
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any, TypeGuard, TypeVar
@@ -31,6 +32,8 @@ CURVED_NAMED = 4
 
 
 T = TypeVar("T")
+# What cannot be changed anyway.
+PLAIN = (type(None), float, int, str)
 
 
 def read_only(value: T) -> T:
@@ -39,7 +42,7 @@ def read_only(value: T) -> T:
     Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
     """
     found: Any = value
-    if found is None or isinstance(found, (float, int, str)):
+    if isinstance(found, PLAIN):
         return value
     if isinstance(found, np.ndarray):
         if isinstance(found.base, np.ndarray) and found.base.flags.writeable:
@@ -59,7 +62,9 @@ class ReadOnly:
     """A frozen dataclass whose arrays are frozen with it, unpickled and copied ones too."""
 
     def __post_init__(self) -> None:
-        self.__setstate__(vars(self).copy())
+        for name, value in vars(self).copy().items():
+            if not isinstance(value, PLAIN) and (kept := read_only(value)) is not value:
+                object.__setattr__(self, name, kept)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -247,6 +252,9 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
     """K, how far from symmetric it was, and how much of it was rounding of digits along rigid motions."""
     dense = not sp.issparse(value)
+    if dense and (definite := _definite(value)) is not None:
+        read_motions("near_null_space", motions, len(definite))
+        return read_only(definite), 0.0, 0.0
     K = _sparse("stiffness", value)
     n = K.shape[0]
     if K.shape != (n, n) or n == 0:
@@ -286,6 +294,17 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     if n <= DEFINITENESS_CHECK_SIZE:
         _refuse_indefinite(K.toarray())
     return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, change
+
+
+def _definite(value: Any) -> NDArray[np.float64] | None:
+    """Return a small array that is symmetric to the last digit and resists every motion; None for all others."""
+    if isinstance(value, np.ndarray) and value.size > DEFINITENESS_CHECK_SIZE**2:
+        return None
+    K = read_array("stiffness", value)
+    small = K.ndim == 2 and K.shape[0] == K.shape[1] and 0 < len(K) <= DEFINITENESS_CHECK_SIZE
+    if not (small and np.isfinite(K).all() and np.array_equal(K, K.T) and _resists_every_motion(K)):
+        return None
+    return K + 0.0  # no zero has a sign
 
 
 def _symmetric(K: Any) -> bool:
@@ -415,3 +434,28 @@ def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, 
         twice = next(v for v in names if names.count(v) > 1)
         raise InvalidProblem(f"{name}: expected distinct names, got {twice!r} more than once")
     return names
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units that the numbers of a problem are in; they label messages and tables and convert nothing."""
+
+    length: str = ""
+    force: str = ""
+
+
+# Names that are units of one and never of the other.
+LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
+FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
+
+
+def read_units(value: Units | Mapping[str, str] | None) -> Units:
+    """Return the units that a mapping with the keys ``length`` and ``force`` names; none where nothing is given."""
+    if value is None or isinstance(value, Units):
+        return value or Units()
+    if not isinstance(value, Mapping) or (value and set(value) != {"length", "force"}):
+        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
+    for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
+        if not isinstance(value[what], str) or value[what] in others:
+            raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
+    return Units(**value)

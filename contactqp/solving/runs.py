@@ -211,6 +211,8 @@ def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     """Whether an answer leaves gaps closed or ties unmet by more than rounding of the lengths that meet."""
     u = solution.displacement
     for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
+        if not limit.size:
+            continue
         beyond = rows @ u - limit
         meeting = row_sizes(problem, rows).lengths(abs(u)) + abs(limit)
         if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):

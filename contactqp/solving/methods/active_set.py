@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
-from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, saddle_point
+from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, lower_factor, saddle_point
 from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.scaling import nondimensional
@@ -176,7 +176,7 @@ def _primal_dual(
     limit: int,
 ) -> tuple[Vector, int, bool]:
     """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
-    from scipy.linalg import cho_factor, cho_solve
+    from scipy.linalg.lapack import dpotrs
 
     seen: set[bytes] = set()
     for step in range(1, limit + 1):
@@ -187,13 +187,11 @@ def _primal_dual(
         B = np.flatnonzero(closed)
         force = np.zeros(len(W))
         if B.size:
-            try:
-                lower, _ = cho_factor(W[np.ix_(B, B)], lower=True, check_finite=False)
-            except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
+            lower = lower_factor(W[np.ix_(B, B)])
+            # Redundant contacts: the finite method knows which of them to keep.
+            if lower is None or lower.diagonal().min() ** 2 < OPERATOR_ROUNDING:
                 return force, step, False
-            if np.min(np.diag(lower)) ** 2 < OPERATOR_ROUNDING:
-                return force, step, False
-            force[B] = cho_solve((lower, True), excess[B], check_finite=False)
+            force[B] = dpotrs(lower, excess[B], lower=True)[0]
         penetrated = np.where(closed, 0.0, excess - W @ force)
         if np.all(penetrated <= tolerance) and np.all(force[~tied] >= 0):
             return force, step, True
