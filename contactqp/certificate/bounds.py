@@ -248,12 +248,15 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
     solution, change = extend(answer.displacement) + pair.to_middle, extend(answer.normal_force) - pair.force
     push, changed = pair.force.double(), change.double()
-    energy_scale, uncertain = _strain(problem, solution, condensation, pair)
+    floats = bool(condensation.rigid.count)
+    strain = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
+    energy_scale, uncertain = strain
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
+    own = np.sqrt(own_compliance(problem, problem.normal))
     rigid = 0.0
-    if condensation.rigid.count:
+    if floats:
         # A displacement without strain has none in extended precision, but for that of its rigid part, which K's
         # rounding makes.
         rigid = rigid_rounding(problem, condensation, answer.displacement)
@@ -265,13 +268,13 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
     # nothing.
-    force_rounding = RIGID_ROUNDING * size if condensation.rigid.count or problem.ties else 0.0
+    force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
     known = Bounds(
         energy_scale=energy_scale,
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=_free_distance(problem, condensation, pair) if condensation.rigid.count else 0.0,
+        free_distance=_free_distance(problem, condensation, pair) if floats else 0.0,
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
@@ -281,8 +284,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not np.any(problem.diagonal)
-    relative, own = None, np.sqrt(own_compliance(problem, problem.normal))
-    largest = float(np.max(own * abs(push), initial=0.0)) if condensation.rigid.count else 0.0
+    relative = None
+    largest = float(np.max(own * abs(push), initial=0.0)) if floats else 0.0
     force_bound = None if force_bound is None else force_bound + abs(changed)
     if force_bound is not None and max(largest, scale) > 0:
         relative = force_bound * own / (largest or max(scale, size))
@@ -306,14 +309,12 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
 def _strain(
     problem: ContactProblem, solution: Extended, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[float, float]:
-    """|u*|_K of a solution, or what is near it, and what it may be off by.
+    """|u*|_K of a solution, or what is near it, and what it may be off by where bodies float.
 
     Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
     does not move rigidly.
     """
     norm, uncertain = energy_norm(problem, solution)
-    if not condensation.rigid.count:
-        return norm, uncertain
     if not (pair.exact and uncertain > FEW_DIGITS * norm):
         return energy_norms(problem, condensation, solution)[0], uncertain
     forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)

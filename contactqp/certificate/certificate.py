@@ -207,7 +207,7 @@ def _measured(
         else:
             left, known, rigid, condensation = _residuals_and_bounds(problem, answer, route, factorization, candidates)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        out_of_balance, law = balance(problem, answer, rigid), None
+        out_of_balance, law = balance(problem, answer, rigid) if rigid.count else 0.0, None
         if problem.frictional:
             law = coulomb_residual(problem, answer, found)
             others = uniqueness(problem, answer, found, condensation, tolerance)

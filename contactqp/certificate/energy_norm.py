@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import REGULAR, delassus, free_motions, inverse_root, saddle_point
+from contactqp.linalg.dense import REGULAR, delassus, free_motions, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
@@ -140,7 +140,7 @@ def _left_along(
         return 0.0
     size = abs(load.double())
     taken = size + abs(motions) @ (abs(motions).T @ size)
-    norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
+    norm = float(np.linalg.norm(problem.own_scale * taken))
     known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
     return float(known * norm / np.sqrt(condensation.rigid.softest))
 
@@ -160,7 +160,7 @@ def without_part_along(motions: Vector, vector: Extended) -> Extended:
 
 def residual_noise(problem: ContactProblem, answer: Answer) -> float:
     """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
-    scale = inverse_root(problem.diagonal)
+    scale = problem.own_scale
     return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
@@ -175,4 +175,4 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
 def force_size(problem: ContactProblem, force: Vector) -> float:
     """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
     resultant = row_sizes(problem, problem.normal).resultant(force)
-    return float(np.linalg.norm(inverse_root(problem.diagonal) * resultant))
+    return float(np.linalg.norm(problem.own_scale * resultant))

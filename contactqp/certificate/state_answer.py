@@ -33,12 +33,11 @@ from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force
 from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import inverse_root
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.sparse_saddle import constraints_are_many
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, inverse_root
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import SUSPICIOUS_PIVOT, DenseCholesky, SaddlePoint, inverse_root, orthonormal
+from contactqp.linalg.dense import SUSPICIOUS_PIVOT, DenseCholesky, SaddlePoint, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
@@ -37,7 +37,7 @@ from contactqp.linalg.holding_unknowns import FAR_APART, fixing_unknowns, unknow
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 
@@ -405,7 +405,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
     """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
     if problem._computed.unknown_scale is not None:
         return problem._computed.unknown_scale
-    D = inverse_root(problem.diagonal)
+    D = problem.own_scale.copy()
     bare = problem.diagonal == 0
     if np.any(bare):
         largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))

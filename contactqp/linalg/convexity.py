@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.dense import DENSE_SIZE, inverse_root
+from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, with_added_diagonal
 from contactqp.linalg.schur import LARGE
@@ -87,7 +87,7 @@ def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
         return None  # dominant diagonals: Gershgorin's circles
     if problem.dimension > DENSE_SIZE and (factor := _factorised(problem)) is not None:
         return factor
-    scale = inverse_root(problem.diagonal)
+    scale = problem.own_scale
     K = sp.csr_matrix(sp.diags(scale) @ problem.stiffness_rows @ sp.diags(scale))
     acting = np.flatnonzero(np.diff(K.indptr))
     direction = _lowest(sp.csr_matrix(K[acting][:, acting]))

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import RUNNING
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
@@ -129,14 +129,6 @@ def refuse_negative(smallest_pivot: float) -> None:
 def unit_diagonal_scale(matrix: Any) -> Array:
     """1/sqrt(K_jj), and 1 where the diagonal is zero."""
     return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
-
-
-def inverse_root(diagonal: Array) -> Array:
-    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
-
-    Products of two of these scales therefore stay in the range of floats.
-    """
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
 
 
 def orthonormal(motions: Array) -> Array:

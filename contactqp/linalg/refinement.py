@@ -392,7 +392,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     root = 1.0 / condensation.unknown_scale
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
     loads = abs(problem.load) / root
-    largest = max(np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads))
+    largest = max([np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
     u[root * abs(u) < INVISIBLE * largest] = 0.0
     force[size * abs(force) <= INVISIBLE * largest] = 0.0
     return u, force[: len(push)], force[len(push) :]

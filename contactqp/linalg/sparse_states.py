@@ -20,7 +20,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg import pardiso
-from contactqp.linalg.dense import inverse_root
 from contactqp.linalg.equilibration import scaled_by
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
@@ -55,7 +54,7 @@ class SparseFrictionalRows:
     def __init__(self, problem: ContactProblem) -> None:
         if problem.friction is None or problem.tangent is None:
             raise ValueError("frictional rows of a problem without friction")
-        self.scale = inverse_root(problem.diagonal)
+        self.scale = problem.own_scale
         unknowns = sp.diags(self.scale)
         self.S = scaled_by(self.scale, sp.csr_matrix(problem.stiffness_rows), self.scale)
         ((self.normal, self.normal_length), (self.tangent, self.tangent_length), (self.tie, self.tie_length)) = (

@@ -39,6 +39,14 @@ R = TypeVar("R")
 C = TypeVar("C", bound=type)
 
 
+def inverse_root(diagonal: Array) -> Array:
+    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
+
+    Products of two of these scales therefore stay in the range of floats.
+    """
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
+
+
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function overflow, underflow and divide by zero without a word, whatever `np.seterr` says.
 

@@ -16,6 +16,7 @@ class OfStiffness:
     """What has been computed of a stiffness alone; problems with other contacts and ties share it."""
 
     diagonal: Vector | None = None
+    own_scale: Vector | None = None  # 1/sqrt(K_jj)
     rows: Any = None  # K as a CSR matrix
     sizes: Any = None  # |K|
     bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector as Vector
-from contactqp.model.arrays import own_floating_point
+from contactqp.model.arrays import inverse_root, own_floating_point
 from contactqp.model.computed import Computed
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import Units as Units
@@ -236,14 +236,15 @@ class ContactProblem:
 
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
         """Set the fields of the problem, arrays read-only; `load_sum` and `tie_numbers` are None where not given."""
-        kept = {name: read_only(value) for name, value in values.items()}
-        vars(self).update(dict(load_sum=None, tie_numbers=None) | kept, _computed=computed)
+        vars(self).update(dict(load_sum=None, tie_numbers=None) | dict(values), _computed=computed)
         # What everything asks for is there without a call.
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
         matrices = [one for one in given if sp.issparse(one)]
         vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in matrices]
+        for name, value in values.items():
+            vars(self)[name] = read_only(value)
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
@@ -306,6 +307,15 @@ class ContactProblem:
             of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
             of_stiffness.diagonal.setflags(write=False)
         return of_stiffness.diagonal
+
+    @cached_property
+    def own_scale(self) -> Vector:
+        """(n,) D: 1/sqrt(K_jj), and 1 where that is zero, looked up once for a stiffness."""
+        of_stiffness = self._computed.of_stiffness
+        if of_stiffness.own_scale is None:
+            of_stiffness.own_scale = inverse_root(self.diagonal)
+            of_stiffness.own_scale.setflags(write=False)
+        return of_stiffness.own_scale
 
     @cached_property
     def stiffness_rows(self) -> Any:

@@ -251,8 +251,12 @@ class CondensedRun(Run):
                 raise
             self._closed: NDArray[np.intp] | None = None
             if self.candidate.finite:
-                u, compliance = self.start.displacement, delassus(self._condensation).compliance[: problem.contacts]
-                self._closed = closed_contacts(problem, compliance, u, self.candidate.normal_force)
+                u, force = self.candidate.displacement, self.candidate.normal_force
+                if not self._whole:
+                    u = np.zeros(problem.dimension)
+                    u[self._condensation.retained] = self.candidate.displacement
+                compliance = delassus(self._condensation).compliance[: problem.contacts]
+                self._closed = closed_contacts(problem, compliance, u, force)
 
     def final(self) -> Final:
         """The answer that is to be certified."""

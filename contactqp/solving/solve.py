@@ -193,7 +193,6 @@ def _solve_any(
         refuse_other("solve", problem, ContactProblem, LocalProblem)
     limit = same["time_limit"]
     refuse_arguments(same["tolerance"], condense, same["polish"], limit, same["max_iter"])
-    problem.refuse_exchanged_arrays()
     with nullcontext() if limit is None else within_time(limit):
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
 
@@ -203,6 +202,7 @@ def _solve(
 ) -> Solution:
     """`solve` by the first of its ways that applies."""
     condense, algorithm = same["condense"], same["algorithm"]
+    problem.refuse_exchanged_arrays()
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = None if warm_start is None else warm_candidate(problem, warm_start)
@@ -213,10 +213,11 @@ def _solve(
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
     chosen = find(method)
-    if _works_with_factors(chosen, condense, algorithm) and iterated(problem) and may_be_factorised(problem):
+    large = iterated(problem)
+    if large and _works_with_factors(chosen, condense, algorithm) and may_be_factorised(problem):
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
-    some = not iterated(problem) and not constraints_are_many(problem) and contacts_are_many(problem)
+    some = not large and not constraints_are_many(problem) and contacts_are_many(problem)
     if some and algorithm != "associated":
         with problem.lock, stage(METHOD):
             among = solve_among(

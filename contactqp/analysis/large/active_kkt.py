@@ -14,9 +14,9 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.dense import DENSE_SIZE, inverse_root
+from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.factorization import factorise
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, inverse_root
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 

@@ -68,7 +68,7 @@ def solve_condensed(
             raise NotConverged(f"active-set: no contact set was found in {steps} steps")
         free = operator.free_response(load, anchor)
         try:
-            force, taken = _closed_by(operator, problem, free, force, limit - steps)
+            force, taken = _closed_by(operator.dual_data(problem, free), force, limit - steps)
         except Infeasible as conflict:  # or so it looks through the anchors' springs, or in W
             doubtful = conflict.rows[conflict.rows < problem.contacts]
             break
@@ -153,11 +153,11 @@ def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
     return force
 
 
-def _closed_by(
-    operator: Delassus, problem: ContactProblem, free: Vector, force: Vector, limit: int
-) -> tuple[Vector, int]:
-    """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back."""
-    data = operator.dual_data(problem, free)
+def _closed_by(data: tuple[Array, Vector, NDArray[np.bool_], Vector], force: Vector, limit: int) -> tuple[Vector, int]:
+    """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back.
+
+    `data` are those of `Delassus.dual_data`.
+    """
     force, steps, done = _primal_dual(*data, force, min(limit, PRIMAL_DUAL_STEPS))
     if done:
         return force, steps
