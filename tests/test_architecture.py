@@ -9,9 +9,13 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from graphlib import CycleError, TopologicalSorter
+from types import FrameType
 
 import pytest
+
+import contactqp as cq
 
 ROOT = pathlib.Path(__file__).parent.parent
 PACKAGE = ROOT / "contactqp"
@@ -193,3 +197,45 @@ def test_public_names_are_all_there_and_methods_is_a_function() -> None:
 def _run(code: str) -> str:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.strip()
+
+
+# Files that a problem of two unknowns may enter, and moves between them: a reader follows each of them.
+PATHS = {"solve": (25, 205), "certify": (26, 155), "friction": (38, 490)}
+
+
+def path_length(call: Callable[[], object]) -> tuple[int, int]:
+    """Return how many files of the package a call enters, and how often the next function lies in another file."""
+    files, moves, last = set(), 0, ""
+
+    def seen(frame: FrameType, event: str, _: object) -> None:
+        nonlocal moves, last
+        name = frame.f_code.co_filename
+        if event == "call" and name.startswith(str(PACKAGE)):
+            files.add(name)
+            moves += name != last
+            last = name
+
+    sys.setprofile(seen)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    return len(files), moves
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_small_problem_takes_a_short_path_through_the_package(name: str) -> None:
+    rubbing = {"tangent": [[1.0, 0.0]], "friction": 0.3} if name == "friction" else {}
+    bars = dict(stiffness=[[3.0, 1.0], [1.0, 2.0]], load=[1.0, -3.0], normal=[[0.0, -1.0]], gap=[0.5])
+    known = cq.solve(cq.ContactProblem(**bars, **rubbing))
+
+    def call() -> object:
+        problem = cq.ContactProblem(**bars, **rubbing)
+        if name == "certify":
+            return cq.certify(problem, displacement=known.displacement, normal_force=known.normal_force)
+        return cq.solve(problem)
+
+    call()  # what is imported and cached at first is no part of it
+    files, moves = path_length(call)
+    assert 0 < files <= PATHS[name][0]
+    assert 0 < moves <= PATHS[name][1]
