@@ -191,6 +191,8 @@ def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
 
 def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
     """The compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
+    if diagonal.all():
+        return compliance
     bare = abs(rows) @ (diagonal == 0).astype(float) > 0
     return np.asarray(np.where(bare, np.inf, compliance))
 
