@@ -60,7 +60,8 @@ class CondensedBodies:
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
         from contactqp.linalg.friction_states import FrictionalRows
 
-        self._problem, self._condensation = problem, condensation
+        assert condensation.tangent is not None
+        self._problem, self._condensation, self._outward = problem, condensation, condensation.tangent.T
         self._rows = FrictionalRows(problem, condensation)
         self.width, self.rubs = self._rows.width, _rubbing(self._rows)
         self.floats = condensation.rigid.count > 0
@@ -77,8 +78,7 @@ class CondensedBodies:
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
         way = self._condensation
-        assert way.tangent is not None
-        load = normal @ way.normal + way.tangent.T @ friction.ravel()
+        load = normal @ way.normal + self._outward @ friction.ravel()
         saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
         x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
         return float(np.sqrt(max(float(load @ x), 0.0)))

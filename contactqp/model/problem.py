@@ -282,13 +282,16 @@ class ContactProblem:
         gap: Vector,
         tie: Any,
         tie_value: Vector,
+        named: bool = True,
     ) -> ContactProblem:
         """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
 
         `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
-        indefinite by a few digits of what it was before; it still is this problem.
+        indefinite by a few digits of what it was before; it still is this problem. Rows that are others are not
+        `named` as the contacts.
         """
-        kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0, rigid_change=0.0)
+        names = self.contact_names if named else None
+        kept = dict(contact_names=names, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = {name: csr_rows(matrix) for name, matrix in (("normal", normal), ("tie", tie))}

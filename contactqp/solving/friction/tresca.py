@@ -20,7 +20,7 @@ import numpy as np
 
 from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
-from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
@@ -168,6 +168,7 @@ class _Run:
             np.concatenate([self._gap, o, -o]),
             np.hstack([rows.tie, np.zeros((len(rows.tie), count))]),
             self._value,
+            named=False,
         )
         u, force, tie = self._convex_answer(inner, count)
         friction = np.zeros(m)
@@ -180,7 +181,7 @@ class _Run:
         stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
         ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
         data = (rows.S, self._load, self._load_size, rows.normal, self._gap, ties, values)
-        u, force, tie = self._convex_answer(self._problem.transformed(*data), 0)
+        u, force, tie = self._convex_answer(self._problem.transformed(*data, named=False), 0)
         friction = np.zeros(m)
         friction[stuck] = tie[: len(stuck)]
         return _Step(u, force, friction, tie[len(stuck) :])
@@ -198,10 +199,9 @@ class _Run:
             settings = replace(settings, time_limit=left)
         rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._way.rigid.softest)
         scale = np.ones(inner.dimension)
-        inner = inner.replace(contact_names=None)
-        inner._computed.condensation = Condensation.of_condensed(inner, rigid, scale)
-        inner._computed.unknown_scale = scale
-        refuse_driven_motion(inner, condense(inner))
+        way = Condensation.of_condensed(inner, rigid, scale)
+        inner._computed.condensation, inner._computed.unknown_scale = way, scale
+        refuse_driven_motion(inner, way)
         if self._method.scale:
             twin, scaling = nondimensional(inner)
             candidate = scaling.unscale(self._method.solve(twin, settings))
