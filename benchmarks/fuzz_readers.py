@@ -52,7 +52,7 @@ def outcome(seed: Seed, folder: Path) -> str:
             seed.ask(folder)
     except ContactQPError as error:
         message = str(error)
-        if "\n" in message or not message or len(message) > LONGEST_MESSAGE:
+        if not message or len(message) > LONGEST_MESSAGE:
             return f"message: {message[:200]!r}"
         return REFUSED if not said.getvalue() else f"printed: {said.getvalue()[:200]!r}"
     except (TooSlow, Exception) as error:  # noqa: BLE001

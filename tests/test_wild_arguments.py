@@ -158,6 +158,13 @@ def test_the_calls_work_as_they_stand(calls: dict[str, wild_calls.Call]) -> None
         call.function(**call.arguments)
 
 
+def test_the_message_of_an_error_is_one_line() -> None:
+    assert str(cq.InvalidProblem("gap: expected 2,\n  got [[1.0],\r\n [2.0]]")) == "gap: expected 2, got [[1.0], [2.0]]"
+    assert str(cq.BackendMissing("no\nqp")) == "no qp"
+    assert str(cq.NotConverged("stopped\nafter 3")) == "stopped after 3"
+    assert len(str(cq.SceneError(f"{'x' * 5000}: none"))) < 100
+
+
 NAMES = sorted(set(wild_calls.names()) - wild_calls.NOT_CALLED.keys())
 
 

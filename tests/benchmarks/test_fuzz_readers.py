@@ -63,7 +63,8 @@ def raises(error: Exception):
 
 def test_what_is_neither_judged_nor_refused_is_told(tmp_path):
     assert outcome(raises(InvalidProblem("a.csv: no")), tmp_path) == REFUSED
-    assert outcome(raises(InvalidProblem("two\nlines")), tmp_path).startswith("message")
+    assert outcome(raises(InvalidProblem("")), tmp_path).startswith("message")
+    assert outcome(raises(InvalidProblem("so many words " * 1000)), tmp_path).startswith("message")
     assert outcome(raises(KeyError("load")), tmp_path).startswith("KeyError")
     assert outcome(raises(MemoryError()), tmp_path).startswith("MemoryError")
     assert outcome(Seed("x", "x", lambda _: print("note")), tmp_path).startswith("printed")
