@@ -64,7 +64,8 @@ class ContactTable(Printed, Sequence[ContactRow]):
         )
         few = f", the first {len(shown)} shown; to_csv() has all" if len(shown) < len(self) else ""
         title = f"{len(self)} row{'' if len(self) == 1 else 's'}{few}"
-        return Table(title, tuple(name.replace("_force", "") for name in self.columns), cells).text()
+        headings = ("#", *(name.replace("_force", "") for name in self.columns[1:]))
+        return Table(title, headings, cells).text()
 
     def to_dicts(self) -> list[dict[str, Any]]:
         """Return rows as plain data with one key for each column."""

@@ -48,6 +48,7 @@ def test_it_prints_the_first_rows_within_80_columns() -> None:
     lines = str(sled().table()).splitlines()
     assert lines[0] == "189 rows, the first 40 shown; to_csv() has all"
     assert len(lines) == 42
+    assert lines[1].split()[:2] == ["#", "time"]
     assert max(map(len, lines)) <= 80
 
 
