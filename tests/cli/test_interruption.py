@@ -34,7 +34,7 @@ def stopped(capsys, *arguments):
     [
         ("contactqp.scene.scene.Scene", ["run", WALL]),
         ("contactqp.linalg.condensation.eliminate", ["run", WALL]),
-        ("contactqp.solving.runs.compute_certificate", ["run", WALL, "--json"]),
+        ("contactqp.solving.runs.certificate_of", ["run", WALL, "--json"]),
         ("contactqp.study.footprint.subprocess.run", ["explain", WALL]),
         ("contactqp.linalg.condensation.eliminate", ["oracle", WALL]),
         ("contactqp.study.checking.check_case", ["check", WALL, "x.json"]),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.certificate import certificate_of
 from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
@@ -37,12 +38,12 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Register:
 
 def _believe_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     """A certificate that passes whatever it is shown."""
-    honest = cq.certify
+    honest = certificate_of
 
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.certificate_of", blind)
 
 
 def _half_the_force(_: cq.ContactProblem, __: Settings) -> Candidate:

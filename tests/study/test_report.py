@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.certificate import certificate_of
 from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
@@ -151,7 +152,7 @@ def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkey
         return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
 
     monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
-    honest = cq.certify
+    honest = certificate_of
     refused = _write(tmp_path / "refused", ["active-set", "liar"], CASES[1:])
     assert refused.exit_code == 0  # refused is not wrong
     assert refused.summary.silently_wrong == 1  # its own flag was
@@ -159,7 +160,7 @@ def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkey
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.certificate_of", blind)
     believed = _write(tmp_path / "believed", ["active-set", "liar"], CASES[1:])
     assert believed.exit_code == 1
     assert believed.summary.wrong_but_passed == 1

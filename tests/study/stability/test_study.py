@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import contactqp as cq
+from contactqp.certificate.certificate import certificate_of
 from contactqp.cli import command
 from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
@@ -146,12 +147,12 @@ def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tm
 
     monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
     assert stability_row("mesh-grading", 1.0, "liar").verdict == report_rows.REFUSED
-    honest = cq.certify
+    honest = certificate_of
 
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=(), force_bound=np.zeros(1))
 
-    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.certificate_of", blind)
     axis = dataclasses.replace(find_axis("mesh-grading"), values=(1.0,))
     study, _, _ = write_stability(tmp_path, [axis], ["liar"])
     assert [row.verdict for row in study.rows] == [report_rows.WRONG]
