@@ -15,8 +15,8 @@ import numpy as np
 import contactqp as cq
 from benchmarks.exact_truth import Truth, find_truth
 from benchmarks.problem_families import FAMILIES, family
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.rational import NoSolution, Undecided, floats, rational
-from contactqp.linalg.scaling import nondimensional
 from contactqp.solving.methods import Settings, find
 
 EPS = float(np.finfo(float).eps)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.dense import SUSPICIOUS_PIVOT, DenseCholesky, SaddlePoint, orthonormal
-from contactqp.linalg.equilibration import balancing_factors
+from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     RigidMotions,
@@ -399,43 +399,6 @@ def columns_of(rows: Any, columns: NDArray[np.intp]) -> Array:
     if rows.shape[0] * rows.shape[1] <= WRITTEN_OUT:
         return np.asarray(rows.toarray()[:, columns])
     return np.asarray(rows[:, columns].toarray())
-
-
-def unknown_scale(problem: ContactProblem) -> Array:
-    """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
-    if problem._computed.unknown_scale is not None:
-        return problem._computed.unknown_scale
-    D = problem.own_scale.copy()
-    bare = problem.diagonal == 0
-    if np.any(bare):
-        largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
-        stiff = (largest * D)[~bare & (largest > 0)]
-        if not stiff.size and problem.tangent is not None:
-            along = _largest_entries(problem.tangent)
-            stiff = (along * D)[~bare & (along > 0)]
-        size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
-        if problem.tangent is not None:  # what tangents alone touch has their unit
-            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
-        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
-    return D
-
-
-def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
-    """What the entries of rows on unknowns without stiffness are brought to where no row feels anything stiff.
-
-    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
-    """
-    felt = largest[bare & (largest > 0)]
-    if np.all(bare) or not felt.size:
-        return 1.0
-    return float(np.median(D[~bare]) * np.median(felt))
-
-
-def _largest_entries(rows: Any) -> Array:
-    """The size (n,) of the largest entry of rows at each unknown."""
-    return np.asarray(
-        abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
-    )
 
 
 def condense(problem: ContactProblem) -> Condensation:

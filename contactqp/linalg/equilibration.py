@@ -229,3 +229,77 @@ def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Ve
 
 def _mean(values: Array, there: Any, axis: int) -> Vector:
     return np.asarray(np.sum(np.where(there, values, 0.0), axis=axis) / np.maximum(np.sum(there, axis=axis), 1))
+
+
+def unknown_scale(problem: ContactProblem) -> Array:
+    """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
+    if problem._computed.unknown_scale is not None:
+        return problem._computed.unknown_scale
+    D = problem.own_scale.copy()
+    bare = problem.diagonal == 0
+    if np.any(bare):
+        largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
+        stiff = (largest * D)[~bare & (largest > 0)]
+        if not stiff.size and problem.tangent is not None:
+            along = _largest_entries(problem.tangent)
+            stiff = (along * D)[~bare & (along > 0)]
+        size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
+        if problem.tangent is not None:  # what tangents alone touch has their unit
+            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
+        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
+    return D
+
+
+def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
+    """What the entries of rows on unknowns without stiffness are brought to where no row feels anything stiff.
+
+    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
+    """
+    felt = largest[bare & (largest > 0)]
+    if np.all(bare) or not felt.size:
+        return 1.0
+    return float(np.median(D[~bare]) * np.median(felt))
+
+
+def _largest_entries(rows: Any) -> Array:
+    """The size (n,) of the largest entry of rows at each unknown."""
+    return np.asarray(
+        abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
+    )
+
+
+# Numbers without dimension for backends that have absolute tolerances. With u = l D y, D = 1/sqrt(K_jj) and rows of
+# unit length in the energy, min 1/2 u'Ku - f'u over E u <= g becomes
+#
+#     min 1/2 y'(DKD)y - (D f / l)'y   subject to   (E_i D / r_i) y <= g_i / (l r_i),   r_i = |E_i D|,
+#
+# whose stiffness has a unit diagonal and whose rows have unit length in any system of units. The length l (the square
+# root of an energy) makes loads and gaps of order one; forces come back as l_i = l y_i / r_i.
+
+
+def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
+    """The nondimensional twin of a problem."""
+    D = unknown_scale(problem)
+    normal, contacts = _unit_rows(problem.normal, D)
+    tie, ties = _unit_rows(problem.tie, D)
+    load, gap, value = D * _without_idle_part(problem), problem.gap / contacts, problem.tie_value / ties
+    length = float(np.max(np.concatenate([abs(load), -gap, abs(value)]), initial=0.0)) or 1.0
+    K = problem.stiffness
+    stiffness = sp.csc_array(sp.diags(D) @ K @ sp.diags(D)) if sp.issparse(K) else K * np.outer(D, D)
+    twin = problem.transformed(
+        stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length
+    )
+    return twin, Scaling(D, contacts, ties, length, length)
+
+
+def _without_idle_part(problem: ContactProblem) -> Array:
+    """The load, zero where it is the rounding of larger ones on an unknown without stiffness, which it would drive."""
+    rounding = 16 * np.finfo(float).eps * problem.load_size
+    bare = problem.diagonal == 0
+    return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)
+
+
+def _unit_rows(rows: Any, D: Array) -> tuple[Any, Array]:
+    scaled = sp.csr_array(rows @ sp.diags(D))
+    length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
+    return sp.csr_array(sp.diags(1.0 / length) @ scaled), length

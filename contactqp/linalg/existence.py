@@ -20,13 +20,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import Condensation, unknown_scale
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, IDLE
-from contactqp.linalg.equilibration import Scaling, equilibrated
+from contactqp.linalg.equilibration import Scaling, equilibrated, unknown_scale
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import scale_of_unknowns
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import resisting_rows
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.unknown_names import describe_motion, listed
@@ -53,8 +54,6 @@ MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
 MEANT_TO_BALANCE = 1e-4
 # A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
 RECOGNISED = 1e3
-# Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
-SIDES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,31 +134,6 @@ def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
     for k in np.argsort(-abs(work)).tolist():
         if work[k] != 0:
             yield np.sign(work[k]) * Z[:, k]
-
-
-def resisting_rows(problem: ContactProblem) -> Any:
-    """Rows E in CSR such that no contact resists a motion z with E z <= 0: E_N, and E_N + mu t'E_T with friction.
-
-    t are the two directions of the plane, in space the corners of a polygon around the unit circle.
-    """
-    if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
-        return problem.normal
-    width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
-    across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
-    parts = [problem.normal[problem.friction <= 0]]
-    for direction in around(width):
-        along = sum(direction[k] * across[width * rough + k] for k in range(width))
-        parts.append(problem.normal[rough] + along)
-    return sp.csr_matrix(sp.vstack(parts))
-
-
-def around(width: int) -> Array:
-    """Directions t (k, d-1) with max_t t's >= |s| for every slip s, as little more as the polygon allows."""
-    if width == 1:
-        return np.array([[1.0], [-1.0]])
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
-    corner: float = 1.0 / np.cos(np.pi / SIDES)
-    return corner * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:

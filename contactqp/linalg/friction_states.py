@@ -26,8 +26,9 @@ from typing import Protocol
 
 import numpy as np
 
-from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
+from contactqp.linalg.condensation import UNRESISTED, Condensation
 from contactqp.linalg.dense import BALANCED, independent_rows
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,

@@ -13,9 +13,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 
 class ContactState(IntEnum):
@@ -102,3 +104,32 @@ def natural_map(force: Vectors, velocity: Vectors, friction: Vector, rho: float 
     # Without friction the cone is a half line, and -0 is no side of it.
     inside = (lengths(moved[:, 1:]) <= friction * moved[:, 0]) & (moved[:, 0] >= 0)
     return np.where(inside[:, None], step, force - onto_cone(moved, friction))
+
+
+# Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
+SIDES = 32
+
+
+def resisting_rows(problem: ContactProblem) -> Any:
+    """Rows E in CSR such that no contact resists a motion z with E z <= 0: E_N, and E_N + mu t'E_T with friction.
+
+    t are the two directions of the plane, in space the corners of a polygon around the unit circle.
+    """
+    if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return problem.normal
+    width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
+    across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
+    parts = [problem.normal[problem.friction <= 0]]
+    for direction in around(width):
+        along = sum(direction[k] * across[width * rough + k] for k in range(width))
+        parts.append(problem.normal[rough] + along)
+    return sp.csr_matrix(sp.vstack(parts))
+
+
+def around(width: int) -> Array:
+    """Directions t (k, d-1) with max_t t's >= |s| for every slip s, as little more as the polygon allows."""
+    if width == 1:
+        return np.array([[1.0], [-1.0]])
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    corner: float = 1.0 / np.cos(np.pi / SIDES)
+    return corner * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import certificate_of, compute_certificate, contact_status
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
-from contactqp.linalg.condensation import Condensation, condense, unknown_scale
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.condensation import condense as condensation_of
 from contactqp.linalg.dense import DENSE_SIZE, delassus, saddle_point
+from contactqp.linalg.equilibration import nondimensional, unknown_scale
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.measures import lay_out, row_sizes
@@ -37,7 +38,6 @@ from contactqp.linalg.refinement import (
     without_noise,
 )
 from contactqp.linalg.runtime import POLISH, on_one_thread, one_blas_thread, refuse_late, stage
-from contactqp.linalg.scaling import nondimensional
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem

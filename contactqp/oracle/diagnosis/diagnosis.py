@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
-from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.sparse_saddle import grid_operations
 from contactqp.model.arrays import Vector

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError, InvalidProblem
-from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution, Violations

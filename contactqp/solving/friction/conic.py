@@ -20,9 +20,10 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
 from contactqp.linalg.dense import BALANCED
-from contactqp.linalg.existence import around, unresisted
+from contactqp.linalg.existence import unresisted
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import around
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.backends import collected_words

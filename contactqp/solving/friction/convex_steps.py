@@ -24,7 +24,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.scaling import nondimensional
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem

@@ -21,11 +21,11 @@ import numpy as np
 from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.runtime import stated_limit, tell
-from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, lower_factor, saddle_point
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate

@@ -12,7 +12,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.condensation import condense, unknown_scale
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.factorization import null_space
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
