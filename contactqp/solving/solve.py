@@ -374,25 +374,6 @@ def of_problem(near: NearOne, found: Solution) -> Solution:
 
 
 @own_floating_point
-def seconds_to_answer(problem: ContactProblem, method: str, **arguments: Any) -> float | None:
-    """Run a method as `solve` does, and return the seconds to its answer, which is dropped instead of certified.
-
-    None where `solve` does more than run it: with friction, rows that constrain nothing, numbers that take other units,
-    or so many contacts that it begins with some of them.
-
-    Raises
-    ------
-    ContactQPError
-        As `solve` before the certificate.
-    """
-    if problem.frictional or problem.has_idle_rows or contacts_are_many(problem):
-        return None
-    if near_one(problem) is not None or iterated(problem):
-        return None
-    return begin(problem, registered_name(method), **arguments).seconds_to_answer()
-
-
-@own_floating_point
 def begin(
     problem: ContactProblem,
     method: str = "active-set",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, overload
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
-from contactqp.certificate.number_range import refuse_far_from_one
+from contactqp.certificate.number_range import near_one, refuse_far_from_one
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -19,13 +19,14 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
+from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.model.summary import Printed, counted
-from contactqp.solving.methods import Method, meant_option, takes
-from contactqp.solving.solve import seconds_to_answer, solve
+from contactqp.solving.methods import Method, meant_option, registered_name, takes
+from contactqp.solving.solve import begin, solve
 from contactqp.study import rows
 from contactqp.study.rows import Row, as_dicts, brief_comparison, finite, to_csv
 from contactqp.study.settings import (
@@ -152,7 +153,7 @@ def _seconds(problem: ContactProblem, setting: Setting, follow: FollowHistory | 
     """Return the time of one call to the answer [s], whose certificate the row has from another call."""
     if follow is None and isinstance(problem, ContactProblem):
         try:
-            seconds = seconds_to_answer(problem.afresh(), setting.method.name, **setting.options)
+            seconds = _seconds_to_answer(problem.afresh(), setting.method.name, **setting.options)
         except ContactQPError:
             seconds = None
         if seconds is not None:
@@ -472,3 +473,17 @@ def _on_acting_rows(rows: ActingRows, reference: Reference) -> Reference:
     whole = truth_of_reference(rows.whole, reference)
     ties = () if whole.tie_force is None else (whole.tie_force[rows.ties],)
     return (whole.displacement, whole.normal_force[rows.contacts], *ties)
+
+
+@own_floating_point
+def _seconds_to_answer(problem: ContactProblem, method: str, **arguments: Any) -> float | None:
+    """Run a method as `solve` does, and return the seconds to its answer, which is dropped instead of certified.
+
+    None where `solve` does more than run it: with friction, rows that constrain nothing, numbers that take other units,
+    or so many contacts that it begins with some of them.
+    """
+    if problem.frictional or problem.has_idle_rows or contacts_are_many(problem):
+        return None
+    if near_one(problem) is not None or iterated(problem):
+        return None
+    return begin(problem, registered_name(method), **arguments).seconds_to_answer()
