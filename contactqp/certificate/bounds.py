@@ -59,9 +59,11 @@ from contactqp.certificate.energy_norm import (
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
+from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.dense import delassus, free_motions, saddle_point
+from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RIGID_ENERGY
 from contactqp.linalg.iteration import Iteration
@@ -218,9 +220,19 @@ def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condens
         pair = admissible_pair(problem, answer, left, condensation)
     except Undecided as reason:
         return no_bounds(str(reason))
-    except Unproven as reason:
-        return replace(no_bounds(str(reason)), suspicious=str(reason))
+    except Unproven as unproven:
+        said = _conflict_of_constraints(problem, condensation) or str(unproven)
+        return replace(no_bounds(said), suspicious=said)
     return _from_pair(problem, answer, condensation, pair)
+
+
+def _conflict_of_constraints(problem: ContactProblem, condensation: Condensation) -> str | None:
+    """Return which constraints conflict, in words, where it is proven that some do: then no answer is right."""
+    try:
+        refuse_conflict(problem, condensation)
+    except NoEquilibrium as conflict:
+        return str(conflict)
+    return None
 
 
 def no_bounds(reason: str) -> Bounds:

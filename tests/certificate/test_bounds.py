@@ -361,3 +361,12 @@ def test_what_refinement_leaves_of_opposite_contacts_is_no_conflict_and_more_is(
     assert _of_penetration(problem, condensation, settled, excess, length) < 1e-24
     with pytest.raises(Undecided, match=r"conflict by 1\.6e-26 of their lengths"):
         _of_penetration(problem, condensation, replace(on_set, nothing=np.full(5, 1e-30)), excess, length)
+
+
+def test_where_constraints_conflict_the_certificate_of_any_answer_says_so() -> None:
+    walls = cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [0.5, -0.55])
+    conflict = "no displacement satisfies these constraints together: contact 0, contact 1"
+    by_penalty = cq.solve(walls, method="penalty", penalty=1e3)
+    for certificate in (by_penalty.certificate, cq.certify(walls, [0.5], [0.0, 0.0])):
+        assert not certificate.passed
+        assert any(conflict in failure for failure in certificate.failures)
