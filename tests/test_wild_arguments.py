@@ -23,6 +23,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.elements.shapes import rectangle
+from contactqp.model.arguments import checked
 from tests import public_objects, wild_calls
 from tests.test_thrown import ask_everything
 
@@ -231,3 +232,12 @@ def test_an_unknown_argument_is_told_with_the_function_and_the_nearest_one() -> 
     solution = cq.solve(cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0]))
     with pytest.raises(TypeError, match=r"^draw: got an unexpected keyword argument 'pairings'.*contacts"):
         cq.draw(solution, "x.png", pairings=[])
+
+
+def test_an_array_stays_one_where_a_number_would_do_as_well() -> None:
+    @checked
+    def given(value: float | np.ndarray) -> Any:
+        return value
+
+    assert given(np.array([1.0, 2.0])).tolist() == [1.0, 2.0]
+    assert isinstance(given(np.array(1.0)), float)

@@ -117,7 +117,9 @@ def _accepted(place: str, value: Any, stated: Any) -> Any:
     """Return a value of the stated type, a sequence where one is stated, or refuse it."""
     options = get_args(stated) if get_origin(stated) in (Union, UnionType) else (stated,)
     if any(_is_of(value, option) for option in options):
-        return float(value) if float in options and isinstance(value, (np.ndarray, Decimal, Fraction)) else value
+        # What stands for arrays may list float, too: an array with axes stays what it is.
+        scalar = isinstance(value, (np.ndarray, Decimal, Fraction)) and _is_real(value)
+        return float(value) if float in options and scalar else value
     for option in options:
         if get_origin(option) in SEQUENCES and isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES):
             entries, kinds = _entries(place, value), get_args(option)
