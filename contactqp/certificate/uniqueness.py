@@ -52,10 +52,19 @@ SAME = 1e-6
 
 
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
-    """Whether more than one answer is found, or a family of them.
+    """Whether more than one answer is found, or a family of them; found once for all answers to one problem.
 
     None where too many systems leave something free, or where their signs are beyond the range of doubles.
     """
+    of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
+    known = problem._computed.several_answers
+    if known is None or any(mine is not other for mine, other in zip(of, known[0], strict=True)):
+        known = problem._computed.several_answers = of, _several_answers(problem, condensation)
+    found: bool | None = known[1]
+    return found
+
+
+def _several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
     system = _Systems(problem, condensation)
     status = combinations(system.mu)
     matrices, right = system.assembled(status)

@@ -50,7 +50,7 @@ class Computed:
     constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.sparse_saddle: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
     sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
-    equilibrated: Any = None  # linalg.scaling: the problem in units of its own, and the way there
+    equilibrated: Any = None  # linalg.equilibration: the problem in units of its own, and the way there
     equilibrated_forces: Any = None  # linalg.equilibration: the same with a unit of forces apart from that of lengths
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
@@ -63,6 +63,7 @@ class Computed:
     untouched: NDArray[np.bool_] | None = None  # linalg.measures
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
+    several_answers: Any = None  # certificate.uniqueness: what was found of the last load, with what it was of
     critical_friction: Any = None  # certificate.critical_friction
     all_contacts: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone

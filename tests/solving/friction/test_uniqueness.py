@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate import uniqueness
 from contactqp.certificate.critical_friction import _one_sign, of_operator
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.elements.material import Material
@@ -327,3 +330,22 @@ def test_compliances_whose_inverse_leaves_the_floats_are_no_contraction():
     with np.errstate(over="ignore"):  # as in every public function
         found = of_operator(np.diag([1e-300, 1e300, 1.0, 1.0]), np.array([0.5, 0.5]), 2, floats=False)
     assert found.kappa == np.inf
+
+
+def test_other_answers_are_looked_for_once_a_problem_and_anew_for_another_load(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Klarbring's contact has three answers at one load and one at another; all share their stiffness and rows."""
+    looked, look = [], uniqueness._several_answers
+
+    def counted(problem: cq.ContactProblem, condensation: Any) -> bool | None:
+        looked.append(problem)
+        return look(problem, condensation)
+
+    monkeypatch.setattr(uniqueness, "_several_answers", counted)
+    data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    several = cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8)
+    assert [one.certificate.uniqueness for one in cq.equilibria(several)] == [("several answers",)] * 3
+    assert len(looked) == 1
+    for load in ([-1.0, 0.2], [-1.0, 0.65]):
+        found = {one.certificate.uniqueness for one in cq.equilibria(several.replace(load=load))}
+        assert found == ({("several answers",)} if load[1] == 0.65 else {()})
+    assert len(looked) == 3
