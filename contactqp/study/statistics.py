@@ -436,16 +436,31 @@ def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
             else f", its contact forces within {max(default.force_error, ROUNDING):.0e}"
         )
         parts.append(f"{_right_share(default)}{force}{_time(default, smallest)}.")
-    others = [line.method for line in lines if line is not default and line.exact and line.right == line.cases]
+    others = [line for line in lines if line is not default and line.exact and line.right == line.cases]
     if others:
-        parts.append(f"As right where they were tried: {', '.join(others)}.")
-    parts += [
-        f"By the best setting tried in each case, {line.method} is at most {_off(line.force_error)} off{_time(line)}."
+        named = ", ".join(line.method for line in others)
+        parts.append(f"Right in all that they were tried on are {named}, too{_fastest_of(others, default)}.")
+    if off := [
+        f"{line.method} is at most {_off(line.force_error)} off{_time(line)}"
         for line in lines
         if not line.exact and line.force_error is not None
-    ]
+    ]:
+        parts.append(f"By the best setting in each case, which nobody knows before the answer, {', '.join(off)}.")
     parts.append(_flags(lines))
     return f"On {cases} case{'' if cases == 1 else 's'} with a known answer: {' '.join(filter(None, parts))}"
+
+
+def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str:
+    """Return which of the methods that are right in all is the fastest, where it is so beyond doubt."""
+    timed = [line for line in others if line.linear_solves is not None]
+    if not timed:
+        return ""
+    fastest = min(timed, key=lambda line: line.linear_solves or math.inf)
+    if default is None or default.linear_solves is None or default.right < default.cases:
+        return f", the fastest {fastest.method}{_time(fastest)}"
+    if default.linear_solves <= AS_FAST * (fastest.linear_solves or math.inf):
+        return ", none of them faster by a tenth"
+    return f", {fastest.method} faster{_time(fastest)}"
 
 
 def _right_share(line: MethodLine) -> str:
@@ -463,15 +478,21 @@ def _time(line: MethodLine, smallest: int | None = None) -> str:
     return f", in the time of {line.linear_solves:.2g} linear solves{where}"
 
 
+# Times that differ by less are those of equals: what a machine scatters by from one run to the next.
+AS_FAST = 1.1
+# What a flag is called wrong by (`contactqp.study.comparison.GENEROSITY`).
+BY_FAR = "more than 100 times the tolerance asked"
+
+
 def _flags(lines: Sequence[MethodLine]) -> str:
     """Return how often methods called wrong raw answers solved."""
     claimed, wrong = sum(line.claimed for line in lines), sum(line.wrong for line in lines)
     if not claimed:
         return ""
     if not wrong:
-        return f"None of the {claimed} raw answers that methods called solved is wrong."
+        return f"None of the {claimed} raw answers that methods called solved is wrong by {BY_FAR}."
     named = ", ".join(f"{line.method} {line.wrong} of {line.claimed}" for line in lines if line.wrong)
-    return f"Of {claimed} raw answers that methods called solved, {wrong} are wrong: {named}."
+    return f"Of {claimed} raw answers that methods called solved, {wrong} are wrong by {BY_FAR}: {named}."
 
 
 def _off(error: float) -> str:
