@@ -110,3 +110,17 @@ def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
     assert any("not examined after 1 operations" in one.text and "signs and units" in one.text for one in hurried)
     judged.findings_within(1e9)
     assert len(asked) >= 6
+
+
+@pytest.mark.parametrize("power", [-250, -170, 170, 250])
+@pytest.mark.parametrize("candidate", [(1.01, 0.99), (0.9, 1.1)])
+def test_penetrations_and_forces_whose_ratio_is_beyond_doubles_are_told_all_the_same(
+    power: int, candidate: tuple[float, float]
+) -> None:
+    """Two walls in units of their own: a penalty of 99, and contacts that push across their gaps."""
+    unit, (u, force) = 10.0**power, candidate
+    problem = cq.ContactProblem(np.eye(2), [2.0, 2.0], unit * np.eye(2), [unit, unit])
+    judged = cq.certify(problem, [u, u], [force / unit, force / unit])
+    assert not judged.passed
+    assert judged.findings
+    assert judged.diagnosis

@@ -66,6 +66,8 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     if np.sum(sprung) == 1 and evidence.before <= STOPPED:  # as likely iterations that stopped
         return
     stiffness = force[sprung] / -found.gap[sprung]
+    if not np.all((stiffness > 0) & np.isfinite(stiffness)):  # beyond the range of doubles
+        return
     lowest, highest = float(np.min(stiffness)), float(np.max(stiffness))
     spread = highest / lowest - 1
     f, length = problem.units.force, problem.units.length
@@ -110,7 +112,8 @@ def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     if len(gap) < 2 or np.any(force <= 0) or np.any(gap <= 0) or evidence.problem.frictional:
         return
     product = force * gap
-    if float(np.max(product) / np.min(product)) - 1 > 0.1:
+    least, most = float(np.min(product)), float(np.max(product))
+    if not (least > 0 and most <= 1.1 * least < np.inf):  # nor where products are beyond the range of doubles
         return
     unit = unit_of(evidence.problem.units.force), unit_of(evidence.problem.units.length)
     text = (
