@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
+from itertools import accumulate
 from typing import Annotated, Any, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema
@@ -180,21 +181,34 @@ Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
 Location = tuple[int | str, ...]
 
-# Letters of a name that a message repeats.
-LONGEST_NAME = 80
+# Letters of a name, and of a list of names, that a message repeats.
+LONGEST_NAME, LONGEST_LIST = 80, 400
 
 
 def no_such(name: object, known: Iterable[str], what: str) -> str:
-    """Say that there is none of a name, with the nearest name, or all where none is near.
+    """Say that there is none of a name, with the nearest name, or as many as a line holds where none is near.
 
     ``there is no node 'B1'; nearest: 'B'``.
     """
-    names, said = list(known), repr(name)
-    said = said if len(said) <= LONGEST_NAME else f"{said[:LONGEST_NAME]}…"
+    names, said = list(known), _in_quotes(name)
     near = difflib.get_close_matches(str(name)[:LONGEST_NAME], names, n=1)
     if near:
         return f"there is no {what} {said}; nearest: {near[0]!r}"
-    return f"there is no {what} {said}; known: " + (", ".join(repr(n) for n in sorted(names)) or "none")
+    return f"there is no {what} {said}; known: {_first_of(names) or 'none'}"
+
+
+def _in_quotes(name: object) -> str:
+    said = repr(name)
+    return said if len(said) <= LONGEST_NAME else f"{said[:LONGEST_NAME]}…"
+
+
+def _first_of(names: Collection[str]) -> str:
+    """Return as many names as a line holds, and how many more there are."""
+    quoted = [_in_quotes(name) for name in sorted(names)]
+    ends = list(accumulate(len(name) for name in quoted))
+    count = max(1, sum(end <= LONGEST_LIST for end in ends))
+    more = f" and {len(quoted) - count} more" if len(quoted) > count else ""
+    return ", ".join(quoted[:count]) + more
 
 
 def refuse_unknown(key: str, name: object, known: Collection[str], what: str) -> None:

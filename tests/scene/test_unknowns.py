@@ -8,6 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
+from contactqp.scene.fields import no_such
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.scene import Scene
 from contactqp.scene.unknowns import factors_at
@@ -179,3 +180,14 @@ def test_explain_names_the_loads():
 def test_corners_that_make_no_sense_are_refused(changes, words):
     with pytest.raises(cq.SceneError, match=words):
         Scene(**STONE | changes)
+
+
+def test_of_many_names_a_message_lists_as_many_as_a_line_holds() -> None:
+    few = no_such("q", ["tip", "foot"], "node")
+    assert few == "there is no node 'q'; known: 'foot', 'tip'"
+    many = no_such("q", [f"node number {i}" for i in range(500)], "node")
+    assert len(many) < 600
+    assert many.endswith("more")
+    assert int(many.split(" and ")[1].split()[0]) == 500 - many.count("'node number")
+    assert len(no_such("q", ["x" * 5000], "node")) < 200
+    assert no_such("q", [], "node") == "there is no node 'q'; known: none"
