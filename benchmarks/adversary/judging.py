@@ -1,7 +1,6 @@
 """What is right of a problem, and all that comes out that is not: one `Finding` for each.
 
-Without friction the truth is found in rational numbers (`exact_truth`). With friction every answer is held against
-Coulomb's law written out once more (`friction_law`), in the plane also against all equilibria in rational numbers.
+Without friction the truth is found in rational numbers (`exact_truth`); `judging_friction` has the law with friction.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import contactqp as cq
 from benchmarks.adversary.grammar import in_units
 from benchmarks.exact_truth import Truth
 from benchmarks.friction_families import Posed, Units
-from benchmarks.friction_law import broken, plain_answer, seen
 from benchmarks.judging import PER_CONDITION, REPRESENTABLE, WRONG, bounded, exact_truth, spoiled
 from contactqp.solving.methods import find
 
@@ -34,15 +32,8 @@ ITERATES = 60.0
 TIME_LIMIT = 2.0
 # Conditions from which rounding of the data decides what is right.
 WORST_CONDITION = 1e12
-# An answer that breaks the law by this part of the largest force or length is wrong.
-BREAKS = 1e-9
-SAME = 1e-7
-# Eigenvalues of a stiffness with a diagonal of ones that are rounding: what floats.
-FLOATS = 1e-13
 # Of the largest displacement or force, what rounding in other units may change: a factorisation that pivots otherwise.
 SAME_DIGITS = 1e-13
-# Rational enumeration of more contacts takes seconds.
-MOST_EXACT = 3
 # A gap that is rational and that nothing closes.
 NEVER = 2.0**200
 # Forces that are this part of the intrinsic size of problem and answer are seen where they are forged.
@@ -129,7 +120,7 @@ def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | N
 def judge_frictionless(judge: Judge, methods: list[tuple[str, dict[str, Any]]]) -> None:
     """Every method's answer, its bounds, and forged answers, against the answer in rational numbers."""
     first = judge.ask("solve plain", lambda: cq.solve(judge.posed.plain))
-    _judge_units(judge, first)
+    judge_units(judge, first)
     gap = judge.posed.plain.gap
     finite = judge.posed.plain.replace(gap=np.where(np.isinf(gap), NEVER, gap))
     truth, known = exact_truth(finite, first[0] or getattr(first[1], "solution", None))
@@ -146,7 +137,7 @@ def judge_frictionless(judge: Judge, methods: list[tuple[str, dict[str, Any]]]) 
     _forge(judge, truth, threshold, posed)
 
 
-def _judge_units(judge: Judge, first: tuple[Any, Any]) -> None:
+def judge_units(judge: Judge, first: tuple[Any, Any]) -> None:
     """The same problem in other units of length and force has the same verdict, and the same digits where it is solved.
 
     Where several answers exist either may be found. The units are powers of four: the root of a stiffness, too, is the
@@ -314,7 +305,7 @@ def against_the_law(problem: cq.ContactProblem, u: Array, force: Array) -> Itera
     apart = pushed_apart(problem, u, force)
     if apart is not None:
         yield f"tension of {FORGED:g} that others balance", u, apart
-    meeting = _meeting(problem, u, force, None)
+    meeting = forces_that_meet(problem, u, force, None)
     part = np.divide(np.diag(problem.stiffness) * abs(u), meeting, out=np.zeros(len(u)), where=meeting > 0)
     energy = np.sqrt(np.diag(problem.stiffness)) * abs(u)
     part[energy < 1e-3 * np.max(energy)] = 0.0  # beside larger ones these may count as nothing
@@ -339,7 +330,7 @@ def pushed_apart(problem: cq.ContactProblem, u: Array, force: Array) -> Array | 
         weights = np.linalg.lstsq(rows[others].T, rows[at], rcond=None)[0]
         if np.max(abs(rows[others].T @ weights - rows[at])) > 1e-14 * np.max(abs(rows[at])):
             continue
-        size = np.maximum(_meeting(problem, u, force, None), _intrinsic(problem, u, force))[rows[at] != 0]
+        size = np.maximum(forces_that_meet(problem, u, force, None), intrinsic_sizes(problem, u, force))[rows[at] != 0]
         pull = FORGED * float(np.max(size / abs(rows[at][rows[at] != 0])))
         forged = force.copy()
         forged[others] += (pull + force[at]) * weights
@@ -349,7 +340,7 @@ def pushed_apart(problem: cq.ContactProblem, u: Array, force: Array) -> Array | 
     return None
 
 
-def _meeting(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array:
+def forces_that_meet(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array:
     """(n,) the sum of the sizes of the forces that meet at each unknown."""
     meeting = abs(np.asarray(problem.stiffness)) @ abs(u) + abs(problem.load) + abs(problem.normal).T @ abs(force)
     if friction is not None and problem.tangent is not None:
@@ -357,13 +348,13 @@ def _meeting(problem: cq.ContactProblem, u: Array, force: Array, friction: Array
     return np.asarray(meeting)
 
 
-def _outer(problem: cq.ContactProblem, force: Array, friction: Array) -> Array:
+def outer_forces(problem: cq.ContactProblem, force: Array, friction: Array) -> Array:
     """(n,) what contacts exert on the bodies in all."""
     assert problem.tangent is not None
     return np.asarray(problem.normal.T @ force + problem.tangent.T @ friction.ravel())
 
 
-def _intrinsic(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
+def intrinsic_sizes(problem: cq.ContactProblem, u: Array, force: Array) -> Array:
     """(n,) the forces that stand, at each unknown, for the size of problem and answer; beneath them is nothing.
 
     Gaps that the answer closes give a size, too; where nothing acts it is the smallest gap that does.
@@ -388,134 +379,10 @@ def with_tension(problem: cq.ContactProblem, u: Array, force: Array, friction: A
         return None
     at = int(acting[np.argmin(force[acting])])
     row = abs(problem.normal.toarray()[at])
-    meeting = np.maximum(_meeting(problem, u, force, friction), _intrinsic(problem, u, force))
+    meeting = np.maximum(forces_that_meet(problem, u, force, friction), intrinsic_sizes(problem, u, force))
     size = float(np.max(meeting[row > 0] / row[row > 0]))
     if size == 0:
         return None
     torn = force.copy()
     torn[at] = -FORGED * size
     return torn
-
-
-# ------------------------------------------------------------------------------- with friction
-
-
-def judge_friction(judge: Judge, algorithms: list[str]) -> None:
-    """Every algorithm's answer against the law, and in the plane against all equilibria."""
-    posed = judge.posed
-    flat = posed.plain.slip_origin is not None and posed.plain.slip_origin.shape[1] == 1
-    known, exists = _equilibria(judge) if flat else (None, posed.solvable)
-    judge.exact = known is not None or posed.solvable
-    _judge_units(judge, judge.ask("solve plain", lambda: cq.solve(posed.plain)))
-    for name in algorithms:
-        returned, error = _solve_friction(judge, name, flat)
-        if returned is None:
-            if isinstance(error, cq.NoEquilibrium) and exists:
-                judge.found("denied", f"solve {name}", str(error)[:300])
-            continue
-        if returned.certificate.passed:
-            _judge_law(judge, name, returned, known)
-            _forge_friction(judge, returned)
-
-
-def _solve_friction(judge: Judge, name: str, flat: bool) -> tuple[Any, Exception | None]:
-    if name == "default":
-        return solve(judge, "active-set")
-    if name in ("lagrange-multiplier", "master-slave", "augmented-lagrangian"):
-        return solve(judge, name)
-    method = "clarabel" if name in ("tresca", "aclm") and not flat else "active-set"
-    return solve(judge, method, algorithm=name)
-
-
-def _equilibria(judge: Judge) -> tuple[list[Array] | None, bool]:
-    """All equilibria as far as rows see them, None where there is a continuum or too many contacts; whether any is."""
-    plain = judge.posed.plain
-    if plain.contacts > MOST_EXACT or np.any(np.isinf(plain.gap)) or not plain.frictional:
-        return None, judge.posed.solvable
-    exact, error = judge.ask("exact_equilibria", lambda: cq.exact_equilibria(plain))
-    if exact is None:
-        return None, judge.posed.solvable and not isinstance(error, cq.NoEquilibrium)
-    if any(one.continuum for one in exact):
-        return None, True
-    project = seen(plain)
-    return [project @ one.displacement.astype(float) for one in exact], bool(exact)
-
-
-def _same_answer(problem: cq.ContactProblem, u: Array, other: Array) -> bool:
-    """Whether two displacements are one: in size, or in energy where forces that balance to 1e-9 say no more."""
-    apart = u - other
-    allowed = max(SAME * float(np.max(abs(u), initial=0.0)), 1e-3 * SAME)
-    if float(np.max(abs(apart), initial=0.0)) <= allowed:
-        return True
-    K = np.asarray(problem.stiffness)
-    scale = 1.0 / np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
-    values = np.linalg.eigvalsh(K * np.outer(scale, scale))
-    softest = float(np.min(values[values > FLOATS], initial=np.inf))
-    hidden = BREAKS * float(np.max(values, initial=0.0)) > SAME * softest
-    return hidden and float(apart @ K @ apart) <= SAME**2 * float(other @ K @ other)
-
-
-def _judge_law(judge: Judge, name: str, solution: Any, known: list[Array] | None) -> None:
-    if not judge.posed.problem.frictional:
-        return
-    if (worst := broken(judge.posed, solution)) > BREAKS:
-        judge.found("wrong", f"solve {name}", f"passed, and breaks the law by {worst:.2g}")
-        return
-    if known is None:
-        return
-    u = seen(judge.posed.plain) @ plain_answer(judge.posed, solution)[0]
-    if not any(_same_answer(judge.posed.plain, u, other) for other in known):
-        judge.found("wrong", f"solve {name}", f"passed, and not among all {len(known)} equilibria")
-
-
-def _rougher(judge: Judge, sizes: Array) -> list[tuple[Any, ...]]:
-    """The answer to the problem with a hundredth more friction, which balances, where a contact that presses slips.
-
-    `sizes` (m, n) are what a unit of each contact's force is of the forces that meet.
-    """
-    plain = judge.posed.plain
-    mu = np.asarray(plain.friction)
-    other = judge.ask("solve rougher", lambda: cq.solve(plain.replace(friction=1.01 * mu)))[0]
-    if other is None or plain.ties:
-        return []
-    size = np.linalg.norm(other.friction_force, axis=1)
-    pushing = np.max(sizes * other.normal_force[:, None], axis=1, initial=0.0)
-    beyond = (size > 1.005 * mu * other.normal_force) & (mu > 0) & (pushing >= SEEN)
-    answer = other.displacement, other.normal_force, other.friction_force
-    return [("the answer for more friction", *answer)] if np.any(beyond) else []
-
-
-def _forge_friction(judge: Judge, solution: Any) -> None:
-    """Answers that break the law by a known part: none passes."""
-    if not judge.posed.problem.frictional:
-        return
-    u, normal, friction, tie = plain_answer(judge.posed, solution)
-    rows = abs(judge.posed.plain.normal.toarray())
-    meeting = _meeting(judge.posed.plain, u, normal, friction) + abs(judge.posed.plain.tie).T @ abs(tie)
-    floor = np.maximum(_intrinsic(judge.posed.plain, u, normal), meeting)
-    # Without stiffness what meets may be the rounding of the loads.
-    floor = np.maximum(floor, BREAKS * np.max(abs(judge.posed.plain.load), initial=0.0))
-    sizes = np.where(floor > 0, rows / np.where(floor > 0, floor, 1.0), 0.0)
-    pushing = np.max(sizes * normal[:, None], axis=1)
-    at = int(np.argmax(pushing))
-    if pushing[at] < SEEN:
-        return
-    mu = float(judge.posed.plain.friction[at])  # type: ignore[index]
-    forged = []
-    net = _outer(judge.posed.plain, normal, friction)
-    if np.any(abs(net) > SEEN * floor):
-        forged.append(("forces x 1.001", u, 1.001 * normal, 1.001 * friction))
-    torn = with_tension(judge.posed.plain, u, normal, friction)
-    if torn is not None:
-        forged.append((f"tension of {FORGED:g}", u, torn, friction))
-    width, excess = friction.shape[1], 1e3 * FORGED * mu * normal[at]
-    rubs = abs(judge.posed.plain.tangent.toarray()[width * at]) * excess  # type: ignore[union-attr]
-    if np.any(rubs > HARDLY_SEEN * floor):
-        rubbing = friction.copy()
-        rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
-        forged.append(("friction beyond its bound", u, normal, rubbing))
-    forged += _rougher(judge, sizes)
-    for name, *parts in forged:
-        certificate = judge.certify(f"certify {name}", *parts, tie)
-        if certificate is not None and certificate.passed:
-            judge.found("forgery", f"certify {name}", "passed")

@@ -13,7 +13,8 @@ import numpy as np
 import contactqp as cq
 from benchmarks.adversary.files import Files
 from benchmarks.adversary.grammar import Sentence, draw
-from benchmarks.adversary.judging import Finding, Judge, judge_friction, judge_frictionless
+from benchmarks.adversary.judging import Finding, Judge, judge_frictionless
+from benchmarks.adversary.judging_friction import judge_friction
 from benchmarks.adversary.shrinking import shrunk
 from benchmarks.adversary.wild import judge_wild
 from benchmarks.bricks import Generator
