@@ -53,15 +53,15 @@ class GreenLaw:
     length_free: bool = True
 
     def energy(self, eps: Any) -> Array:
-        """Return eps^2 / 2."""
+        """Return the energy density w = eps^2 / 2 [-]."""
         return np.asarray(np.square(eps) / 2)
 
     def stress(self, eps: Any) -> Array:
-        """Return eps."""
+        """Return the stress S = eps, as a part of the modulus [-]."""
         return np.asarray(eps, dtype=float)
 
     def modulus(self, eps: Any) -> Array:
-        """Return 1."""
+        """Return the tangent modulus C = 1, as a part of the modulus [-]."""
         return np.ones_like(np.asarray(eps, dtype=float))
 
 
@@ -234,7 +234,7 @@ class NonlinearTruss(ReadOnly):
 
     @cached_property
     def bar_law(self) -> BarLaw:
-        """Return w."""
+        """Return the energy density w of the bars, with its two derivatives."""
         return LAWS[self.law] if isinstance(self.law, str) else self.law
 
     def positions(self, displacement: ArrayLike) -> Array:

@@ -150,7 +150,7 @@ class Reference(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """Return d."""
+        """Return the dimension d of the element's reference coordinates."""
         return int(self.nodes.shape[1])
 
     def shape(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

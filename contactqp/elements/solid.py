@@ -94,7 +94,7 @@ class Body(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """Return d."""
+        """Return the dimension d of space, 2 or 3."""
         return self.mesh.dimension
 
     @property

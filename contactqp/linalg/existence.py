@@ -91,8 +91,8 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
             "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
         )
     else:
-        lower = ", a load within what friction holds" if problem.frictional else ""
-        advice = f"; it takes a support, tie or contact against it{lower}, or the load's other sign"
+        lower = ", lower the load to what friction holds" if problem.frictional else ""
+        advice = f"; hold it by a support, a tie or a contact{lower}, or check the sign of the load"
     held = "no contact, friction or tie holds back" if problem.frictional else "no contact or tie holds back"
     lifted = " (what slides by s counts as lifted by mu s)" if problem.frictional else ""
     raise NoEquilibrium(

@@ -439,7 +439,7 @@ def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     others = [line for line in lines if line is not default and line.exact and line.right == line.cases]
     if others:
         named = ", ".join(line.method for line in others)
-        parts.append(f"Right in all that they were tried on are {named}, too{_fastest_of(others, default)}.")
+        parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default)}.")
     if off := [
         f"{line.method} is at most {_off(line.force_error)} off{_time(line)}"
         for line in lines
@@ -457,10 +457,10 @@ def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str
         return ""
     fastest = min(timed, key=lambda line: line.linear_solves or math.inf)
     if default is None or default.linear_solves is None or default.right < default.cases:
-        return f", the fastest {fastest.method}{_time(fastest)}"
+        return f"; the fastest is {fastest.method}{_time(fastest)}"
     if default.linear_solves <= AS_FAST * (fastest.linear_solves or math.inf):
-        return ", none of them faster by a tenth"
-    return f", {fastest.method} faster{_time(fastest)}"
+        return "; none of them is faster by a tenth"
+    return f"; {fastest.method} is faster{_time(fastest)}"
 
 
 def _right_share(line: MethodLine) -> str:

@@ -213,7 +213,7 @@ def test_a_stated_translation_is_named_before_what_gains_most() -> None:
     floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0], [0.0, 1.0]))
     load = [cq.Traction("block", "left", [0.0, 3.0])]
     with pytest.raises(
-        cq.NoEquilibrium, match=r"holds back: block along y by \+1 .*; it takes a support, tie or contact"
+        cq.NoEquilibrium, match=r"holds back: block along y by \+1 .*; hold it by a support, a tie or a contact"
     ):
         cq.solve(structure.assemble([], load).problem([floor]))
 

@@ -101,13 +101,18 @@ def test_a_held_contact_has_no_known_force_and_says_so():
     corner = structure.body("block").mesh.nearest((0.0, 0.0))
     supports = [Support("block", corner, 0), Support("block", corner, 1), Support("block", "top", 1, -0.01)]
     pairing = cq.pair(structure.surface("block", "bottom"), FLOOR, dimension=structure.size)
-    (fields,) = solved(structure.assemble(supports), pairing).fields.pairings
+    found = solved(structure.assemble(supports), pairing)
+    (fields,) = found.fields.pairings
     held = fields.status == "held"
     assert fields.node[held].tolist() == [corner]
     assert np.isnan(fields.force[held]).all()
     assert np.isnan(fields.pressure[held]).all()
     assert np.isfinite(fields.force[~held]).all()
     assert fields.gap[held] == 0
+    rubbing = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, None])
+    (with_friction,) = contact_fields(found.system, found.pairings, rubbing).pairings
+    assert np.isnan(with_friction.friction[held]).all()
+    np.testing.assert_allclose(with_friction.friction[~held], np.outer(fields.force[~held], [-0.5, 0.0]), atol=1e-12)
 
 
 def test_open_contacts_keep_their_gap():

@@ -80,7 +80,7 @@ class RationalProblem:
         return int(self.T.nrows()) // self.contacts if self.contacts else 0
 
     def gap(self, u: fmpq_mat) -> fmpq_mat:
-        """g - E_N u."""
+        """Return the gaps g - E_N u (m, 1) of a displacement [length]."""
         return self.g - self.E * u
 
     def slip(self, u: fmpq_mat) -> fmpq_mat:

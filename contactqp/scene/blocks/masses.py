@@ -41,7 +41,7 @@ class PointMass(Element):
         yield from ()
 
     def masses(self, scene: NodeScene, lumped: bool) -> Iterator[NamedMatrix]:  # noqa: ARG002
-        """Yield m I."""
+        """Yield the mass matrix m I of its node."""
         yield scene.displacements(self.node), point_mass_matrix(scene.value(self.mass), len(scene.axes))
 
     def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:

@@ -363,7 +363,7 @@ class Prediction:
 
     @property
     def digits_lost(self) -> float | None:
-        """log₁₀ κ."""
+        """Return the digits that the condition number may cost, log₁₀ κ; None where it is not known."""
         return None if not self.condition else math.log10(self.condition)
 
     @property
