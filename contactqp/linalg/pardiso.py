@@ -32,6 +32,8 @@ MINIMUM_DEGREE, NESTED_DISSECTION, SCHUR_ONLY = 0, 2, 1
 STATED_ORDER, ORDER_RETURNED = 1, 2
 # What the analysis tells, in kibibytes: its own peak, what of it stays, and what factors and solutions will take.
 PEAK_OF_ANALYSIS, STAYS, OF_FACTORS = 14, 15, 16
+# Where the analysis tells how many entries the factors have, if it is asked by a negative number.
+ENTRIES, ASKED = 17, -1
 # Factors that are predicted to take more than this part of the memory that is free are not begun.
 MOST_OF_MEMORY = 0.95
 # Of an unsymmetric one: rows and columns are scaled and matched, so that large entries come onto the diagonal.
@@ -44,7 +46,7 @@ LEAST_PIVOT = 13
 # unknowns in half the time of nested dissection and fills no more; beyond, and in space, its factors take longer, and
 # on saddle points of programs it may take minutes.
 OF_PLANES, LONGEST_ROW, OF_FEW_UNKNOWNS = 25, 50, 100_000
-# Factors in a stated order that take so many times the memory of those that it was found for, row by row, fill in.
+# Factors in a stated order that have so many times the entries of those that it was found for, row by row, fill in.
 FILLS_IN = 1.5
 
 
@@ -53,7 +55,7 @@ class NotPositive(Exception):
 
 
 class FillsIn(Exception):
-    """In the order that was stated the factors would take more memory than was allowed; nothing was factorised."""
+    """In the order that was stated the factors would have more entries than was allowed; nothing was factorised."""
 
 
 class TooLarge(BackendFailed):
@@ -110,8 +112,8 @@ class Pardiso:
         POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC.
     order : (n,) array of int, optional
         The unknowns in the order in which they are eliminated, where none is retained; by default `ordering` finds one.
-    most_memory : float, optional
-        What factors in a stated order may take [KiB].
+    most_entries : float, optional
+        How many entries factors in a stated order may have.
     ordering : int, optional
         NESTED_DISSECTION or MINIMUM_DEGREE.
 
@@ -120,7 +122,7 @@ class Pardiso:
     NotPositive
         A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
     FillsIn
-        In the order that was stated the factors take more than they may.
+        In the order that was stated the factors would have more entries than they may.
     TooLarge
         The factors are predicted to need more memory than is free.
     BackendMissing, BackendFailed
@@ -133,7 +135,7 @@ class Pardiso:
         retained: NDArray[np.intp],
         kind: int = POSITIVE_DEFINITE,
         order: Indices | None = None,
-        most_memory: float = np.inf,
+        most_entries: float = np.inf,
         ordering: int = NESTED_DISSECTION,
     ) -> None:
         upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
@@ -150,7 +152,7 @@ class Pardiso:
         self._settings = np.zeros(64, dtype=np.int32)
         self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, ordering
         self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
-        self._settings[PERTURBATION] = LEAST_PIVOT
+        self._settings[[PERTURBATION, ENTRIES]] = LEAST_PIVOT, ASKED
         if kind == UNSYMMETRIC:
             self._settings[[SCALING, MATCHING]] = 1
         self._kind = kind
@@ -162,7 +164,7 @@ class Pardiso:
             self._settings[PERMUTATION] = ORDER_RETURNED
         self._release = weakref.finalize(self, _release, self._handle, self._settings, kind)
         self._call(ANALYSE, np.zeros(1), np.zeros(1))
-        if order is not None and self.memory_of_factors > most_memory:
+        if order is not None and self.entries_of_factors > most_entries:
             raise FillsIn
         self._refuse_too_large(len(retained))
         self.schur = np.zeros((len(retained), len(retained)))
@@ -175,15 +177,15 @@ class Pardiso:
         return self._chosen.astype(np.intp)
 
     @property
-    def memory_of_factors(self) -> int:
-        """What factors and solutions are predicted to take [KiB]."""
-        return int(self._settings[OF_FACTORS])
+    def entries_of_factors(self) -> int:
+        """How many entries the factors have, as the analysis tells; the memory it predicts grows with its threads."""
+        return int(self._settings[ENTRIES])
 
     @property
     def predicted_memory(self) -> int:
         """Bytes that analysis, factors and solutions take at their peak, as the analysis tells."""
-        kibibytes = max(self._settings[PEAK_OF_ANALYSIS], int(self._settings[STAYS]) + self.memory_of_factors)
-        return 1024 * int(kibibytes)
+        of_factors = int(self._settings[STAYS]) + int(self._settings[OF_FACTORS])
+        return 1024 * max(int(self._settings[PEAK_OF_ANALYSIS]), of_factors)
 
     def _refuse_too_large(self, retained: int) -> None:
         """Raise TooLarge rather than be ended by the system in the middle of a factorisation."""
@@ -250,7 +252,7 @@ class EliminationOrder:
 
     def __init__(self, unknowns: int) -> None:
         self._place = np.full(unknowns, np.nan)  # of each unknown in the order, NaN where that is not known
-        self._memory = 0.0  # of the factors that it was found for, for each row of a symmetric one [KiB]
+        self._entries = 0.0  # of the factors that it was found for, for each row of a symmetric one
         self._of_saddle = False  # whether it was found with rows below the stiffness
 
     def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:
@@ -265,7 +267,7 @@ class EliminationOrder:
         order = self._known(matrix, unknowns)
         if order is not None:
             try:
-                return Pardiso(matrix, nothing, kind, order, FILLS_IN * self._memory * rows)
+                return Pardiso(matrix, nothing, kind, order, FILLS_IN * self._entries * rows)
             except FillsIn:
                 pass
         by_degree = matrix.shape[0] == len(unknowns) and _in_the_plane(matrix)
@@ -273,7 +275,7 @@ class EliminationOrder:
         place = np.empty(found.size)
         place[found.order] = np.arange(found.size)
         self._place[:] = np.nan
-        self._place[unknowns], self._memory = place[: len(unknowns)], found.memory_of_factors / rows
+        self._place[unknowns], self._entries = place[: len(unknowns)], found.entries_of_factors / rows
         self._of_saddle = found.size > len(unknowns)
         return found
 

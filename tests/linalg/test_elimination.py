@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
+from threadpoolctl import threadpool_limits
 
 import contactqp as cq
 from contactqp.elements.material import Material
@@ -317,7 +318,9 @@ def strip_with_rows(cells, share):
 
 
 @needs_pardiso
-def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monkeypatch):
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monkeypatch, threads):
+    """On several threads too, each of which takes memory that is no fill-in."""
     n, matrix = strip_with_rows(40, 1)
     asked = []
     plain = Pardiso.__init__
@@ -327,11 +330,12 @@ def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monke
         plain(self, *given, **named)
 
     monkeypatch.setattr(Pardiso, "__init__", seen)
-    order, unknowns = EliminationOrder(n), np.arange(n)
-    first = order.factorised(matrix[:n, :n], unknowns)
-    second = order.factorised(matrix, unknowns, pardiso.INDEFINITE)
-    held = np.setdiff1d(unknowns, [0, 5, 90])
-    third = order.factorised(matrix[held][:, held], held)
+    order, unknowns, held = EliminationOrder(n), np.arange(n), np.setdiff1d(np.arange(n), [0, 5, 90])
+    pardiso._library()  # limits reach what is loaded
+    with threadpool_limits(threads):
+        first = order.factorised(matrix[:n, :n], unknowns)
+        second = order.factorised(matrix, unknowns, pardiso.INDEFINITE)
+        third = order.factorised(matrix[held][:, held], held)
     assert asked[0] is None
     assert sorted(asked[1]) == list(range(matrix.shape[0]))
     assert asked[2] is not None
@@ -374,10 +378,10 @@ def test_an_order_that_would_fill_in_is_found_anew():
     tied = sp.bmat([[matrix[:n, :n], joined.T], [joined, -1e-9 * sp.identity(n // 2)]], format="csc")
     found = order.factorised(tied, unknowns, pardiso.INDEFINITE)
     assert (
-        found.memory_of_factors
+        found.entries_of_factors
         < Pardiso(
             tied, np.zeros(0, dtype=np.intp), pardiso.INDEFINITE, order=np.arange(tied.shape[0])
-        ).memory_of_factors
+        ).entries_of_factors
     )
     right = np.random.default_rng(1).standard_normal(tied.shape[0])
     assert np.max(abs(tied @ found.solve_all(right) - right)) <= 1e-5 * np.max(abs(right))
