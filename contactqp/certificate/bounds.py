@@ -328,7 +328,7 @@ def _strain(
     """
     norm, uncertain = energy_norm(problem, solution)
     if not (pair.exact and uncertain > FEW_DIGITS * norm):
-        return energy_norms(problem, condensation, solution)[0], uncertain
+        return energy_norms(problem, condensation, solution, (norm, uncertain))[0], uncertain
     forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
     elastic, missing = response(problem, condensation, forces, tied=False)
     strain, rounding = energy_norm(problem, elastic)

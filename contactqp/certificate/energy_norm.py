@@ -52,13 +52,20 @@ def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float,
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
 
 
-def energy_norms(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> tuple[float, float]:
+def energy_norms(
+    problem: ContactProblem,
+    condensation: Condensation,
+    displacement: Extended,
+    counted: tuple[float, float] | None = None,
+) -> tuple[float, float]:
     """The least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
+
+    `counted` is `energy_norm` of v, where it has been formed already.
 
     That rounding makes K z of a rigid motion z a force of either sign: where v is nearly rigid, v'Kv may be more or
     less than the energy of its strain, which is that of v without its rigid part.
     """
-    norm, uncertain = energy_norm(problem, displacement)
+    norm, uncertain = counted or energy_norm(problem, displacement)
     if not condensation.rigid.count:
         return norm, norm + uncertain
     motions = condensation.rigid.motions

@@ -79,12 +79,16 @@ class DenseCholesky:
             self._factor = factor
             self.smallest_pivot = float((factor.diagonal() ** 2).min(initial=np.inf)) if len(factor) else 1.0
             return
-        from scipy.linalg import cholesky, eigvalsh
+        lift = LIFT * len(scaled)
+        self.smallest_pivot = 0.0
+        lifted = lower_factor(scaled + lift * np.eye(len(scaled)))
+        if lifted is None:  # it is indefinite by more than rounding
+            from scipy.linalg import cholesky, eigvalsh
 
-        lowest = float(eigvalsh(scaled)[0])
-        self.smallest_pivot = min(lowest, 0.0)
-        lift = max(2 * -lowest, LIFT * len(scaled))
-        self._factor = cholesky(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
+            self.smallest_pivot = min(float(eigvalsh(scaled)[0]), 0.0)
+            lift = max(2 * -self.smallest_pivot, lift)
+            lifted = cholesky(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
+        self._factor = lifted
 
     def solve(self, right: Array) -> Array:
         from scipy.linalg.lapack import dpotrs

@@ -181,7 +181,8 @@ def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
     Each is that of one component, with K z = 0 to rounding (`is_rigid`); what is not among them may float all the same.
     """
     graph = sp.csr_matrix(matrix)
-    return _rigid_among(graph, _soft_by_part(graph, motions))
+    soft = _soft_by_part(graph, motions)
+    return _rigid_among(graph, soft, abs(graph) @ abs(soft))
 
 
 def _soft_by_part(graph: Any, motions: Array) -> Array:
@@ -199,13 +200,13 @@ def _soft_by_part(graph: Any, motions: Array) -> Array:
     return np.column_stack(found) / root[:, None] if found else np.zeros((len(root), 0))
 
 
-def _rigid_among(graph: Any, motions: Array) -> RigidMotions:
-    """Select the rigid ones of some motions (n, q), with the forces that K's rounding leaves of them."""
+def _rigid_among(graph: Any, motions: Array, size: Array) -> RigidMotions:
+    """Select the rigid ones of some motions z (n, q), |K||z| being `size`, with the forces that K's rounding leaves."""
     if not motions.shape[1]:
         return RigidMotions(motions)
     diagonal = graph.diagonal()
     root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))[:, None]
-    forces, size = images(graph, motions), abs(graph) @ abs(motions)
+    forces = images(graph, motions)
     rigid = _is_rigid(root * motions, forces / root, size / root)
     return RigidMotions(motions[:, rigid], forces=forces[:, rigid])
 
@@ -268,16 +269,19 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
         soft[part.members, : part.motions.shape[1]] = part.motions
     graph, wanted = sp.csr_matrix(matrix), sum(part.motions.shape[1] for part in parts)
     motions = _soft_by_part(graph, elimination.expand_motions(scale[:, None] * soft))
-    found = _rigid_among(graph, _spread(graph, motions, graph @ motions))
+    size = abs(graph) @ abs(motions)
+    found = _rigid_among(graph, _spread(graph, motions, graph @ motions, size), size)
     if found.count < wanted:  # what is spread was itself rounding of doubles, perhaps
-        found = _rigid_among(graph, _spread(graph, motions, images(graph, motions)))
+        found = _rigid_among(graph, _spread(graph, motions, images(graph, motions), size), size)
     if found.count < wanted:
         return null_space(matrix)
     return RigidMotions(found.motions, min((part.next_energy for part in parts), default=1.0), found.forces)
 
 
-def _spread(matrix: Any, motions: Array, gathered: Array) -> Array:
+def _spread(matrix: Any, motions: Array, gathered: Array, size: Array) -> Array:
     """Rigid motions whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again.
+
+    Of motions z (n, r) are given the gathered forces (n, r) and their sizes |K||z| (n, r).
 
     Steps of conjugate gradients on K s = K z, until K (z - s) is rounding at every unknown: it is what they leave.
     """
@@ -285,7 +289,7 @@ def _spread(matrix: Any, motions: Array, gathered: Array) -> Array:
     inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
     root = np.sqrt(inverse)[:, None]
     spread = motions.copy()
-    rounding = SPREAD * np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions) / root, axis=0, initial=0.0) / root)
+    rounding = SPREAD * np.maximum(size, np.max(abs(motions) / root, axis=0, initial=0.0) / root)
     for z, force, within in zip(spread.T, gathered.T, rounding.T, strict=True):
         direction, last = np.zeros(len(z)), np.inf
         for _ in range(SPREADING):
