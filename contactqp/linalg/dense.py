@@ -79,7 +79,7 @@ class DenseCholesky:
             self._factor = factor
             self.smallest_pivot = float((factor.diagonal() ** 2).min(initial=np.inf)) if len(factor) else 1.0
             return
-        lift = LIFT * len(scaled)
+        lift = float(LIFT * len(scaled))
         self.smallest_pivot = 0.0
         lifted = lower_factor(scaled + lift * np.eye(len(scaled)))
         if lifted is None:  # it is indefinite by more than rounding
