@@ -36,7 +36,7 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     problem : ContactProblem
         Whose names and sizes the file is held against. Lists keep the file's order and length.
     tie_names : sequence of str, optional
-        What the ties are called, beside "tie 0", "tie 1", ...
+        What the ties are called, beside "tie 0", "tie 1", ...; as the problem names them by default.
 
     Raises
     ------
@@ -64,8 +64,8 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     if found.tie_names is None:
         return found
     names = [f"tie {k}" for k in range(problem.ties)]
-    if tie_names and set(found.tie_names) != set(names):
-        names = list(tie_names)
+    if set(found.tie_names) != set(names):
+        names = list(tie_names or map(problem.tie_name, range(problem.ties)))
     order = places(path, "tie_force", found.tie_names, names, found.ledger)
     return found._replace(parts={**found.parts, "tie_force": found.parts["tie_force"][order]})
 

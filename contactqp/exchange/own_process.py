@@ -122,7 +122,7 @@ def matlab(source: str) -> dict[str, Any]:
 
 
 def qps(source: str) -> dict[str, Any]:
-    """P, q, l <= C x <= u, lb <= x <= ub, the constant and the names of unknowns, by HiGHS."""
+    """P, q, l <= C x <= u, lb <= x <= ub, the constant and the names of unknowns and rows, by HiGHS."""
     import highspy
 
     reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]
@@ -148,12 +148,9 @@ def qps(source: str) -> dict[str, Any]:
     C = (sp.csc_matrix if by_columns else sp.csr_matrix)(entries, shape=(m, n))
     sides = {"l": linear.row_lower_, "u": linear.row_upper_, "lb": linear.col_lower_, "ub": linear.col_upper_}
     found = _parts("P", sign * P) | _parts("C", C) | {name: np.array(side, float) for name, side in sides.items()}
-    names = [str(name).encode() for name in linear.col_names_]
-    return found | {
-        "q": sign * np.array(linear.col_cost_),
-        "offset": float(linear.offset_),
-        "names": np.array(names, "S"),
-    }
+    names = {"names": linear.col_names_, "row_names": linear.row_names_}
+    found |= {key: np.array([str(name).encode() for name in given], "S") for key, given in names.items()}
+    return found | {"q": sign * np.array(linear.col_cost_), "offset": float(linear.offset_)}
 
 
 def _parts(name: str, matrix: Any) -> dict[str, Any]:

@@ -84,12 +84,17 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
     if importlib.util.find_spec("highspy") is None:
         raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
     found = _matrices(path, read_in_own_process(path, "qps", "a quadratic program in QPS form"))
-    sides = {name: found[name] for name in ("C", "l", "u", "lb", "ub")}
-    problem = ContactProblem.from_qp(found["P"], found["q"], **sides)
-    names = [name.decode("utf-8", errors="replace") for name in found["names"].ravel().tolist()]
-    if len(set(names)) == problem.dimension:
-        problem = problem.replace(dof_names=names)
+    parts = {name: found[name] for name in ("C", "l", "u", "lb", "ub")}
+    parts["dof_names"] = _names(found["names"], len(found["q"]))
+    parts["range_names"] = _names(found["row_names"], found["C"].shape[0])
+    problem = ContactProblem.from_qp(found["P"], found["q"], **parts)
     return problem, _ledger(path, problem, "QPS", float(found["offset"]))
+
+
+def _names(given: Any, count: int) -> list[str] | None:
+    """Return the names in a file, none where it does not name each of so many differently."""
+    names = [name.decode("utf-8", errors="replace") for name in given.ravel().tolist()]
+    return names if len(names) == len(set(names)) == count else None
 
 
 def _matrices(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:

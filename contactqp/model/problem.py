@@ -42,12 +42,12 @@ from contactqp.model.problem_data import (
     read_vector,
     rows_of_dense,
 )
-from contactqp.model.quadratic_program import QuadraticProgram, contact_data, quadratic_program
+from contactqp.model.quadratic_program import QuadraticProgram, contact_data, given_program, quadratic_program
 
 # What reading a stiffness has found.
 MEASURED = ("asymmetry", "rigid_change")
 # What problems that are derived from others carry along beside their data.
-CARRIED = ("load_sum", "tie_numbers", "_computed")
+CARRIED = ("load_sum", "_computed")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -78,7 +78,7 @@ class ContactProblem:
         A, rows of multi-point constraints and of supports kept as rows.
     tie_value : (k,) array, optional
         b [length]; zero by default.
-    dof_names, contact_names : sequences of distinct strings, optional
+    dof_names, contact_names, tie_names : sequences of distinct strings, optional
         Used in every message and table.
     units : Units or mapping with the keys ``length`` and ``force``, optional
     near_null_space : (n, q) array, optional
@@ -109,12 +109,12 @@ class ContactProblem:
     tie_value: Vector
     dof_names: tuple[str, ...] | None
     contact_names: tuple[str, ...] | None
+    tie_names: tuple[str, ...] | None
     units: Units
     near_null_space: NDArray[np.float64] | None
     asymmetry: float
     rigid_change: float
     load_sum: Vector | None  # (n,) sizes of the forces that add up to `load`, where these are not |load|
-    tie_numbers: NDArray[np.intp] | None  # (k,) the numbers of the ties in the problem that these are some of
     _computed: Computed
 
     @own_floating_point
@@ -133,6 +133,7 @@ class ContactProblem:
         contact_names: Sequence[str] | None = None,
         units: Units | Mapping[str, str] | None = None,
         near_null_space: ArrayLike | None = None,
+        tie_names: Sequence[str] | None = None,
     ) -> None:
         K, asymmetry, rigid_change = read_stiffness(stiffness, near_null_space)
         n = K.shape[0]
@@ -156,6 +157,7 @@ class ContactProblem:
             tie_value=read_vector("tie_value", np.zeros(A.shape[0]) if tie_value is None else tie_value, A.shape[0]),
             dof_names=read_names("dof_names", dof_names, n),
             contact_names=read_names("contact_names", contact_names, m),
+            tie_names=read_names("tie_names", tie_names, A.shape[0]),
             near_null_space=read_motions("near_null_space", near_null_space, n),
             units=read_units(units),
         )
@@ -178,8 +180,9 @@ class ContactProblem:
 
         Minimise 1/2 x'P x + q'x subject to G x <= h, A x = b, lb <= x <= ub and, by the keywords C, l, u, to
         l <= C x <= u. Contacts are in the order G, ranges, lower bounds, upper bounds and are called "row 3",
-        "range 4 upper", "lower 7"; infinite sides have none. Ranges and bounds whose sides are equal are ties after A.
-        z, y and z_box of qpsolvers are the forces of rows and ties, those of upper less those of lower bounds.
+        "range 4 upper", "lower 7"; infinite sides have none. Ranges and bounds whose sides are equal are ties after A,
+        "tie 2", "range 4", "fixed 7". With names of unknowns and ranges these stand for the numbers: "range r4 upper",
+        "lower x7". z, y and z_box of qpsolvers are the forces of rows, of ties, of upper less those of lower bounds.
 
         Parameters
         ----------
@@ -191,7 +194,7 @@ class ContactProblem:
         lb, ub : (n,) arrays, optional
             Infinite where there is no bound.
         **ranges
-            C (p, n), l (p,), u (p,).
+            C (p, n), l (p,), u (p,); dof_names of the n unknowns and range_names of the p rows of C.
 
         Raises
         ------
@@ -204,15 +207,7 @@ class ContactProblem:
         >>> problem.contact_names
         ('upper 0', 'upper 1')
         """
-        unknown = set(ranges) - {"C", "l", "u"}
-        if unknown:
-            raise InvalidProblem(f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u")
-        given: tuple[Any, ...] = (P, q, G, h, A, b, lb, ub)
-        if q is None:
-            if not all(hasattr(P, name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")):
-                raise InvalidProblem("from_qp: q: expected an array, got None")
-            given = (P.P, P.q, P.G, P.h, P.A, P.b, P.lb, P.ub)
-        return cls(**contact_data(QuadraticProgram(*given), **ranges))
+        return cls(**contact_data(given_program(P, q, G, h, A, b, lb, ub), **ranges))
 
     def to_qp(self) -> QuadraticProgram:
         """Return this frictionless problem with the arguments of `qpsolvers.Problem`.
@@ -235,8 +230,8 @@ class ContactProblem:
         return quadratic_program(self)
 
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
-        """Set the fields of the problem, arrays read-only; `load_sum` and `tie_numbers` are None where not given."""
-        vars(self).update(dict(load_sum=None, tie_numbers=None) | dict(values), _computed=computed)
+        """Set the fields of the problem, arrays read-only; `load_sum` is None where not given."""
+        vars(self).update(dict(load_sum=None) | dict(values), _computed=computed)
         # What everything asks for is there without a call.
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
@@ -291,7 +286,7 @@ class ContactProblem:
         `named` as the contacts.
         """
         names = self.contact_names if named else None
-        kept = dict(contact_names=names, units=self.units, asymmetry=0.0, rigid_change=0.0)
+        kept = dict(contact_names=names, tie_names=None, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = {name: csr_rows(matrix) for name, matrix in (("normal", normal), ("tie", tie))}
@@ -369,6 +364,8 @@ class ContactProblem:
     def replace(self, **changes: Any) -> ContactProblem:
         """The same problem with other data; K and the rows are kept, and with them their factorisation.
 
+        Other ties have the names that are given with them, or none.
+
         >>> problem = ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.0])
         >>> float(problem.replace(load=[3.0]).load[0])
         3.0
@@ -378,7 +375,8 @@ class ContactProblem:
         if unknown:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
         if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
-            made = ContactProblem(**{name: getattr(self, name) for name in known} | changes)
+            unnamed = {"tie_names": None} if "tie" in changes else {}
+            made = ContactProblem(**{name: getattr(self, name) for name in known} | unnamed | changes)
             for name in MEASURED if "stiffness" not in changes else ():
                 object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
             return made
@@ -393,7 +391,7 @@ class ContactProblem:
             origin = changes.get("slip_origin", self.slip_origin)
             friction = changes.get("friction", self.friction)
             _, checked["friction"], checked["slip_origin"] = read_friction(self.tangent, friction, origin, m, n)
-        for name, size in (("dof_names", n), ("contact_names", m)):
+        for name, size in (("dof_names", n), ("contact_names", m), ("tie_names", k)):
             if name in changes:
                 checked[name] = read_names(name, changes[name], size)
         if "units" in changes:
@@ -453,7 +451,8 @@ class ContactProblem:
     def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
         """The same problem with some of its ties only, which keep their names."""
         ties = read_places("ties", ties, self.ties)
-        kept = self._values() | dict(tie=self.tie[ties], tie_value=self.tie_value[ties], tie_numbers=ties)
+        kept = self._values() | dict(tie_names=tuple(map(self.tie_name, ties.tolist())))
+        kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @property
@@ -492,7 +491,7 @@ class ContactProblem:
         return self.dof_names[j] if self.dof_names else f"unknown {j}"
 
     def tie_name(self, i: int) -> str:
-        return f"tie {i if self.tie_numbers is None else self.tie_numbers[i]}"
+        return self.tie_names[i] if self.tie_names else f"tie {i}"
 
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""

@@ -7,12 +7,14 @@ is the contact problem with K = P, f = -q. Its contacts are, in this order, the 
 ranges (upper before lower, range by range), the finite lower bounds and the finite upper bounds; its ties are the rows
 of A, the ranges with l = u and the bounds with lb = ub. A lower side is the contact -C_i x <= -l_i. The multipliers are
 the forces: z = l_N of the rows of G, y = nu of those of A, and z_box of qpsolvers is l_N of an upper bound less that of
-the lower one.
+the lower one. Contacts and ties are called after what they are, with the number or the name of their range or unknown:
+"row 3", "range 4 upper", "lower 7", "tie 0", "range 5", "fixed 2"; "range limit upper", "lower x7".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -21,11 +23,11 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
-from contactqp.model.problem_data import read_array
+from contactqp.model.problem_data import read_array, read_names
 
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
 Names = tuple[list[str], list[str]]  # of contacts and of ties
-# How the contacts and ties that stand for bounds are called, before the number of the unknown.
+# How the contacts and ties that stand for bounds are called, before the number or name of the unknown.
 LOWER, UPPER, FIXED = "lower", "upper", "fixed"
 
 
@@ -53,31 +55,56 @@ class QuadraticProgram:
     ub: Vector | None = None
 
 
+def given_program(P: Any, q: Any, *others: Any) -> QuadraticProgram:
+    """Return the program that the arguments of `ContactProblem.from_qp` make, or P alone: a `qpsolvers.Problem`.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no q.
+    """
+    if q is not None:
+        return QuadraticProgram(P, q, *others)
+    names = [part.name for part in fields(QuadraticProgram)]
+    if not all(hasattr(P, name) for name in names):
+        raise InvalidProblem("from_qp: q: expected an array, got None")
+    return QuadraticProgram(*(getattr(P, name) for name in names))
+
+
 def contact_data(
     given: QuadraticProgram,
     C: Any = None,
     l: ArrayLike | None = None,  # noqa: E741
     u: ArrayLike | None = None,
+    dof_names: Sequence[str] | None = None,
+    range_names: Sequence[str] | None = None,
+    **unknown: Any,
 ) -> dict[str, Any]:
     """Return the arguments of `ContactProblem` for a program as it came, with ranges; see `ContactProblem.from_qp`.
 
     Raises
     ------
     InvalidProblem
-        A matrix came without its right-hand side or the other way round, shapes differ, or a lower side is above the
-        upper one.
+        There is no such argument, a matrix came without its right-hand side or the other way round, shapes differ, a
+        lower side is above the upper one, or names are not as many as what they name.
     """
+    if unknown:
+        raise InvalidProblem(
+            f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u, names as dof_names, range_names"
+        )
     load = -read_array("q", given.q).ravel()
     n = len(load)
     contacts, ties = [_given("G", given.G, "h", given.h, n)], [_given("A", given.A, "b", given.b, n)]
     names = [f"row {i}" for i in range(contacts[0][0].shape[0])], [f"tie {i}" for i in range(ties[0][0].shape[0])]
     ranges = _given("C", C, "u" if l is None else "l", u if l is None else l, n)[0]
-    sides = _sides("l", l, "u", u, ranges.shape[0])
-    _add_ranges(ranges, *sides, contacts, ties, names)
-    _add_bounds(*_sides("lb", given.lb, "ub", given.ub, n), contacts, ties, names)
+    sides, of_ranges = _sides("l", l, "u", u, ranges.shape[0]), read_names("range_names", range_names, ranges.shape[0])
+    _add_ranges(ranges, *sides, of_ranges or range(ranges.shape[0]), contacts, ties, names)
+    unknowns = read_names("dof_names", dof_names, n)
+    _add_bounds(*_sides("lb", given.lb, "ub", given.ub, n), unknowns or range(n), contacts, ties, names)
     normal, gap = (sp.vstack([rows for rows, _ in contacts]), np.concatenate([limit for _, limit in contacts]))
     tie, value = (sp.vstack([rows for rows, _ in ties]), np.concatenate([limit for _, limit in ties]))
-    return dict(stiffness=given.P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value, contact_names=names[0])
+    named = dict(dof_names=unknowns, contact_names=names[0], tie_names=names[1])
+    return dict(stiffness=given.P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value) | named
 
 
 def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int) -> tuple[Any, Vector]:
@@ -125,30 +152,53 @@ def _sides(lower: str, least: Any, upper: str, most: Any, count: int) -> tuple[V
     return sides[0], sides[1]
 
 
-def _add_ranges(rows: Any, least: Vector, most: Vector, contacts: Rows, ties: Rows, names: Names) -> None:
-    """Add ranges l <= C x <= u: ties where the sides are equal, contacts of their finite sides elsewhere."""
+def _add_ranges(
+    rows: Any, least: Vector, most: Vector, called: Sequence[str | int], contacts: Rows, ties: Rows, names: Names
+) -> None:
+    """Add ranges l <= C x <= u: ties where the sides are equal, contacts of their finite sides elsewhere.
+
+    Parameters
+    ----------
+    rows : (p, n) sparse matrix
+    least, most : (p,) arrays
+    called : names or numbers of the ranges
+    contacts, ties, names
+        What the rows and their names are added to.
+    """
     fixed = least == most
     ties.append((rows[np.flatnonzero(fixed)], most[fixed]))
-    names[1].extend(f"range {i}" for i in np.flatnonzero(fixed))
+    names[1].extend(f"range {called[i]}" for i in np.flatnonzero(fixed).tolist())
     number = np.repeat(np.arange(len(least)), 2)
     sign = np.tile([1.0, -1.0], len(least))
     limit = np.column_stack([most, -least]).ravel()
     taken = np.isfinite(limit) & ~np.repeat(fixed, 2)
     contacts.append((sp.diags(sign[taken]) @ rows[number[taken]], limit[taken]))
     words = {1.0: UPPER, -1.0: LOWER}
-    names[0].extend(f"range {i} {words[s]}" for i, s in zip(number[taken], sign[taken], strict=True))
+    names[0].extend(
+        f"range {called[i]} {words[s]}" for i, s in zip(number[taken].tolist(), sign[taken].tolist(), strict=True)
+    )
 
 
-def _add_bounds(least: Vector, most: Vector, contacts: Rows, ties: Rows, names: Names) -> None:
-    """Add bounds lb <= x <= ub: ties where they are equal, contacts elsewhere, the lower ones first."""
+def _add_bounds(
+    least: Vector, most: Vector, called: Sequence[str | int], contacts: Rows, ties: Rows, names: Names
+) -> None:
+    """Add bounds lb <= x <= ub: ties where they are equal, contacts elsewhere, the lower ones first.
+
+    Parameters
+    ----------
+    least, most : (n,) arrays
+    called : names or numbers of the unknowns
+    contacts, ties, names
+        What the rows and their names are added to.
+    """
     unit = sp.identity(len(least), format="csr")
     fixed = least == most
     ties.append((unit[np.flatnonzero(fixed)], most[fixed]))
-    names[1].extend(f"{FIXED} {j}" for j in np.flatnonzero(fixed))
+    names[1].extend(f"{FIXED} {called[j]}" for j in np.flatnonzero(fixed).tolist())
     for word, sign, values in ((LOWER, -1.0, least), (UPPER, 1.0, most)):
         taken = np.flatnonzero(np.isfinite(values) & ~fixed)
         contacts.append((sign * unit[taken], sign * values[taken]))
-        names[0].extend(f"{word} {j}" for j in taken)
+        names[0].extend(f"{word} {called[j]}" for j in taken.tolist())
 
 
 def quadratic_program(problem: Any) -> QuadraticProgram:
@@ -232,11 +282,11 @@ def _bounds_of(problem: Any) -> dict[int, tuple[str, int]]:
     found = {}
     rows = problem.normal
     for i, name in enumerate(problem.contact_names or ()):
-        side, _, number = name.partition(" ")
-        if side not in (LOWER, UPPER) or not number.isdecimal():
-            continue
+        side, _, unknown = name.partition(" ")
         start, end = rows.indptr[i], rows.indptr[i + 1]
-        sign = -1.0 if side == LOWER else 1.0
-        if end == start + 1 and rows.indices[start] == int(number) and rows.data[start] == sign:
-            found[i] = side, int(number)
+        if side not in (LOWER, UPPER) or end != start + 1:
+            continue
+        sign, j = -1.0 if side == LOWER else 1.0, int(rows.indices[start])
+        if unknown in (str(j), problem.dof_name(j)) and rows.data[start] == sign:
+            found[i] = side, j
     return found

@@ -171,7 +171,7 @@ def force_deviations(
         given, right = friction_force.ravel(), reference.friction_force.ravel()
         rows.append(("friction force", lambda i: name(i // width), given, right, problem.tangent))
     if tie_force is not None:
-        rows.append(("tie force", lambda i: f"tie {i}", tie_force, reference.tie_force, problem.tie))
+        rows.append(("tie force", problem.tie_name, tie_force, reference.tie_force, problem.tie))
     return [
         one
         for what, called, given, right, matrix in rows

@@ -97,10 +97,43 @@ def test_qps_files_are_read_by_highs(tmp_path: Path) -> None:
     problem = cq.read_problem(path)
     assert isinstance(problem, cq.ContactProblem)
     assert problem.dof_names == ("c1", "c2")
-    assert problem.contact_names == ("range 0 lower", "range 1 upper", "lower 0", "lower 1", "upper 0")
+    assert problem.contact_names == ("range r1 lower", "range r2 upper", "lower c1", "lower c2", "upper c1")
     solution = cq.solve(problem)
     assert solution.displacement == pytest.approx([0.7625, 0.475], rel=1e-12)
     assert solution.energy == pytest.approx(4.371875, rel=1e-12)
+
+
+def test_rows_and_columns_keep_the_names_of_their_file(tmp_path: Path) -> None:
+    pytest.importorskip("highspy")
+    path = tmp_path / "t.qps"
+    tied = QPS.replace(" L  r2", " L  r2\n E  sum").replace("RHS\n", "    c2        sum       1.0\nRHS\n")
+    path.write_text(tied.replace("RHS\n", "RHS\n    rhs1      sum       0.5\n").replace("UP bnd1", "FX bnd1"))
+    problem = cq.read_problem(path)
+    assert isinstance(problem, cq.ContactProblem)
+    assert problem.tie_names == ("range sum", "fixed c1")
+    assert problem.contact_names == ("range r1 lower", "range r2 upper", "lower c2")
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    for name in ("range r2 upper", "fixed c1"):
+        assert name in str(solution)
+    moved = solution.displacement + np.array([0.0, 1.0])
+    wrong = cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force)
+    assert "range sum is not met" in str(wrong)
+    back = problem.to_qp()
+    assert (back.lb[1], back.G.shape[0], back.A.shape[0]) == (0.0, 2, 2)
+    answer = answer_of_program(problem, solution.displacement, solution.tie_force, solution.normal_force[:2])
+    assert cq.certify(problem, **answer).proven
+
+
+def test_names_of_unknowns_and_ranges_stand_for_their_numbers() -> None:
+    parts = dict(lb=[0.0, 0.0], ub=[np.inf, 0.0], C=A, l=[1.0, -1.0], u=[1.0, np.inf])
+    named = cq.ContactProblem.from_qp(P, Q, **parts, dof_names=["a", "b"], range_names=["sum", "difference"])
+    assert named.contact_names == ("range difference lower", "lower a")
+    assert named.tie_names == ("range sum", "fixed b")
+    assert cq.ContactProblem.from_qp(P, Q, **parts).tie_names == ("range 0", "fixed 1")
+    assert named.with_ties(np.array([1])).tie_name(0) == "fixed b"
+    with pytest.raises(cq.InvalidProblem, match="range_names: expected 2 names, got 1"):
+        cq.ContactProblem.from_qp(P, Q, **parts, range_names=["sum"])
 
 
 def test_what_is_no_qps_is_refused(tmp_path: Path) -> None:
@@ -180,7 +213,7 @@ def test_explain_says_what_a_program_is_made_of(tmp_path: Path, capsys: pytest.C
         "range 1 upper: +1 unknown 0 -1 unknown 1 <= 3",
         "lower 0: -1 unknown 0 <= 0",
     ]
-    assert found["ties"] == ["tie 0: +1 unknown 0 +1 unknown 1 = 1"]
+    assert found["ties"] == ["range 0: +1 unknown 0 +1 unknown 1 = 1"]
     blocks = {block["name"]: block for block in found["blocks"]}
     assert blocks["bounds of single unknowns among them"]["reason"] == "1 bound"
     assert blocks["condensation"]["included"]

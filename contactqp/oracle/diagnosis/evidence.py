@@ -129,7 +129,7 @@ def symptoms(problem: ContactProblem, answer: Answer, certificate: Certificate) 
     if certificate.tie > limit:
         worst = int(np.argmax(found.tie))
         missed = abs(problem.tie[[worst]] @ answer.displacement - problem.tie_value[worst])[0]
-        yield Finding("tie", f"tie {worst} is missed by {missed:.3g}{length}")
+        yield Finding("tie", f"{problem.tie_name(worst)} is missed by {missed:.3g}{length}")
     if certificate.equilibrium > limit:
         worst = int(np.argmax(found.equilibrium))
         count = int(np.sum(found.equilibrium > limit))

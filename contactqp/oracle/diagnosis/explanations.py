@@ -333,8 +333,8 @@ def one_value(evidence: Evidence) -> Iterator[Explanation]:
     name, i, mine_value, should_value = wrong[0]
     problem, values = evidence.problem, getattr(evidence.given, name)
     width = values.shape[1] if values.ndim > 1 else 1
-    called = problem.dof_name if name == "displacement" else problem.contact_name
-    where = f"tie {i}" if name == "tie_force" else called(i // width)
+    called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
+    where = called(i // width)
     unit = unit_of(problem.units.length if name == "displacement" else problem.units.force)
     what = f"the {name.replace('_', ' ')} of {where}"
     text = f"all values are right but one: {what} is {mine_value:.6g}{unit} instead of {should_value:.6g}{unit}"

@@ -33,9 +33,9 @@ def read_case(path: str) -> Any:
 
 
 def tie_names(case: Any, ties: int) -> tuple[str, ...]:
-    """Return the names of a scene's ties, or their numbers."""
-    named = tuple(str(tie.name) for tie in case.ties) if isinstance(case, Scene) else ()
-    return named if len(named) == ties else tuple(f"tie {i}" for i in range(ties))
+    """Return the names of the ties of a scene or a problem, or their numbers."""
+    named = tuple(str(tie.name) for tie in case.ties) if isinstance(case, Scene) else getattr(case, "tie_names", None)
+    return named if named and len(named) == ties else tuple(f"tie {i}" for i in range(ties))
 
 
 FLOATS = "the problem's floats as they stand"

@@ -141,7 +141,7 @@ class Body(ReadOnly):
         )
         if np.any(on_bare & on_mass):
             i = int(np.argmax(on_bare & on_mass))
-            name = f"tie {i}" if what == "tie" else problem.contact_name(i)
+            name = problem.tie_name(i) if what == "tie" else problem.contact_name(i)
             raise Unsupported(f"{scheme}: {name} acts on unknowns with mass and on others without; take another scheme")
         return np.asarray(on_bare)
 
