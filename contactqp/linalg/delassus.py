@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import DenseCholesky
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -66,11 +66,6 @@ def contact_compliance(problem: ContactProblem, condensation: Condensation) -> C
         problem._computed.contact_compliance = _made(problem, condensation)
     made: ContactCompliance = problem._computed.contact_compliance
     return made
-
-
-def frictional_compliance(problem: ContactProblem) -> ContactCompliance:
-    """Return the contact compliance of a problem, condensing it where that is to be done yet."""
-    return contact_compliance(problem, condense(problem))
 
 
 def _made(problem: ContactProblem, condensation: Condensation) -> ContactCompliance:

@@ -23,6 +23,7 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, IDLE
 from contactqp.linalg.equilibration import Scaling, equilibrated, unknown_scale
+from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import scale_of_unknowns
@@ -423,29 +424,9 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
 def _cancelling(rows: Array) -> list[Fraction] | None:
     """The weights with which rows cancel, in rational numbers, by elimination; None where not exactly one ray does."""
     touched = np.flatnonzero(np.any(rows != 0, axis=0))
-    count = len(rows)
-    system = [[Fraction(float(x)) for x in rows[:, j]] for j in touched]  # one equation an unknown
-    pivots: list[int] = []
-    for column in range(count):
-        at = len(pivots)
-        row = next((i for i in range(at, len(system)) if system[i][column]), None)
-        if row is None:
-            continue
-        system[at], system[row] = system[row], system[at]
-        pivot = system[at][column]
-        system[at] = [x / pivot for x in system[at]]
-        for i in range(len(system)):
-            if i != at and (factor := system[i][column]):
-                system[i] = [x - factor * p for x, p in zip(system[i], system[at], strict=True)]
-        pivots.append(column)
-    free = sorted(set(range(count)) - set(pivots))
-    if len(free) != 1:
-        return None
-    weights = [Fraction(0)] * count
-    weights[free[0]] = Fraction(1)
-    for at, column in enumerate(pivots):
-        weights[column] = -system[at][free[0]]
-    return weights
+    balance = [[*(Fraction(float(x)) for x in rows[:, j]), ZERO] for j in touched]  # one equation an unknown
+    found = solutions(balance, len(rows))
+    return found.free[0] if found is not None and len(found.free) == 1 else None
 
 
 def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:
