@@ -226,9 +226,7 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
     Z, acting = condensation.rigid.motions, np.flatnonzero(push > 0)
     if not (Z.shape[1] and dropped.hi.any()):
         return dropped, tie_change
-    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
-    weight = np.concatenate([weight[acting], weight[problem.contacts :]])
-    rows = np.vstack([problem.normal[acting] @ Z, problem.tie @ Z]) * weight[:, None]
+    rows, weight = rows_on_motions(problem, condensation, acting)
     missing = -Z.T @ (problem.normal.T @ dropped.double())
     change, *_ = np.linalg.lstsq(rows.T, missing, rcond=None)
     size = abs(Z).T @ (abs(problem.normal).T @ dropped.double()) + abs(rows).T @ abs(change)
@@ -239,6 +237,19 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
     if np.any((force + changed).double()[acting] < 0):
         return dropped, tie_change
     return changed, tie_change + change[len(acting) :]
+
+
+def rows_on_motions(
+    problem: ContactProblem, condensation: Condensation, active: NDArray[np.intp]
+) -> tuple[Array, Vector]:
+    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
+
+    Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
+    """
+    Z = condensation.rigid.motions
+    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    weight = np.concatenate([weight[active], weight[problem.contacts :]])
+    return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
 
 
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:

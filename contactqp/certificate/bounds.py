@@ -45,7 +45,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair
+from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair, rows_on_motions
 from contactqp.certificate.energy_norm import (
     FEW_DIGITS,
     RIGID_ROUNDING,
@@ -62,7 +62,7 @@ from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.dense import delassus, free_motions, saddle_point
+from contactqp.linalg.dense import free_motions, saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RIGID_ENERGY
@@ -427,9 +427,7 @@ def _out_of_balance(
         left = EPS * forces_that_meet(problem, forces)
     else:
         left = np.finfo(float).eps * outer_forces(problem, forces)
-    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
-    weight = np.concatenate([weight[active], weight[problem.contacts :]])
-    rows = np.vstack([problem.normal[active] @ motions, problem.tie @ motions]) * weight[:, None]
+    rows, weight = rows_on_motions(problem, condensation, active)
     rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
     share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ left)
     return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])

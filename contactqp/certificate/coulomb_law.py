@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
@@ -266,27 +266,28 @@ def law_residual(
     """
     (slip, friction), (along, across, felt), least = rubbing, unit, nothing
     phi = np.maximum(along, np.where(felt, across, 0.0))
+    per_force = reciprocal(phi)
     L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
     gap = np.where(found.gap_measure > 0, found.gap, 0.0)
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
     rubbed = answer.friction_force
     rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
-    force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
-    velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
+    force = np.column_stack([answer.normal_force, -rubbed]) * per_force[:, None]
+    velocity = np.column_stack([gap, slip]) * reciprocal(L)[:, None]
     mu = np.where(felt, friction, 0.0)
-    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * _inverse(phi)
+    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * per_force
     missed = np.maximum(missed, 0.0) / (1.0 + mu)
-    return beyond(missed, least * _inverse(phi))
+    return beyond(missed, least * per_force)
 
 
 def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
     """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one; zero where no force meets."""
-    return np.where(entries.meets(meeting), _inverse(entries.largest(entries.over(meeting))), 0.0)
+    return np.where(entries.meets(meeting), reciprocal(entries.largest(entries.over(meeting))), 0.0)
 
 
 def least_force(entries: ContactEntries, none: Vector) -> Vector:
     """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
-    return _inverse(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
+    return reciprocal(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
@@ -296,19 +297,15 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
     """
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
-    unit = _inverse(entries.largest(scaled))  # so that squares are doubles
+    unit = reciprocal(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]
     own = [entries.sums(row * row) for row in scaled]
     meets = entries.meets(meeting)
     if len(own) == 1:
-        return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), 0.0), own[0] > 0
+        return np.where(meets, unit * np.sqrt(count) * reciprocal(np.sqrt(own[0])), 0.0), own[0] > 0
     shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
     sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
     felt = sine > PARALLEL
     largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
     smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
-    return np.where(meets, unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), 0.0), felt
-
-
-def _inverse(size: Vector) -> Vector:
-    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    return np.where(meets, unit * np.sqrt(count) * reciprocal(np.sqrt(smallest)), 0.0), felt

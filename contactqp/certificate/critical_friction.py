@@ -23,6 +23,7 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
+from contactqp.linalg.measures import ratio
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
@@ -60,7 +61,7 @@ class CriticalFriction(ReadOnly):
     @property
     def ratio(self) -> Vector:
         """(m,) mu_i / mu_c,i."""
-        return read_only(_above(self._friction, self.single))
+        return read_only(ratio(self._friction, self.single))
 
     _friction: Vector
 
@@ -162,7 +163,7 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
     unique, examined = kappa < 1.0, "kappa"
     if not unique and d == 2 and m <= MOST_COMBINED and not floats:
         unique, examined = _one_sign(W, mu), "determinants of all combinations of open, stick and slip"
-    contraction = float(np.max(_above(mu, single), initial=0.0))
+    contraction = float(np.max(ratio(mu, single), initial=0.0))
     return CriticalFriction(single, contraction, kappa, unique, examined, mu)
 
 
@@ -225,8 +226,3 @@ def _one_sign(W: Array, mu: Vector) -> bool:
     # A small determinant may be that of many small eigenvalues, and its sign still be known.
     values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
     return bool(np.all(values[:, -1] > SINGULAR_SYSTEM * values[:, 0]))
-
-
-def _above(friction: Vector, critical: Vector) -> Vector:
-    """mu / mu_c, infinite where any friction is above a critical coefficient of zero."""
-    return np.divide(friction, critical, out=np.where(friction > 0, np.inf, 0.0), where=critical > 0)

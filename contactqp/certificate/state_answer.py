@@ -35,7 +35,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
 from contactqp.linalg.iteration import iterated, iteration
-from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, in_energy, row_sizes
 from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array, Mask, Vector, inverse_root
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -405,7 +405,7 @@ class _Signs:
         sliding = (abs(status) == 1) & of._rubs
         against = np.maximum(-np.sum(refined.directions * slip, axis=1), 0.0)
         against = np.where(sliding & (against > of.still()), against, 0.0)
-        self._lengths = np.hypot(_over_root(penetrated, own_normal), _over_root(against, own_tangent))
+        self._lengths = np.hypot(in_energy(penetrated, own_normal), in_energy(against, own_tangent))
         self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against
         excess = beyond[:, None] * directions_of(self._friction)
         pushed = of._bodies.response_norm(-tension, excess) if np.any(tension) or np.any(beyond) else 0.0
@@ -431,10 +431,6 @@ def _squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
     """(m,) |E_i|^2 of rows, the largest of those of a contact."""
     squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
     return np.asarray(np.max(squared, axis=1, initial=0.0))
-
-
-def _over_root(length: Vector, compliance: Vector) -> Vector:
-    return np.divide(length, np.sqrt(compliance), out=np.zeros_like(length), where=compliance > 0)
 
 
 def _part(size: float, scale: float, nothing: float) -> float:

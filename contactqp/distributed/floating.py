@@ -24,6 +24,7 @@ from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import UNRESISTED
 from contactqp.linalg.contact_iteration import ConstrainedRows
 from contactqp.linalg.iteration import FLOATING
+from contactqp.linalg.measures import reciprocal
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Mask, Vector
@@ -138,7 +139,7 @@ class FloatingMotions(MotionProjections):
 
     def _set_rows(self, rows: Rows, compliance: Vector) -> None:
         self._rows = rows
-        self._stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
+        self._stiffness = reciprocal(compliance)
 
     @property
     def count(self) -> int:
@@ -148,7 +149,7 @@ class FloatingMotions(MotionProjections):
     @cached_property
     def moved(self) -> Array:
         """E Z (a, r), zero where it is rounding: a row that a motion moves by rounding alone does not resist it."""
-        own = np.sqrt(np.divide(1.0, self._stiffness, out=np.zeros_like(self._stiffness), where=self._stiffness > 0))
+        own = np.sqrt(reciprocal(self._stiffness))
         columns = [np.zeros((self._rows.count, 0))]
         for z in self.motions.T:
             size = self._ranks.max(float(np.max(np.sqrt(self._diagonal) * abs(z), initial=0.0)))

@@ -24,7 +24,7 @@ from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Flags, Limits
 from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections
-from contactqp.linalg.measures import force_measure
+from contactqp.linalg.measures import force_measure, reciprocal
 from contactqp.model.arrays import Index, Indices, Vector
 
 
@@ -33,7 +33,7 @@ class SeparateGram:
 
     def __init__(self, entries: sp.csr_matrix, compliance: Vector) -> None:
         own = entries.multiply(entries) @ compliance
-        self._stiffness = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
+        self._stiffness = reciprocal(own)
 
     def solve(self, lengths: Vector) -> Vector:
         """Return the forces (a,) on the rows that cause the lengths (a,)."""

@@ -23,6 +23,7 @@ from contactqp.distributed.ranks import (
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
+from contactqp.linalg.measures import reciprocal
 from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, SingularLevel, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 from contactqp.model.arrays import Array, Vector
@@ -101,7 +102,7 @@ class _HeldLevel(HeldLevel):
             return
         own = added.assembled(np.asarray(added.entries.multiply(added.entries).sum(axis=0)).ravel())
         self.diagonal = level.diagonal + own
-        scale = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
+        scale = reciprocal(own)
 
         def product(force: Vector) -> Vector:
             return added.lengths(scale * added.forces(force))

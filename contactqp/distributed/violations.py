@@ -27,7 +27,7 @@ from contactqp.distributed.floating import without_rigid_part
 from contactqp.distributed.problem import Bodies, DistributedProblem
 from contactqp.distributed.rows import Rows
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.measures import HELD_BY_DOUBLES, RowSizes, force_measure, imposed, sizes_of
+from contactqp.linalg.measures import HELD_BY_DOUBLES, RowSizes, force_measure, imposed, reciprocal, sizes_of
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
@@ -78,7 +78,7 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
     `elastic` (n_here,) is the displacement without its rigid part, as in `contactqp.linalg.measures.intrinsic_size`.
     """
     u, ranks = answer.displacement, problem.ranks
-    D = np.divide(1.0, np.sqrt(problem.diagonal), out=np.zeros_like(u), where=problem.diagonal > 0)
+    D = reciprocal(np.sqrt(problem.diagonal))
     sizes = [float(np.max(D * abs(problem.load), initial=0.0))]
     limits = [(problem.normal, problem.gap), (problem.tie, problem.tie_value)]
     if problem.tangent is not None and problem.slip_origin is not None:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.measures import ratio
+from contactqp.linalg.measures import ratio, reciprocal
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
 from contactqp.model.solution import Answer
@@ -127,7 +127,10 @@ class FrictionRows:
         compliance = iteration.own_compliance
         across = compliance[self.plain :].reshape(m, self.width)
         self._felt = across > 0
-        self._normal_stiffness, self.stiffness = _inverse(compliance[:m]), _inverse(np.max(across, axis=1, initial=0.0))
+        self._normal_stiffness, self.stiffness = (
+            reciprocal(compliance[:m]),
+            reciprocal(np.max(across, axis=1, initial=0.0)),
+        )
         friction = np.zeros(m) if problem.friction is None else problem.friction
         self.friction = np.where(self.stiffness > 0, friction, 0.0)
 
@@ -214,10 +217,6 @@ class FrictionRows:
     def tangential(self) -> sp.csr_matrix:
         """E_T over the unknowns that the rows touch."""
         return self.iteration.entries[self.plain :]
-
-
-def _inverse(size: Vector) -> Vector:
-    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
 
 
 # Steps of GMRES on one combination, and rounds of it, each on the residual anew.

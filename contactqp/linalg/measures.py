@@ -78,7 +78,7 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
 
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     """Return the sizes of rows over unknowns with these entries K_jj."""
-    compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
+    compliance = reciprocal(diagonal)
     size, row = abs(rows.data), _row_of_entries(rows)
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
     touching = np.flatnonzero(np.diff(rows.indptr))
@@ -275,7 +275,7 @@ def scale_of_unknowns(problem: ContactProblem) -> Vector:
     """
     if problem._computed.scale_of_unknowns is None:
         K = problem.diagonal
-        D = np.divide(1.0, np.sqrt(K), out=np.zeros_like(K), where=K > 0)
+        D = reciprocal(np.sqrt(K))
         unknown = K == 0  # yet
         while np.any(unknown):
             given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
@@ -429,8 +429,13 @@ def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
 
 
 def ratio(size: Vector, scale: Vector) -> Vector:
-    """size / scale with 0/0 = 0."""
+    """Return size / scale entry by entry, with 0/0 = 0 and infinity where the scale alone vanishes."""
     return np.divide(size, scale, out=np.where(size > 0, np.inf, 0.0), where=scale > 0)
+
+
+def reciprocal(size: Array) -> Array:
+    """Return 1/size entry by entry, and 0 where the size is not positive."""
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
 
 
 def beyond(size: Vector, none: Vector) -> Vector:

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
-from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
@@ -167,7 +167,7 @@ class StepJudge:
 
         It is that of the loads and of |x|_K, inertia included.
         """
-        D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)
+        D = reciprocal(self._unit)
         strain = np.sqrt(np.maximum(np.sum(x * (self._K @ x), axis=0), 0.0))
         return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))
 

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
+from contactqp.linalg.measures import reciprocal
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import de_saxce, lengths, onto_cone
 from contactqp.solving.friction.iterate import Iterate
@@ -86,7 +87,7 @@ def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray
     normal, tangential = outer[:, 0], outer[:, 1]
     r, done = np.zeros_like(outer), normal >= 0
     determinant = a * e - b * c
-    inverse = np.divide(1.0, determinant, out=np.zeros_like(a), where=determinant > 0)
+    inverse = reciprocal(determinant)
     stuck = np.column_stack([b * tangential - e * normal, c * normal - a * tangential]) * inverse[:, None]
     held = ~done & (determinant > 0) & (stuck[:, 0] >= 0) & (abs(stuck[:, 1]) <= mu * stuck[:, 0])
     r[held], done = stuck[held], done | held
