@@ -189,3 +189,17 @@ def shown(value: object) -> str:
         return " ".join(_BRIEF.repr(value).split()) if isinstance(value, _AS_WRITTEN) else type(value).__name__
     except Exception:  # noqa: BLE001  an integer of thousands of digits, entries whose own words fail
         return type(value).__name__
+
+
+def meant(unknown: Sequence[str], known: Sequence[str]) -> str:
+    """Return the known names that are nearest to unknown ones, in words; all of them where none is near.
+
+    >>> meant(["norml"], ["load", "normal"]), meant(["xyz"], ["load", "normal"])
+    (" (do you mean 'normal'?)", '; its arguments: load, normal')
+    """
+    from difflib import get_close_matches
+
+    near = [one for name in unknown for one in get_close_matches(name, known, n=1)]
+    if near:
+        return f" (do you mean {' and '.join(map(repr, near))}?)"
+    return f"; its arguments: {', '.join(known)}" if unknown else ""

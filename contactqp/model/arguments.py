@@ -12,7 +12,6 @@ import numbers
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from decimal import Decimal
-from difflib import get_close_matches
 from fractions import Fraction
 from functools import wraps
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem, cure_of, shown
+from contactqp.errors import InvalidProblem, cure_of, meant, shown
 from contactqp.model.problem_data import is_whole
 
 P = ParamSpec("P")
@@ -85,11 +84,7 @@ def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[
 def _meant(signature: inspect.Signature, given: Mapping[str, Any]) -> str:
     """Return the arguments whose names are nearest to those that a function has not, in words."""
     names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
-    unknown = [name for name in given if name not in names]
-    near = [one for name in unknown for one in get_close_matches(name, names, n=1)]
-    if near:
-        return f" (do you mean {' and '.join(map(repr, near))}?)"
-    return f"; its arguments: {', '.join(names)}" if unknown else ""
+    return meant([name for name in given if name not in names], names)
 
 
 def _stated_types(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, wraps
-from inspect import isfunction
+from inspect import isfunction, signature
 from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, meant
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]  # one number an unknown, contact, tie
@@ -66,6 +66,28 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
                 raise InvalidProblem(TOO_FAR_APART.format(error)) from error
 
     return computing
+
+
+def refuses_other_names(function: Callable[P, R]) -> Callable[P, R]:
+    """Refuse keywords that a constructor does not have, which reads its arguments itself.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no argument of that name; the nearest one is given.
+    """
+    names = [*signature(function).parameters][1:]
+    known = frozenset(names)
+
+    @wraps(function)
+    def calling(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not kwargs.keys() <= known:
+            unknown = [name for name in kwargs if name not in known]
+            called = " or ".join(map(repr, unknown))
+            raise InvalidProblem(f"{type(args[0]).__name__}: no argument is called {called}{meant(unknown, names)}")
+        return function(*args, **kwargs)
+
+    return calling
 
 
 def computes(kind: C) -> C:

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector, computes, own_floating_point
+from contactqp.model.arrays import Vector, computes, own_floating_point, refuses_other_names
 from contactqp.model.problem_data import (
     Matrix,
     ReadOnly,
@@ -90,6 +90,7 @@ class LocalProblem(ReadOnly):
     contact_names: tuple[str, ...] | None
     asymmetry: float
 
+    @refuses_other_names
     @own_floating_point
     def __init__(
         self,

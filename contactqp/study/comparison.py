@@ -18,6 +18,7 @@ from contactqp.errors import (
     NotCertified,
     NotConverged,
     Unsupported,
+    shown,
 )
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.arguments import checked
@@ -391,11 +392,14 @@ class Comparison(Printed, Sequence[Row]):
         return to_csv(self.rows)
 
 
+HOW_OPTIONS = "options are keywords, penalty=1e4, several values of a knob knobs={'penalty': [1e4, 1e6]}"
+
+
 @checked
 @own_floating_point
 def compare(
     problem: ContactProblem,
-    methods: str | Sequence[str] | None = None,
+    methods: str | Sequence[Any] | None = None,
     reference: Reference | None = None,
     *,
     knobs: Mapping[str, Sequence[float]] | None = None,
@@ -427,8 +431,8 @@ def compare(
     Unsupported
         There is no method of that name.
     InvalidProblem
-        The reference has wrong shapes; a knob is given for a method that is not compared or has none; an option that
-        none of the methods takes.
+        Methods are no names; the reference has wrong shapes; a knob is given for a method that is not compared or has
+        none; an option that none of the methods takes.
 
     Examples
     --------
@@ -438,6 +442,9 @@ def compare(
     >>> [(row.method, row.verdict, f"{row.error_force:.0e}") for row in table]
     [('active-set', 'right', '0e+00'), ('penalty', 'approximate', '2e-03')]
     """
+    for name in () if methods is None or isinstance(methods, str) else methods:
+        if not isinstance(name, str):
+            raise InvalidProblem(f"compare: methods: expected names, got {shown(name)}; {HOW_OPTIONS}")
     chosen = chosen_methods(methods)
     values = dict(knobs or {})
     for name in values:

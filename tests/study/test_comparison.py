@@ -242,6 +242,13 @@ def test_it_says_first_who_is_fastest_and_who_is_not_right_and_goes_by_their_tim
     assert none[0] == "no method has a right answer; wrong but passed: liar"
 
 
+def test_methods_with_options_in_them_are_told_how_options_are_given() -> None:
+    for methods in ([("penalty", {"penalty": 1e4})], [{"penalty": 1e4}]):
+        with pytest.raises(cq.InvalidProblem, match=r"options are keywords, penalty=1e4, .* knobs=") as told:
+            cq.compare(two_bars(), methods)
+        assert "\n" not in str(told.value)
+
+
 def test_options_go_to_the_methods_that_take_them() -> None:
     table = cq.compare(two_bars(), ["active-set", "penalty", "augmented-lagrangian"], penalty=1e6, tolerance=1e-6)
     assert [(row.method, row.knob_value) for row in table] == [
@@ -256,9 +263,7 @@ def test_options_go_to_the_methods_that_take_them() -> None:
         cq.compare(two_bars(), ["active-set", "penalty"], penalti=1e6)
     with pytest.raises(cq.InvalidProblem, match="none of the methods takes an option 'penalty'"):
         cq.compare(two_bars(), "active-set", penalty=1e6)
-    with pytest.raises(
-        cq.InvalidProblem, match=r"methods\[0\]: expected a string, got .'penalty', {'penalty': 10000.0}."
-    ):
+    with pytest.raises(cq.InvalidProblem, match=r"methods: expected names, got .'penalty', {'penalty': 10000.0}."):
         cq.compare(two_bars(), [("penalty", {"penalty": 1e4})])
 
 

@@ -31,6 +31,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.summary import counted
+from contactqp.solving.friction.enumeration import refuse_many
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
 ROUNDED = 1e-9
@@ -153,7 +154,8 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
     InvalidProblem
         There is no friction, or an exact value is none of the problem's.
     Unsupported
-        Too many contacts or unknowns, or two tangential rows a contact.
+        Too many contacts or unknowns, as of a meshed body, or two tangential rows a contact: `contactqp.equilibria`
+        lists, in doubles, the equilibria of at most eight contacts on any number of unknowns.
 
     Examples
     --------
@@ -177,7 +179,11 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
         (problem.dimension, MOST_UNKNOWNS, "unknowns"),
     ):
         if count > most:
-            raise Unsupported(f"exact_equilibria: {count} {what}; at most {most} are few enough for rational numbers")
+            listed = refuse_many(problem.contacts) is None
+            beside = "; contactqp.equilibria lists those of this problem in doubles" if listed else ""
+            raise Unsupported(
+                f"exact_equilibria: {count} {what}; at most {most} are few enough for rational numbers{beside}"
+            )
     return _listed(_Bodies(ExactData(problem, exact)))
 
 
