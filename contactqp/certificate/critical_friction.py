@@ -42,13 +42,17 @@ SINGULAR = 1e-12
 SINGULAR_SYSTEM = 1e-11
 
 
+# What messages call `CriticalFriction.contraction`.
+LARGEST_RATIO = "largest ratio of a contact's friction coefficient to its critical value"
+
+
 @computes
 @dataclass(frozen=True, eq=False)
 class CriticalFriction(ReadOnly):
     """What the bodies' compliance says of friction, whatever the load."""
 
     single: Vector  # (m,) mu_c = W_NN / |W_NT|, each contact alone; infinite where normal and tangent are uncoupled
-    contraction: float  # max mu_i / mu_c,i: the factor by which Tresca's fixed point contracts at one sliding contact
+    contraction: float  # max mu_i / mu_c,i; one sliding contact's error is that many times smaller a Tresca step
     kappa: float  # below 1 there is one answer to every load; infinite where W is singular or a body floats
     unique: bool  # there is one answer to every load, by kappa or by all determinants
     examined: str  # how that was found out
@@ -78,10 +82,11 @@ class CriticalFriction(ReadOnly):
 @checked
 @own_floating_point
 def critical_friction(problem: ContactProblem) -> CriticalFriction:
-    """The critical coefficients of the contacts, the estimate of Tresca's contraction, and whether answers are unique.
+    """Return the critical friction coefficient of every contact, and whether there is one answer to every load.
 
-    Where the largest mu_i/mu_c,i is 1 or more, Tresca's fixed point cycles without damping as soon as that contact
-    slides in the unfavourable direction, and loads exist that have several answers (Klarbring 1990).
+    Where the largest ratio mu_i / mu_c,i of a coefficient to its critical value is 1 or more, loads exist that have
+    several answers (Klarbring 1990), and the Tresca fixed-point iteration does not converge without damping as soon as
+    that contact slides in the unfavourable direction.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.critical_friction import MOST_CONTACTS, CriticalFriction, of_operator
+from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.extended import velocity_of
@@ -92,7 +92,7 @@ def _reason(problem: LocalProblem, known: CriticalFriction) -> str:
             f"may exist: mu = {problem.friction[i]:.3g} of {problem.contact_name(i)} is not below the critical "
             f"{known.single[i]:.3g}"
         )
-    return f"are not excluded: largest mu/mu_c of a contact alone {known.contraction:.3g}"
+    return f"are not excluded ({LARGEST_RATIO}: {known.contraction:.3g})"
 
 
 def _dependent(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.critical_friction import (
+    LARGEST_RATIO,
     SINGULAR_SYSTEM,
     CriticalFriction,
     combinations,
@@ -243,7 +244,7 @@ UNKNOWN = "not examined"
 DEPENDENT_CONTACTS = 1e-10
 # Pivots of their Gram matrix above this part of one say that they do not.
 INDEPENDENT = 1e-12
-# Linearising Tresca's fixed point takes a dense system of all closed contacts, at every answer.
+# Linearising the Tresca fixed-point iteration takes a dense system of all closed contacts, at every answer.
 MOST_LINEARISED = 100
 # A contact takes part in a dependence with a share of at least this.
 SHARE = 1e-6
@@ -255,7 +256,7 @@ class Uniqueness:
 
     findings: tuple[str, ...] = ()  # none: with friction, this is the only answer
     notes: tuple[str, ...] = ()
-    contraction: float | None = None  # of Tresca's fixed point at this answer
+    contraction: float | None = None  # of the Tresca fixed-point iteration at this answer
 
 
 def uniqueness(
@@ -276,8 +277,9 @@ def uniqueness(
     notes = [note for _, note in said if note]
     if contraction is not None and contraction >= 1:
         notes.append(
-            f"friction: Tresca's fixed point multiplies the error of its bounds by {contraction:.3g} around this "
-            "answer: without damping it cycles"
+            "friction: the Tresca fixed-point iteration, each step of which takes its friction bounds from the forces "
+            f"of the step before, multiplies their error by {contraction:.3g} a step near this answer: without damping "
+            "it does not converge"
         )
     return Uniqueness(tuple(finding for finding, _ in said if finding), tuple(notes), contraction)
 
@@ -326,7 +328,7 @@ def _reason(problem: ContactProblem, known: CriticalFriction) -> str:
         mu = 0.0 if problem.friction is None else float(problem.friction[i])
         others = f", as at {len(known.above) - 1} more contacts" if len(known.above) > 1 else ""
         return f"mu = {mu:.3g} of {problem.contact_name(i)} is not below the critical {known.single[i]:.3g}{others}"
-    single = f"largest mu/mu_c of a contact alone: {known.contraction:.3g}"
+    single = f"{LARGEST_RATIO}: {known.contraction:.3g}"
     if np.isfinite(known.kappa):
         return f"coupled contacts are above the sufficient bound for one answer, kappa = {known.kappa:.3g}; {single}"
     return f"contacts are redundant or alone hold a body, which no bound covers; {single}"

@@ -42,7 +42,7 @@ from contactqp.model.solution import (
     Work,
 )
 from contactqp.model.unknown_names import describe_motion
-from contactqp.solving.friction.algorithms import ALGORITHMS
+from contactqp.solving.friction.algorithms import ALGORITHMS, name_of
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
@@ -114,7 +114,7 @@ def solve_distributed(
     elif problem.frictional:
         certifiable = partial(_certifiable, problem, tolerance)
         candidate = solve_friction_by_iteration(problem, iteration, settings, warm_start, ENERGY, certifiable)
-        method = f"tresca with {method}"
+        method = name_of("tresca", method)
     else:
         candidate = solve_by_iteration(problem, iteration, settings, ENERGY)
     answer = Answer(candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force)

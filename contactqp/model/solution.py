@@ -91,7 +91,8 @@ class Certificate(ReadOnly, Printed):
     right. "several answers": others exist at this load; "several answers possible": none of the tests excludes them
     (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
     unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
-    factor by which Tresca's fixed point changes the error of its bounds around this answer.
+    factor by which a step of the Tresca fixed-point iteration multiplies the error of its friction bounds near this
+    answer.
 
     `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
     the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
@@ -133,7 +134,8 @@ class Certificate(ReadOnly, Printed):
     # With friction, what speaks against this being the only answer; without it displacements and strains are unique,
     # and a note says so where forces are not.
     uniqueness: tuple[str, ...]
-    contraction: float | None  # from 1 on, Tresca's fixed point cycles without damping; None beyond 100 closed contacts
+    # From 1 on the Tresca fixed-point iteration does not converge without damping; None beyond 100 closed contacts.
+    contraction: float | None
     tolerance: float
     error_tolerance: float
     passed: bool

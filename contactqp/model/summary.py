@@ -88,7 +88,11 @@ def headline(solution: Any) -> list[str]:
     first = f"{solution.method}: {verdict_of(certificate)}; {energy}; {1e3 * solution.seconds:.3g} ms"
     said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     said += [f"free to move: {motion}" for motion in solution.free_motions]
-    return [first, *(line for text in said for line in wrapped(text))]
+    return [*_first_lines(first), *(line for text in said for line in wrapped(text))]
+
+
+def _first_lines(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  ")
 
 
 def verdict_of(certificate: Any) -> str:
@@ -365,7 +369,8 @@ def local_summary(solution: Any) -> str:
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
     title = _title_of_contacts(solution.contact_status, True, len(shown))
     first = f"{solution.method}: {verdict}; {1e3 * solution.seconds:.3g} ms"
-    return "\n".join([first, *(line for text in said for line in wrapped(text)), Table(title, columns, rows).text()])
+    lines = [*_first_lines(first), *(line for text in said for line in wrapped(text))]
+    return "\n".join([*lines, Table(title, columns, rows).text()])
 
 
 def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: str) -> int:

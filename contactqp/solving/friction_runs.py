@@ -32,7 +32,7 @@ from contactqp.model.arrays import Array
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
-from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
+from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
@@ -66,15 +66,15 @@ def solve_associated(problem: ContactProblem, method: Method, settings: Settings
             refuse_conflict(problem, condense(problem))
             refuse_driven_motion(problem, condense(problem))
             raise
-        return answer, "associated with clarabel (not Coulomb)"
+        return answer, "associated friction law by clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
     # A start has one force a contact, and the program two.
     found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final()
     parts = (found.displacement, found.normal_force, found.tie_force)
     certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
     if not certificate.passed:
-        raise NotConverged(f"associated with {method.name}: {'; '.join(certificate.failures)}")
-    return recovered(problem, *parts), f"associated with {method.name} (not Coulomb)"
+        raise NotConverged(f"associated friction law by {method.name}: {'; '.join(certificate.failures)}")
+    return recovered(problem, *parts), f"associated friction law by {method.name} (not Coulomb)"
 
 
 # A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
@@ -250,7 +250,7 @@ class IteratedFrictionRun(RunByIteration):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
         super().__init__(problem, method, frictional_iteration)
-        self.name = f"tresca with {method.name}"
+        self.name = name_of("tresca", method.name)
         refuse_indefinite_by_iteration(problem, self.iteration)
         start = _known_answer(problem, settings.warm_start)
         certifiable = partial(holds_by_products, problem)

@@ -20,7 +20,7 @@ from contactqp.linalg.runtime import THREADS_PAY, on_one_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.alart_curnier import newton
-from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
+from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any
 from contactqp.solving.friction.conic import refuse_unbalanced
 from contactqp.solving.friction.enumeration import Combinations, refuse_many
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, has_local_equilibrium
@@ -158,7 +158,7 @@ def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any])
     known = (*POLYGON_OPTIONS, *find(method).options) if convex else ()
     unknown = sorted(set(options) - set(known))
     if unknown:
-        whose = f"{algorithm} with {method}" if convex else (algorithm or "friction")
+        whose = name_of(str(algorithm), method) if convex else (algorithm or "friction")
         raise InvalidProblem(f"{whose}: unknown option {unknown[0]!r}; its own options: {', '.join(known) or 'none'}")
 
 

@@ -48,6 +48,16 @@ class Algorithm:
     on_ranks: bool = False  # whether ranks of MPI can take it
 
 
+def name_of(algorithm: str, method: str) -> str:
+    """Return what an answer calls an algorithm whose steps are convex problems, and the method that solves these.
+
+    >>> name_of("tresca", "active-set"), name_of("aclm", "clarabel")
+    ('Tresca fixed-point iteration, each step by active-set', 'aclm, each step by clarabel')
+    """
+    called = {"tresca": "Tresca fixed-point iteration"}.get(algorithm, algorithm)
+    return f"{called}, each step by {method}"
+
+
 def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
     del steps
     yield newton(form, start)
@@ -68,7 +78,7 @@ def _tresca_on_bodies(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
 ) -> FoundOnBodies:
     found = solve_tresca(problem, condensation, method, settings)
-    return FoundOnBodies(found.answer, f"tresca with {method.name}", found.changes)
+    return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
 
 
 def _newton_on_bodies(
@@ -164,7 +174,7 @@ def run_algorithm(
         Of the convex method, or an overflow.
     """
     steps = ConvexSteps(form, method, settings) if algorithm.convex else None
-    name = algorithm.name if steps is None else f"{algorithm.name} with {method.name}{steps.polygons}"
+    name = algorithm.name if steps is None else name_of(algorithm.name, method.name + steps.polygons)
     deadline = Deadline(settings.time_limit)
     limit = algorithm.limit if settings.max_iter is None else settings.max_iter
     patience = min(algorithm.patience, PATIENCE + PATIENCE_A_CONTACT * form.m)

@@ -34,7 +34,7 @@ def test_example_2_18(method: cq.methods) -> None:
     np.testing.assert_allclose(solution.displacement, [float(x) for x in DISPLACEMENT], rtol=1e-13)
     np.testing.assert_allclose(solution.normal_force, float(FORCE), rtol=1e-13)
     np.testing.assert_allclose(solution.friction_force[0], 0.3 * float(FORCE), rtol=1e-13)
-    assert solution.method == f"associated with {method.name} (not Coulomb)"
+    assert solution.method == f"associated friction law by {method.name} (not Coulomb)"
     certificate = solution.certificate
     assert not certificate.passed
     assert certificate.complementarity > 1e-3
@@ -135,7 +135,7 @@ def test_space_and_plane_agree() -> None:
     K[:2, :2], K[2, 2] = flat.stiffness, 1.0
     solid = cq.ContactProblem(K, [-2.0, 3.0, 0.0], [[-1.0, 0.0, 0.0]], [0.1], tangent=np.eye(3)[1:], friction=0.4)
     one, other = (cq.solve(p, algorithm="associated") for p in (flat, solid))
-    assert other.method == "associated with clarabel (not Coulomb)"
+    assert other.method == "associated friction law by clarabel (not Coulomb)"
     np.testing.assert_allclose(other.displacement, [*one.displacement, 0.0], atol=1e-13)
     np.testing.assert_allclose(other.normal_force, one.normal_force, rtol=1e-12)
     np.testing.assert_allclose(other.friction_force[0], [one.friction_force[0, 0], 0.0], atol=1e-12)

@@ -282,5 +282,7 @@ def test_where_the_iteration_ends_without_an_answer_the_body_is_factorised(
         cq.solve(large, time_limit=600.0)
     solution = cq.solve(large)
     assert solution.work.factorisations > 0
-    assert solution.work.routes[0].startswith("tresca with active-set: tresca: the friction bounds have not settled")
+    assert solution.work.routes[0].startswith(
+        "Tresca fixed-point iteration, each step by active-set: tresca: the friction bounds have not settled"
+    )
     assert solution.work.routes[1] == "factorised: its answer is certified"

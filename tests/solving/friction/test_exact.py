@@ -59,7 +59,7 @@ def test_every_exact_method_solves_the_convex_steps(method) -> None:
     assert method.semidefinite
     solution = cq.solve(rough_truss(), method.name, algorithm="tresca")
     np.testing.assert_allclose(solution.displacement[0], 30058 / 30933965, rtol=1e-15)
-    assert solution.method == f"tresca with {method.name}"
+    assert solution.method == f"Tresca fixed-point iteration, each step by {method.name}"
 
 
 def test_the_chapters_own_answer_is_refused() -> None:
