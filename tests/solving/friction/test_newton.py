@@ -47,7 +47,7 @@ def test_what_it_finds_is_among_all_equilibria(seed: int) -> None:
 def test_a_warm_start_is_newtons_and_what_newton_cannot_is_tresca_s() -> None:
     first = cq.solve(two_masses(12.0))
     again = cq.solve(two_masses(11.9, (4.6425e-3, 1.419e-2)), warm_start=first)
-    assert first.method.startswith("tresca")
+    assert first.method.startswith("Tresca")
     assert again.method == "newton"
     assert again.contact_status.tolist() == ["stick", "stick"]
     with pytest.raises(cq.NotConverged, match="newton"):
