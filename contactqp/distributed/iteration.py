@@ -22,10 +22,10 @@ from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
-from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Flags, Limits
+from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections
 from contactqp.linalg.measures import force_measure, reciprocal
-from contactqp.model.arrays import Index, Indices, Vector
+from contactqp.model.arrays import Index, Indices, Mask, Vector
 
 
 class SeparateGram:
@@ -178,15 +178,15 @@ class DistributedIteration(ContactIteration):
         """Return the inner product a'b of all ranks together."""
         return self._ranks.dot(a, b)
 
-    def any(self, flags: Flags | bool) -> bool:
+    def any(self, flags: Mask | bool) -> bool:
         """Return whether any flag is set on any rank."""
         return self._ranks.any(flags)
 
-    def count(self, flags: Flags) -> int:
+    def count(self, flags: Mask) -> int:
         """Return how many flags are set on all ranks."""
         return int(self._ranks.sum(int(np.sum(flags))))
 
-    def mark(self, flags: Flags) -> object:
+    def mark(self, flags: Mask) -> object:
         """Return a number that is the same on all ranks, and the same for the same flags on all ranks."""
         return int(self._ranks.sum(hash((self._ranks.rank, flags.tobytes()))))
 
@@ -201,7 +201,6 @@ class DistributedIteration(ContactIteration):
         return self._own_compliance
 
     def product(self, x: Vector) -> Vector:
-        """Return the forces K x of a displacement."""
         return self._problem.product(x)
 
     def product_sizes(self, x: Vector) -> Vector:
@@ -235,12 +234,11 @@ class DistributedIteration(ContactIteration):
         closed = np.isin(np.arange(self._problem.contacts), rows)
         return self.at_rest(self.constrained(self.rows.entries[rows], limit), closed)
 
-    def at_rest(self, held: ConstrainedRows, closed: Flags) -> ConstrainedRows:
+    def at_rest(self, held: ConstrainedRows, closed: Mask) -> ConstrainedRows:
         """Return projections that also remove motions which no closed contact and no further row holds."""
         return self.floating.projections(held, closed)
 
-    def supports(self, closed: Flags, load: Vector) -> bool:
-        """Return whether closed contacts and all further rows hold every rigid motion that a load drives."""
+    def supports(self, closed: Mask, load: Vector) -> bool:
         return not self.floating.count or self.floating.holds(closed, load)
 
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> DistributedConstrainedRows:
@@ -254,13 +252,12 @@ class DistributedIteration(ContactIteration):
         held.close(x)
         residual -= self.product(x - away)
 
-    def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
-        """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
+    def rest(self, problem: Limits) -> tuple[Vector, Mask] | None:
         if not self.floating.count:
             return None
         return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))
 
-    def supported(self, problem: Limits, closed: Flags, x: Vector) -> Flags:
+    def supported(self, problem: Limits, closed: Mask, x: Vector) -> Mask:
         """Return closed contacts, and where they leave a body loose those that it would come to rest on."""
         if self.supports(closed, problem.load):
             return closed
@@ -293,7 +290,6 @@ class DistributedIteration(ContactIteration):
         return ConjugateGradients(self.product, precondition, x, residual, held, self.dot)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
-        """Return conjugate gradients on K e = r from e = 0; r is changed in place."""
         x = np.zeros_like(residual)
         return ConjugateGradients(self.product, self._precondition, x, residual, self.floating, self.dot)
 

@@ -16,15 +16,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.krylov import ConjugateGradients, Projections
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
 
-Flags = NDArray[np.bool_]
 # Vectors that GMRES keeps until it starts anew.
 RESTART = 60
 
 
 class Limits(Protocol):
-    """A contact problem as far as an iteration asks it: what changes from load to load."""
+    """The part of a contact problem that changes from load to load, as an iteration reads it."""
 
     @property
     def load(self) -> Vector: ...  # (n,)
@@ -37,13 +36,13 @@ class Limits(Protocol):
 
 
 class ConstrainedRows(Projections, Protocol):
-    """The projections of some rows, held at limits."""
+    """Projections onto the displacements at which some rows are held at their limits."""
 
     def close(self, x: Vector) -> None:
-        """Move x onto the limits, in place."""
+        """Move x onto the limits of the rows, in place."""
 
     def forces(self, r: Vector) -> Vector:
-        """The forces on the rows that carry r best."""
+        """Return the forces on the rows that balance r best."""
 
 
 class ContactIteration(ABC):
@@ -66,7 +65,7 @@ class ContactIteration(ABC):
         self.least_eigenvalue, self.longest_run = 1.0, 0
 
     def learn(self, run: ConjugateGradients) -> None:
-        """Keep the least Ritz value of a run."""
+        """Keep the least Ritz value and the length of a run."""
         self.longest_run = max(self.longest_run, run.steps)
         self.least_eigenvalue = min(self.least_eigenvalue, run.least_eigenvalue())
 
@@ -77,16 +76,16 @@ class ContactIteration(ABC):
         """Return the inner product a'b of two vectors."""
 
     @abstractmethod
-    def any(self, flags: Flags | bool) -> bool:
-        """Whether any flag is set."""
+    def any(self, flags: Mask | bool) -> bool:
+        """Return whether any flag is set, on any process."""
 
     @abstractmethod
-    def count(self, flags: Flags) -> int:
-        """How many are set."""
+    def count(self, flags: Mask) -> int:
+        """Return the number of flags that are set."""
 
     @abstractmethod
-    def mark(self, flags: Flags) -> object:
-        """Something to tell this set of flags from others by."""
+    def mark(self, flags: Mask) -> object:
+        """Return a hashable value that tells this set of flags from others."""
 
     @abstractmethod
     def largest(self, values: Vector) -> Vector:
@@ -97,12 +96,12 @@ class ContactIteration(ABC):
     @property
     @abstractmethod
     def diagonal(self) -> Vector:
-        """D = diag K (n,) [force / length]."""
+        """The diagonal D of K (n,) [force / length]."""
 
     @property
     @abstractmethod
     def own_compliance(self) -> Vector:
-        """(m + k,) E_i D^-1 E_i' [length / force]."""
+        """The compliances E_i D^-1 E_i' of all rows (m + k,) [length / force]."""
 
     @abstractmethod
     def product(self, x: Vector) -> Vector:
@@ -114,11 +113,11 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def lengths(self, x: Vector) -> Vector:
-        """(m + k,) E x."""
+        """Return E x (m + k,)."""
 
     @abstractmethod
     def length_sizes(self, x: Vector) -> Vector:
-        """(m + k,) |E||x|."""
+        """Return |E||x| (m + k,)."""
 
     @abstractmethod
     def forces(self, force: Vector) -> Vector:
@@ -126,17 +125,17 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def force_sizes(self, force: Vector) -> Vector:
-        """(n,) |E|'|l|."""
+        """Return |E|'|l| (n,)."""
 
     @abstractmethod
     def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
-        """(m + k,) max_j |E_ij l_i| / F_j, F = |K||x| + |E|'|l| + |f|."""
+        """Return max_j |E_ij l_i| / F_j of every row (m + k,), F = |K||x| + |E|'|l| + |f|."""
 
     # Projections and conjugate gradients.
 
     @abstractmethod
     def held(self, rows: NDArray[np.intp], limit: Vector) -> ConstrainedRows:
-        """The projections of some rows, held at limits."""
+        """Return the projections of some rows, held at limits."""
 
     @abstractmethod
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
@@ -144,15 +143,15 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
-        """Conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
+        """Return conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
 
     @abstractmethod
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
-        """Conjugate gradients on K e = r from e = 0; r is changed in place."""
+        """Return conjugate gradients on K e = r from e = 0; r is changed in place."""
 
     @abstractmethod
     def smooth(self, force: Vector) -> Vector:
-        """M r, M for the bodies without rows."""
+        """Return M r, M being the preconditioner of the bodies without rows."""
 
     # Contacts with friction, whose tangential rows follow contacts and ties, contact by contact.
 
@@ -175,7 +174,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> ConstrainedRows:
-        """The projections of other rows (a, t), each a sum of rows of one contact, held at limits (a,)."""
+        """Return the projections of other rows (a, t), each a sum of rows of one contact, held at limits (a,)."""
 
     @abstractmethod
     def gmres(
@@ -193,38 +192,38 @@ class ContactIteration(ABC):
 
     # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
 
-    def supports(self, closed: Flags, load: Vector) -> bool:
-        """Whether closed contacts and all further rows hold every rigid motion that a load drives."""
+    def supports(self, closed: Mask, load: Vector) -> bool:
+        """Return whether closed contacts and all further rows hold every rigid motion that a load drives."""
         del closed, load
         return True
 
-    def at_rest(self, held: ConstrainedRows, closed: Flags) -> ConstrainedRows:
-        """The projections of held rows that also take out what neither closed contacts nor further rows hold."""
+    def at_rest(self, held: ConstrainedRows, closed: Mask) -> ConstrainedRows:
+        """Return the projections of held rows that also remove motions which no closed contact or other row holds."""
         del closed
         return held
 
-    def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
+    def rest(self, problem: Limits) -> tuple[Vector, Mask] | None:
         """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
         del problem
         return None
 
-    def supported(self, problem: Limits, closed: Flags, x: Vector) -> Flags:
-        """Closed contacts (m,), with more of them where a body that floats would not be held."""
+    def supported(self, problem: Limits, closed: Mask, x: Vector) -> Mask:
+        """Return the closed contacts (m,), with more of them where a floating body would not be held."""
         del problem, x
         return closed
 
-    def around(self, contacts: Flags, layers: int) -> Flags:
-        """(m,) these contacts and those within so many layers of unknowns around them; here the contacts alone."""
+    def around(self, contacts: Mask, layers: int) -> Mask:
+        """Return the contacts and those within so many layers of unknowns around them (m,); here the contacts alone."""
         del layers
         return contacts
 
     def balanced(self, residual: Vector, weight: Vector) -> Vector:
-        """(m + k,) the least forces, each over its weight, that leave a residual no work on rigid motions."""
+        """Return the forces of least weighted norm (m + k,) after which a residual does no work on rigid motions."""
         del residual
         return np.zeros_like(weight)
 
     def deflated(self, force: Vector) -> Vector:
-        """A force (n,) without what it does on rigid motions, which K has no answer to."""
+        """Return a force (n,) without its resultant on rigid motions, which K cannot balance."""
         return force
 
     def norm(self, x: Vector) -> float:

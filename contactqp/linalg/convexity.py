@@ -28,12 +28,12 @@ STEPS = 15
 
 
 def refuse_indefinite(problem: ContactProblem) -> None:
-    """Raise InvalidProblem if K has negative curvature along a direction, which the message names; found out once."""
+    """Raise InvalidProblem, which names the direction, if K has negative curvature; a stiffness is examined once."""
     stiffness_factor(problem, wanted=False)
 
 
 def stiffness_factor(problem: ContactProblem, wanted: bool = True) -> StiffnessFactor | None:
-    """Return what solves with K if that is wanted, None where K is singular to working precision.
+    """Return factors of K if they are wanted, None where K is singular to working precision.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def stiffness_factor(problem: ContactProblem, wanted: bool = True) -> StiffnessF
 
 
 class StiffnessFactor:
-    """The factors of K, its diagonal raised by CURVED of itself; a step of refinement takes that back."""
+    """The factors of K with its diagonal raised by the factor 1 + CURVED, which a step of refinement corrects."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._K = problem.stiffness_rows
@@ -64,14 +64,14 @@ class StiffnessFactor:
             self._solve, self.smallest_pivot = by_superlu.solve, by_superlu.smallest_pivot
 
     def response_norm(self, force: Vector) -> float:
-        """|K^-1 f|_K = sqrt(f'K^-1 f) of forces f (n,)."""
+        """Return |K^-1 f|_K = sqrt(f'K^-1 f) of forces f (n,) [square root of energy]."""
         moved = self._solve(force)
         moved = moved + self._solve(force - self._K @ moved)
         return float(np.sqrt(max(float(force @ moved), 0.0)))
 
 
 def _factorised(problem: ContactProblem) -> StiffnessFactor | None:
-    """The factors of K where its pivots are positive."""
+    """Return the factors of K where its pivots are positive, else None."""
     if np.any(problem.diagonal <= 0):
         return None
     try:
@@ -82,7 +82,7 @@ def _factorised(problem: ContactProblem) -> StiffnessFactor | None:
 
 
 def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
-    """Refuse an indefinite K; return its factors where they have told."""
+    """Refuse an indefinite K; return its factors where they decided that."""
     if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
         return None  # dominant diagonals: Gershgorin's circles
     if problem.dimension > DENSE_SIZE and (factor := _factorised(problem)) is not None:
@@ -112,7 +112,7 @@ def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
 
 
 def refuse_indefinite_by_iteration(problem: ContactProblem, way: ContactIteration) -> None:
-    """Raise InvalidProblem if conjugate gradients from a random force meet a direction of negative curvature; once.
+    """Raise InvalidProblem if conjugate gradients from a random force meet negative curvature; it is tried once.
 
     A preconditioner that leaves the positive eigenvalues of M K between a fifth and one makes a negative one show
     itself in a dozen steps, which amplify it by three each; GMRES would not notice.
@@ -130,7 +130,7 @@ def refuse_indefinite_by_iteration(problem: ContactProblem, way: ContactIteratio
 
 
 def _lowest(matrix: Any) -> Vector | None:
-    """The vector of the least eigenvalue, if that is negative: where a Cholesky factorisation finds such a pivot."""
+    """Return the eigenvector of the least eigenvalue if that is negative, None if Cholesky's pivots are positive."""
     if matrix.nnz == matrix.shape[0]:  # diagonal
         lowest = int(np.argmin(matrix.data)) if matrix.nnz else 0
         return np.eye(1, matrix.shape[0], lowest)[0] if matrix.nnz and matrix.data[lowest] < 0 else None

@@ -98,7 +98,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
 
 
 def _carried(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
-    """(n,) f - K u, which the forces of contacts and ties balance."""
+    """Return f - K u (n,), which the forces of contacts and ties balance [force]."""
     none = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
     resting = ExtendedAnswer(answer.displacement, *none)
     return residuals_of(extended_rows(problem), problem, resting).force.double()
@@ -109,7 +109,7 @@ def _given(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
 
 
 def _solved(cost: Vector, **constraints: Any) -> Any:
-    """The vertex that the simplex method comes to; None where it comes to none, or a number is not finite."""
+    """Solve a linear program by the simplex method; None where it fails or returns a number that is not finite."""
     from scipy.optimize import linprog
 
     options = {"time_limit": SECONDS, "primal_feasibility_tolerance": CARRIES, "dual_feasibility_tolerance": CARRIES}

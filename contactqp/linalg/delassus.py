@@ -28,7 +28,7 @@ FLOATING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ContactCompliance:
-    """W, V, J of the contacts of one stiffness and its rows, for all loads, gaps and coefficients of friction."""
+    """The operators W, V, J of the contacts of one stiffness, for all loads, gaps and coefficients of friction."""
 
     W: Array  # (d m, d m)
     V: Array  # (d m, q), q = 0 where no body floats
@@ -46,7 +46,7 @@ class ContactCompliance:
         return len(self.J) > 0
 
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
-        """R x (d m,) without forces in contacts and joints, and what the joints hold (q,), of a problem's loads."""
+        """Return R x (d m,) under a problem's load without contact forces, and the lengths that joints hold (q,)."""
         load, _ = condensation.reduce_load(problem.load)
         tie_length = _lengths(condensation.tie * self._unknown_scale)
         value = problem.tie_value / tie_length
@@ -61,7 +61,7 @@ class ContactCompliance:
 
 
 def contact_compliance(problem: ContactProblem, condensation: Condensation) -> ContactCompliance:
-    """Made once for a stiffness and its rows."""
+    """Return the operators of a stiffness and its rows, which are formed once."""
     if problem._computed.contact_compliance is None:
         problem._computed.contact_compliance = _made(problem, condensation)
     made: ContactCompliance = problem._computed.contact_compliance

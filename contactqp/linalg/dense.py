@@ -60,16 +60,16 @@ REGULAR = 1e-7
 
 
 class Factorization(Protocol):
-    """A factorised symmetric positive definite matrix."""
+    """What every factorisation of a symmetric positive definite matrix offers."""
 
     smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
 
     def solve(self, right: Array) -> Array:
-        """K^-1 right, for one right-hand side (n,) or several (n, q)."""
+        """Return K^-1 times one right-hand side (n,) or several (n, q)."""
 
 
 class DenseCholesky:
-    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal or as it is told."""
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to a unit diagonal or by a scale that is given."""
 
     def __init__(self, matrix: Array, scale: Array | None = None) -> None:
         self._scale = unit_diagonal_scale(matrix) if scale is None else scale
@@ -131,19 +131,22 @@ def refuse_negative(smallest_pivot: float) -> None:
 
 
 def unit_diagonal_scale(matrix: Any) -> Array:
-    """1/sqrt(K_jj), and 1 where the diagonal is zero."""
+    """Return 1/sqrt(K_jj) (n,), and 1 where the diagonal is zero."""
     return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
 
 
 def orthonormal(motions: Array) -> Array:
-    """Orthonormal combinations of independent motions (n, r), as accurate as these at unknowns of any unit."""
+    """Return an orthonormal basis (n, r) of independent motions, as accurate as these at unknowns of any unit."""
     for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
         motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
     return motions
 
 
 class BackSubstitution:
-    """S from factors of K_ii alone, column by column: for an interior that is small or a few times what is retained."""
+    """The Schur complement S from the factors of K_ii alone, formed column by column.
+
+    It suits an interior that is small, or at most a few times as large as what is retained.
+    """
 
     solver = "superlu"
 
@@ -198,7 +201,7 @@ class BackSubstitution:
 
 
 def _block(stiffness: Any, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
-    """K of these rows and columns, of an array or a CSR matrix."""
+    """Return the entries of K in these rows and columns, of an array or a CSR matrix."""
     return stiffness[rows[:, None], columns] if isinstance(stiffness, np.ndarray) else stiffness[rows][:, columns]
 
 
@@ -207,7 +210,7 @@ def _dense(matrix: Any) -> Array:
 
 
 class Condensed(Protocol):
-    """What dense systems need of a condensation (`contactqp.linalg.condensation.Condensation`)."""
+    """The part of a condensation that dense systems read (`contactqp.linalg.condensation.Condensation`)."""
 
     schur: Array  # (p, p) S
     scale: Array  # (p,) 1/sqrt(S_jj)
@@ -220,18 +223,18 @@ class Condensed(Protocol):
 
     @property
     def bodies(self) -> NDArray[np.intp]:
-        """(p,) the body of each retained unknown."""
+        """Return the number of the body of each retained unknown (p,)."""
 
     @property
     def schur_factor(self) -> DenseCholesky:
-        """The factors of S in its scale."""
+        """The Cholesky factors of the scaled Schur complement."""
 
     def unresisted(self, rows: Array) -> Array:
         """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
 
 
 class Delassus:
-    """W and the free response, for one condensation and all of its loads."""
+    """The Delassus operator W of normal contacts and ties of one condensation, and free responses to all its loads."""
 
     def __init__(self, condensation: Condensed) -> None:
         self.scale = condensation.scale
@@ -250,7 +253,7 @@ class Delassus:
         self.response = response * self.row_scale
 
     def _factorised(self, condensation: Condensed) -> DenseCholesky | None:
-        """S_e in its scale."""
+        """Factorise S_e, the scaled Schur complement with springs on rigid motions; None where nothing is retained."""
         if not len(condensation.schur):
             return None
         if not self.motions.shape[1]:
@@ -259,32 +262,32 @@ class Delassus:
         return DenseCholesky(S + ANCHOR * self.motions @ self.motions.T)
 
     def solve(self, right: Array) -> Array:
-        """S_e^-1 right, both scaled."""
+        """Return S_e^-1 times a right-hand side, both scaled."""
         return right if self._factor is None else self._factor.solve(right)
 
     def squared_norm(self, force: Vector) -> tuple[float, float]:
-        """|d|_W^2 of contact forces (m,), the ties away, and what it would be if they all helped each other."""
+        """Return |d|_W^2 of contact forces d (m,) without the ties, and its bound if all rows were parallel."""
         scaled = force / self.row_scale[: len(force)]
         return float(scaled @ self.W[: len(force), : len(force)] @ scaled), float(np.sum(abs(scaled)) ** 2)
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
-        """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""
+        """Return the scaled displacement without contact forces, its rigid motions those of the scaled `anchor`."""
         return self.solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
     def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, NDArray[np.bool_], Vector]:
-        """W, the excess of every row in the scaled displacement `free`, which rows are ties, what excess is none."""
+        """Return W, the excess of each row in the scaled displacement `free`, which rows are ties, and the rounding."""
         limit = np.concatenate([problem.gap, problem.tie_value])
         tolerance = OPERATOR_ROUNDING * self.row_scale * (abs(self.rows) @ abs(free) + abs(limit))
         excess = self.row_scale * (self.rows @ free - limit)
         return self.W, excess, np.arange(len(limit)) >= problem.contacts, tolerance
 
     def displaced(self, free: Vector, force: Vector) -> Vector:
-        """The scaled displacement under scaled contact and tie forces."""
+        """Return the scaled displacement under scaled contact and tie forces."""
         return np.asarray(free - self.response @ force)
 
 
 def delassus(condensation: Condensed) -> Delassus:
-    """Made once for a condensation."""
+    """Return the Delassus operator of a condensation, which is formed once."""
     if not condensation.delassus:
         condensation.delassus.append(Delassus(condensation))
     operator: Delassus = condensation.delassus[0]
@@ -292,7 +295,7 @@ def delassus(condensation: Condensed) -> Delassus:
 
 
 class RangeSpace:
-    """Factorisation for one set of closed contacts."""
+    """The saddle point of one set of independent closed contacts, factorised by its Schur complement E S^-1 E'."""
 
     redundant = False
 
@@ -311,7 +314,10 @@ class RangeSpace:
         self.regular = self._factor is None or self._factor.smallest_pivot >= REGULAR
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
-        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+        """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
+
+        Each right-hand side is a vector, or has a column for each of several systems.
+        """
         operator = self._operator
         x = operator.solve((r.T * operator.scale).T) if np.any(r) else np.zeros_like(r)
         force = np.concatenate([e, a])
@@ -322,12 +328,12 @@ class RangeSpace:
         return (x.T * operator.scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
     def exchange(self, entering: int, force: Vector) -> int | None:
-        """None: no contact depends on others."""
+        """Return None, since no contact of the set depends on others."""
         del entering, force
         return None
 
     def drive(self, load: Vector, size: Vector) -> Vector:
-        """Nothing is free to be driven."""
+        """Return zero (p,), since no motion is free."""
         del size
         return np.zeros(len(load))
 
@@ -343,7 +349,7 @@ IDLE = 256 * np.finfo(float).eps
 
 
 class SaddlePoint(Protocol):
-    """The factorised saddle-point system of one set of closed contacts, whichever way it was factorised."""
+    """The factorised saddle-point system of one set of closed contacts, by either of the two methods below."""
 
     closed: NDArray[np.intp]
     redundant: bool  # whether rows depend on others
@@ -353,13 +359,16 @@ class SaddlePoint(Protocol):
     contraction: float | None  # what refinement leaves of a correction, once it has been measured
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
-        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+        """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
+
+        Each right-hand side is a vector, or has a column for each of several systems.
+        """
 
     def exchange(self, entering: int, force: Vector) -> int | None:
-        """The closed contact, by its place, that opens for a dependent one to take its share; None if none can."""
+        """Return the place of the closed contact that opens when a dependent one takes its share; None if none can."""
 
     def drive(self, load: Vector, size: Vector) -> Vector:
-        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
+        """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`."""
 
 
 class NullSpace:
@@ -397,7 +406,10 @@ class NullSpace:
         return DenseCholesky(hessian) if len(hessian) else None
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
-        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+        """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
+
+        Each right-hand side is a vector, or has a column for each of several systems.
+        """
         from scipy.linalg import solve_triangular
 
         r = (r.T * self._scale).T
@@ -415,7 +427,7 @@ class NullSpace:
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
     def exchange(self, entering: int, force: Vector) -> int | None:
-        """The closed contact that must open for a dependent one, at position `entering`, to take its share.
+        """Return the place of the contact that must open for the dependent one at place `entering` to take its share.
 
         With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
         whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
@@ -433,9 +445,9 @@ class NullSpace:
         return int(positions[np.argmin(ratios)])
 
     def drive(self, load: Vector, size: Vector) -> Vector:
-        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does.
+        """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`.
 
-        Of the load, contacts and ties may carry a part: that does no work on a free motion, but for the rounding of it.
+        Contacts and ties may carry a part of the load, which does no work on a free motion but for rounding.
         """
         if not self.free.shape[1]:
             return np.zeros(len(load))
@@ -450,12 +462,15 @@ class NullSpace:
 
 
 def free_motions(condensation: Condensed, saddle: SaddlePoint) -> Array:
-    """An orthonormal basis (n, q) of the motions of all unknowns that neither K nor a row of the set resists."""
+    """Return an orthonormal basis (n, q) of the motions that neither K nor a row of the closed set resists."""
     return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
 
 
 def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
-    """The factorisation for a set of closed contacts; the last few are kept, since polish and certificate ask alike."""
+    """Factorise the saddle point of a set of closed contacts.
+
+    The last few factorisations are kept: refinement and certificate ask for the same sets.
+    """
     kept: dict[tuple[bytes, bool], SaddlePoint] = condensation.saddles
     key = (np.asarray(closed, dtype=np.intp).tobytes(), tied)
     if key not in kept:
@@ -476,7 +491,7 @@ def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -
 
 
 def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Indices of independent rows of unit length that span all of them, as many of `first` among them as can be."""
+    """Return the indices of independent unit rows that span all of them, with as many of `first` as possible."""
     chosen = first[independent_rows(rows[first])]
     others = np.setdiff1d(np.arange(len(rows)), first)
     basis, _ = np.linalg.qr(rows[chosen].T)
@@ -485,7 +500,7 @@ def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
-    """Places of rows of unit length that span all of them."""
+    """Return the indices of independent rows among unit rows, as many as their rank."""
     from scipy.linalg import qr
 
     if not rows.size:

@@ -31,7 +31,7 @@ ROUNDING_OF_A_ROW = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """The way from a ContactProblem to its nondimensional twin and back."""
+    """The factors that map a ContactProblem to its nondimensional twin and back."""
 
     unknowns: Array  # (n,) D
     contacts: Array  # (m,) r of the contacts
@@ -40,7 +40,7 @@ class Scaling:
     force: float  # that of forces, which is l where K is the measure
 
     def unscale(self, candidate: Candidate) -> Candidate:
-        """A candidate of the twin as a candidate of the problem."""
+        """Return a candidate of the twin in the units of the problem."""
         return replace(
             candidate,
             displacement=self.length * self.unknowns * candidate.displacement,
@@ -49,7 +49,7 @@ class Scaling:
         )
 
     def scale(self, candidate: Candidate) -> Candidate:
-        """The inverse of `unscale`."""
+        """Return a candidate of the problem in the units of the twin."""
         return replace(
             candidate,
             displacement=candidate.displacement / (self.length * self.unknowns),
@@ -85,7 +85,7 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 
 def _of_stiffness_times(problem: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
-    """The twin of a problem with another unit of force; the last is kept, with all that is computed for it."""
+    """Return the twin in another unit of force; the last is kept, with all that was computed for it."""
     known = problem._computed.equilibrated_forces
     if known is None or known[0] != factor:
         values = twin._values() | dict(stiffness=twin.stiffness * factor)
@@ -101,12 +101,12 @@ def _size(values: Array) -> float:
 
 
 def _near(size: float) -> float:
-    """The power of two nearest to a size, one where that is zero."""
+    """Return the power of two nearest to a size, and one where that is zero."""
     return float(_power_of_two(np.array(size or 1.0)))
 
 
 def in_range(twin: ContactProblem) -> bool:
-    """Whether all numbers of an equilibrated problem are finite; where gaps are infinite they are no rows of it."""
+    """Return whether all numbers of an equilibrated problem are finite; rows with infinite gaps are left out."""
     arrays = (twin.stiffness_rows.data, twin.normal.data, twin.tie.data, twin.load, twin.gap, twin.tie_value)
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
@@ -138,7 +138,7 @@ def scaled_by(left: Array, matrix: Any, right: Array) -> Any:
 
 
 def _largest(sizes: Any, scale: Array) -> Array:
-    """The largest entry of every row of a CSR matrix of sizes, its columns scaled."""
+    """Return the largest entry of every row of a CSR matrix of sizes, its columns scaled."""
     largest = np.zeros(sizes.shape[0])
     filled = np.flatnonzero(np.diff(sizes.indptr))
     if filled.size:
@@ -147,7 +147,7 @@ def _largest(sizes: Any, scale: Array) -> Array:
 
 
 def _near_one(sizes: Array) -> Array:
-    """Whether each is zero, or nearer to one than to other powers of two."""
+    """Return whether each size is zero, or nearer to one than to other powers of two."""
     return np.asarray((sizes == 0) | ((sizes >= 1 / NEAR_ONE) & (sizes <= NEAR_ONE)))
 
 
@@ -160,7 +160,7 @@ def _power_of_two(values: Array) -> Array:
 
 
 def least_length(twin: ContactProblem) -> float:
-    """The length beneath which an equilibrated problem has none, where nothing imposes one.
+    """Return the length up to which an equilibrated problem has none, where no gap or tie imposes one.
 
     K being one at most, what a load moves then is as large as the load, or nothing.
     """
@@ -170,7 +170,7 @@ def least_length(twin: ContactProblem) -> float:
 
 
 def mostly_bare(problem: ContactProblem) -> bool:
-    """Whether K has no entry at many unknowns that a load drives or rows join, as in a linear program.
+    """Return whether K has no entry at many unknowns that a load drives or rows join, as in a linear program.
 
     Bodies have a few such unknowns, and cables those that only hang.
     """
@@ -187,7 +187,7 @@ def mostly_bare(problem: ContactProblem) -> bool:
 def nothing_in_rows(
     problem: ContactProblem, answer: Answer, part: float, connected: NDArray[np.intp], beside: float
 ) -> Nothing:
-    """What is nothing where K gives no scale: this part of the largest force and length, in equilibrated units.
+    """Return what counts as none where K gives no scale: a fraction of the largest force and length, equilibrated.
 
     Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest.
     """
@@ -209,7 +209,7 @@ def nothing_in_rows(
 
 
 def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:
-    """Factors s (k,) of rows and t (r,) of columns, the same in a group, for which s_i sizes_ij t_j is near one.
+    """Return factors s (k,) of rows and t (r,) of columns, equal within a group, for which s_i sizes_ij t_j is near 1.
 
     s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are more than rounding beside the
     largest of their row, nearly; at the end the largest of each row is one.

@@ -25,17 +25,17 @@ class Affine:
     free: list[Row]  # (k, n)
 
     def image(self, row: Sequence[Fraction]) -> tuple[Fraction, Row]:
-        """The value of a linear form at the point, and what each c_k adds to it (k,)."""
+        """Return the value of a linear form at the point, and the factor of each c_k in it (k,)."""
         return dot(row, self.point), [dot(row, direction) for direction in self.free]
 
 
 def dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
-    """The sum of products; zeros, of which there are many, cost nothing."""
+    """Return the scalar product of two rows; zeros, of which there are many, cost nothing."""
     return sum((x * y for x, y in zip(one, other, strict=True) if x and y), ZERO)
 
 
 def reduced(rows: list[Row], columns: int) -> tuple[list[Row], list[int]]:
-    """The reduced row echelon form with pivots among the first `columns`, and the pivots' columns; rows are replaced.
+    """Return the reduced row echelon form, with pivots among the first `columns`, and the columns of its pivots.
 
     Rows without a pivot come last.
     """
@@ -168,7 +168,7 @@ class Polyhedron:
             self._pivot(min(steps)[1], entering)
 
     def _feasible(self) -> bool:
-        """Bland's dual rule, with nothing to maximise: the first room that is negative leaves at zero."""
+        """Make all rooms nonnegative by Bland's dual rule, and return whether that is possible."""
         while True:
             leaving = next((i for i in self._rooms() if self._rows[i][0] < 0), None)
             if leaving is None:
@@ -183,11 +183,11 @@ class Polyhedron:
             self._pivot(leaving, entering)
 
     def _rooms(self) -> list[int]:
-        """Basic rooms."""
+        """Return the rooms that are basic variables."""
         return [i for i in range(self._size, len(self._rows)) if i not in self._nonbasic]
 
     def _pivot(self, leaving: int, j: int) -> None:
-        """The basic variable `leaving` becomes nonbasic j, which becomes basic."""
+        """Exchange the basic variable `leaving` for the nonbasic variable j."""
         entering, row = self._nonbasic[j], self._rows[leaving]
         scale = ONE / row[j + 1]
         # nonbasic_j = (leaving - rest) / slope
@@ -221,12 +221,14 @@ class Region:
         return [] if self._polyhedron is None else self._polyhedron.point()
 
     def seen_from(self, affine: Affine) -> list[tuple[Fraction, tuple[Fraction, Row]]]:
-        """The forms on part of the region."""
+        """Return the forms restricted to an affine part of the region."""
         return [(value, affine.image(slope)) for value, slope in self._forms]
 
     def ends(self, slopes: list[Row]) -> list[Row] | None:
-        """The points that lie furthest apart as forms of these slopes see them: none where they see one point, None
-        where they see no end either way."""
+        """Return the points where forms of these slopes differ most.
+
+        The list is empty where all points give the same values; None means that the values are unbounded both ways.
+        """
         if self._polyhedron is None:
             return []
         basis, pivots = reduced(slopes, len(self._polyhedron.point()))

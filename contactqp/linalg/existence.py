@@ -33,7 +33,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.unknown_names import describe_motion, listed
 
-LP_TOLERANCE = 1e-10
+# Both feasibilities of linear programs, whose unknowns and rows are of unit size.
+LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 # Coordinates and gains of this part of the largest are no artefact of that tolerance.
 DRIVEN = 1e-7
 # What is left of the excess of constraints after a linear program, as a part of it, is none or proves a conflict.
@@ -81,7 +82,7 @@ class DrivenMotion(ReadOnly):
 
 
 def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) -> None:
-    """Raise if some rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it."""
+    """Raise NoEquilibrium if a rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it."""
     found = driven_motion(problem, condensation)
     if found is None:
         return
@@ -103,7 +104,7 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
 
 
 def driven_motion(problem: ContactProblem, condensation: Condensation) -> DrivenMotion | None:
-    """The rigid motion that gains energy from the load and that no row resists, if it is proven that there is one.
+    """Return a rigid motion that gains energy from the load and that no row resists, if it is proven; else None.
 
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
     constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
@@ -138,7 +139,7 @@ def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
 
 
 def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
-    """Coordinates a of motions with normal a <= 0, tie a = 0 and drive'a > 0, in floats; None where there are none.
+    """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, in floats; None where there are none.
 
     The rows are of unit size.
     """
@@ -150,7 +151,7 @@ def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
 
 
 def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
-    """How much of elastic motions a rigid one may contain; one that was recognised in printed digits, more."""
+    """Return the relative size of elastic motions that a rigid one may contain; after printed digits it is larger."""
     recognised = RECOGNISED * problem.rigid_change if problem.near_null_space is None else 0.0
     return max(condensation.rigid.uncertainty, recognised)
 
@@ -158,7 +159,7 @@ def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
 def _proven_drive(
     problem: ContactProblem, condensation: Condensation, resisting: Any, z: Vector
 ) -> DrivenMotion | None:
-    """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
+    """Return the motion z if K z, (E z)+ and A z are rounding and the work of the load is more than that; else None."""
     uncertainty, scale = _uncertainty(problem, condensation), _own_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
@@ -177,18 +178,18 @@ def _proven_drive(
 
 
 def _own_scale(problem: ContactProblem) -> Vector:
-    """D (n,), that of unknowns without stiffness from rows that join them to stiff ones, whatever unit a row has."""
+    """Return D (n,); unknowns without stiffness get theirs from rows that join them to stiff ones, in any unit."""
     joined = scale_of_unknowns(problem)
     return np.where(joined > 0, joined, unknown_scale(problem))
 
 
 def _still(motions: Array, scale: Vector) -> Array:
-    """What the rounding of motions (n,) or (n, r) is a part of at each unknown, though they may not move it."""
+    """Return the size at each unknown of which the rounding of motions (n,) or (n, r) is a part."""
     return np.asarray((scale * np.max(abs(motions.T) / scale, axis=-1, keepdims=True)).T)
 
 
 def _unit(rows: Any, Z: Array, still: Array) -> Array:
-    """Rows on rigid motions, of unit size where they are not rounding."""
+    """Return how far rigid motions move rows, each row divided by its size; zero where that is rounding."""
     values = rows @ Z
     if not len(values):
         return np.zeros((0, Z.shape[1]))
@@ -199,7 +200,7 @@ def _unit(rows: Any, Z: Array, still: Array) -> Array:
 
 
 def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
-    """The coordinates, at most one each, that gain most energy and that no row resists; None: not to be had.
+    """Return the coordinates, at most one each, that gain most energy and that no row resists; None if none are found.
 
     Where every row resists a single coordinate, each is taken on its own; else they are found by a linear program.
     """
@@ -216,18 +217,18 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
         b_eq=np.zeros(len(tie)) if len(tie) else None,
         bounds=(-1, 1),
         method="highs",
-        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+        options=LP_OPTIONS,
     )
     return None if answer.x is None else np.asarray(answer.x)
 
 
 def touch_one_each(rows: Array) -> bool:
-    """Whether no row (r, q) has more than one entry."""
+    """Return whether no row of (r, q) has more than one entry."""
     return bool(np.all(np.count_nonzero(rows, axis=1) <= 1))
 
 
 def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
-    """The linear program meets its rows to a tolerance: make those it meets exact, and what it then leaves is real."""
+    """Return coordinates that meet exactly the rows which a linear program met to its tolerance."""
     met = np.vstack([normal[abs(normal @ coordinates) <= DRIVEN], tie])
     if len(met):
         values, rotation = right_singular(met)
@@ -237,12 +238,12 @@ def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
 
 
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
-    """Raise if no displacement satisfies E u <= g, A u = b; the message names rows that conflict."""
+    """Raise NoEquilibrium if no displacement satisfies E u <= g, A u = b; the message names rows that conflict."""
     _refuse(problem, conflict(problem, condensation))
 
 
 def refuse_sparse_conflict(problem: ContactProblem) -> None:
-    """Raise if no displacement satisfies E u <= g, A u = b, by sparse rows; the message names rows that conflict."""
+    """Raise NoEquilibrium as `refuse_conflict` does, by sparse rows and without condensing."""
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     twin, scaling = equilibrated(problem)
     lengths = float(np.max(abs(np.concatenate([np.minimum(twin.gap, 0.0), twin.tie_value])), initial=0.0))
@@ -264,13 +265,13 @@ def _refuse(problem: ContactProblem, found: Conflict | None) -> None:
 
 
 def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | None:
-    """Weights of constraints that conflict, if it is proven that some do beyond rounding of the data."""
+    """Return the weights of constraints that conflict beyond the rounding of the data, if it is proven; else None."""
     rows = sp.csr_matrix(np.vstack([condensation.normal, condensation.tie]))
     return _conflict(problem, rows, condensation.scale)
 
 
 def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector | None = None) -> Conflict | None:
-    """Weights of rows (m + k, q) that conflict, of unknowns with these scales (q,).
+    """Return the weights of rows (m + k, q) that conflict, over unknowns of scales (q,); None where none do.
 
     Where K gives rows no scale, `least` (m + k,) are the lengths whose rounding is forgiven in each.
 
@@ -301,7 +302,7 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
 
 
 def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
-    """The step that leaves the least excess of unit rows, that excess, and the weights (m + k,) that prove it."""
+    """Return the step of least excess of unit rows, the excess, and the weights (m + k,) that prove it."""
     from scipy.optimize import linprog
 
     q, count = unit.shape
@@ -312,7 +313,7 @@ def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float
         b_ub=np.minimum(np.concatenate([left, -left[m:]]), FAR),
         bounds=[(None, None)] * count + [(0, None)],
         method="highs",
-        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+        options=LP_OPTIONS,
     )
     if answer.x is None:
         return None, 0.0, np.zeros(q)
@@ -321,7 +322,7 @@ def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float
 
 
 def refuse_sparse_drive(problem: ContactProblem) -> None:
-    """Raise if a load drives a motion that neither K nor a row resists, without condensing.
+    """Raise NoEquilibrium if a load drives a motion that neither K nor a row resists, without condensing.
 
     The motion z with K z = 0, E z <= 0, A z = 0 along which the load does most work, its entries at most one in scaled
     unknowns, comes from a linear program; what it violates is formed anew in extended precision.
@@ -340,7 +341,7 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
         b_eq=np.zeros(held.shape[0]) if held.shape[0] else None,
         bounds=(-1.0, 1.0),
         method="highs",
-        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+        options=LP_OPTIONS,
     )
     if answer.x is None or not soft.size:
         return
@@ -367,7 +368,7 @@ def _refuse_drive(problem: ContactProblem, scaling: Scaling, motion: Vector, wor
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
-    """A motion without what it moves of the rows that a linear program's tolerance took for unmoved."""
+    """Return a motion corrected so that it does not move the rows which a linear program met to its tolerance."""
     from scipy.sparse.linalg import lsqr
 
     moved = problem.normal @ motion
@@ -381,7 +382,7 @@ def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
 
 
 def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> bool:
-    """Whether no row resists a motion beyond the rounding of its sums."""
+    """Return whether no row resists a motion beyond the rounding of its sums."""
     for rows, signed in ((held, False), (problem.normal, True)):
         moved = (SparseRows(rows) @ extend(motion)).double()
         beyond = moved if signed else abs(moved)
@@ -391,8 +392,11 @@ def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> b
 
 
 def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Vector, scale: Vector) -> Conflict | None:
-    """Farkas' proof on the rows that take part: weights in rational numbers, or where the rows cancel to rounding only,
-    the best in floats, whose sums are exact all the same. `sizes` (m + k,) are the lengths that meet in each row."""
+    """Return Farkas' proof on the rows that take part, or None.
+
+    Weights are rational numbers, or, where the rows cancel to rounding only, the best floats, whose sums are formed
+    exactly. `sizes` (m + k,) are the lengths that meet in each row.
+    """
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
     own = abs(weight) * np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
     members = np.flatnonzero(own > NO_PART * np.max(own))
@@ -422,7 +426,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
 
 
 def _cancelling(rows: Array) -> list[Fraction] | None:
-    """The weights with which rows cancel, in rational numbers, by elimination; None where not exactly one ray does."""
+    """Return the rational weights with which rows cancel, by elimination; None unless they are one up to a factor."""
     touched = np.flatnonzero(np.any(rows != 0, axis=0))
     balance = [[*(Fraction(float(x)) for x in rows[:, j]), ZERO] for j in touched]  # one equation an unknown
     found = solutions(balance, len(rows))
@@ -430,14 +434,14 @@ def _cancelling(rows: Array) -> list[Fraction] | None:
 
 
 def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:
-    """The weights as ratios of small whole numbers, if the rows of a CSC matrix then cancel in rational numbers."""
+    """Return the weights as ratios of small whole numbers, if the rows of a CSC matrix then cancel exactly."""
     largest = float(np.max(abs(weight)))
     found = [Fraction(float(w) / largest).limit_denominator(LARGEST_DENOMINATOR) for w in weight]
     return found if all(not sum(terms, Fraction(0)) for terms in _terms(rows, found)) else None
 
 
 def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
-    """The weighted entries of every column of a CSC matrix."""
+    """Yield the weighted entries of every column of a CSC matrix."""
     for j in range(rows.shape[1]):
         at = slice(rows.indptr[j], rows.indptr[j + 1])
         entries = zip(rows.indices[at].tolist(), rows.data[at].tolist(), strict=True)
@@ -445,15 +449,17 @@ def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
 
 
 def _nearly_cancelling(rows: Array) -> Vector:
-    """The weights of unit length whose sum of rows is least, each row scaled to unit length on the way."""
+    """Return the weights for which the weighted sum of unit rows is least, (q,)."""
     length = np.linalg.norm(rows, axis=1)
     _, rotation = right_singular((rows / length[:, None]).T)
     return np.asarray(rotation[-1] / length)
 
 
 def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
-    """Whether the weighted rows of a CSC matrix cancel, unknown by unknown, to rounding of their entries; the sums are
-    exact."""
+    """Return whether the weighted rows of a CSC matrix cancel at every unknown to the rounding of their entries.
+
+    The sums are formed exactly.
+    """
     part = rows.shape[0] * Fraction(ROUNDING)
     for terms in _terms(rows, weights):
         if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):

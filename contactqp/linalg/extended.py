@@ -73,22 +73,22 @@ class Extended:
         return _holding(self.hi / 2, self.lo / 2)
 
     def added_at(self, index: Any, values: Array) -> Extended:
-        """A copy with doubles added to some entries."""
+        """Return a copy with doubles added to some entries."""
         increment = np.zeros_like(self.hi)
         increment[index] = values
         return self + increment
 
     def positive_part(self) -> Extended:
-        """max(x, 0) of every entry."""
+        """Return max(x, 0) of every entry."""
         positive = self.hi > 0
         return _holding(np.where(positive, self.hi, 0.0), np.where(positive, self.lo, 0.0))
 
     def double(self) -> Array:
-        """Rounded to double precision."""
+        """Return the vector rounded to double precision."""
         return self.hi + self.lo
 
     def dot(self, other: Extended) -> float:
-        """x'y, accumulated in extended precision, rounded."""
+        """Return x'y, accumulated in extended precision and then rounded."""
         product, error = two_product(self.hi, other.hi)
         error = error + (self.hi * other.lo + self.lo * other.hi)
         if len(product) > LONG:
@@ -115,19 +115,19 @@ def _normalised(total: Array, error: Array, lower: Array) -> Extended:
 
 
 def extend(values: Any) -> Extended:
-    """A vector of doubles (or one that is extended already) in extended precision."""
+    """Return a vector of doubles, or one that is extended already, in extended precision."""
     return values if isinstance(values, Extended) else Extended(values)
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """a + b exactly, as rounded sum and error (Knuth 1969)."""
+    """Return the rounded sum of a + b and its error, which together are exact (Knuth 1969)."""
     total = a + b
     virtual = total - a
     return total, (a - (total - virtual)) + (b - virtual)
 
 
 def two_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """a b exactly, as rounded product and error (Veltkamp's splitting, Dekker 1971)."""
+    """Return the rounded product of a b and its error, which together are exact (Dekker 1971, Veltkamp's splitting)."""
     product = a * b
     a_high, a_low = _split(a)
     b_high, b_low = _split(b)
@@ -220,7 +220,7 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
 
 
 def _summed(terms: Array, errors: Array) -> tuple[float, float]:
-    """The sum of terms and their errors, in pairs: as many steps as there are doublings."""
+    """Return the sum of terms and their errors, added in pairs."""
     while len(terms) > 1:
         if len(terms) % 2:
             terms, errors = np.append(terms, 0.0), np.append(errors, 0.0)
@@ -231,7 +231,7 @@ def _summed(terms: Array, errors: Array) -> tuple[float, float]:
 
 
 def images(matrix: Any, columns: Array) -> Array:
-    """K z of every column z (n, q), rounded to doubles: accumulated to half an eps of |K||z| at least."""
+    """Return K z of every column z (n, q), accurate to half an eps of |K||z| and rounded to doubles."""
     rows = sp.csr_matrix(matrix)
     if not columns.size:
         return np.zeros((rows.shape[0], columns.shape[1]))
@@ -242,7 +242,7 @@ def images(matrix: Any, columns: Array) -> Array:
 
 
 def exact_images(matrix: Any, columns: Array) -> Array:
-    """K z of every column z (n, q), accumulated in pairs of doubles: it tells what is soft from what is rigid."""
+    """Return K z of every column z (n, q), accumulated in pairs of doubles to tell soft motions from rigid ones."""
     extended = SparseRows(sp.csr_matrix(matrix))
     return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
 
@@ -297,18 +297,18 @@ class ExtendedRows:
         self._tangent_transposed = None if problem.tangent is None else SparseRows(_transposed([problem.tangent]))
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
-        """E_N' l_N + A' nu."""
+        """Return E_N'l_N + A'nu (n,) [force]."""
         hi = np.concatenate([normal_force.hi, tie_force.hi])
         return self._outward @ _holding(hi, np.concatenate([normal_force.lo, tie_force.lo]))
 
     def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
-        """E_T' l_T of forces (m, d-1), or flat in extended precision."""
+        """Return E_T'l_T (n,) of friction forces (m, d-1), or of a flat vector in extended precision [force]."""
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.stiffness.shape[0]))
         return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
 
     def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
-        """The same with a stiffness that is zero along rigid motions Z (n, r); `inverse` (r, n): Y' with Y'Z = I."""
+        """Return rows whose stiffness is zero along rigid motions Z (n, r); `inverse` (r, n) is Y' with Y'Z = I."""
         twin = copy(self)
         assert isinstance(self.stiffness, SparseRows)
         twin.stiffness = ClearedRows(self.stiffness, motions, inverse)
@@ -319,7 +319,7 @@ class ExtendedRows:
         return Extended(problem.gap) - self.normal @ displacement
 
     def slip(self, displacement: Extended) -> Extended:
-        """E_T u, flat."""
+        """Return E_T u as a flat vector."""
         return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
 
 
@@ -332,7 +332,7 @@ def _stiffness_rows(problem: ContactProblem) -> SparseRows:
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
-    """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
+    """Return the rows for extended precision; they are formed once and shared by all that `replace` derives."""
     if problem._computed.extended is None:
         problem._computed.extended = ExtendedRows(problem)
     rows: ExtendedRows = problem._computed.extended
@@ -376,7 +376,7 @@ class ExtendedAnswer:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What an answer leaves of equilibrium, gaps and ties, in extended precision."""
+    """The residuals of equilibrium, gaps and ties of an answer, in extended precision."""
 
     force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
     gap: Extended  # (m,) g - E_N u
@@ -384,11 +384,11 @@ class Residuals:
 
     @classmethod
     def at_rest(cls, problem: ContactProblem) -> Residuals:
-        """Return those of the displacement of zero without forces: the data of the problem."""
+        """Return the residuals of zero displacement without forces, which are the data of the problem."""
         return cls(Extended(problem.load), Extended(problem.gap), Extended(problem.tie_value))
 
     def double(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
-        """Return forces, gaps of the closed contacts and ties in double precision."""
+        """Return the residuals of equilibrium, of the closed contacts' gaps and of the ties in double precision."""
         return self.force.double(), self.gap.hi[closed] + self.gap.lo[closed], self.tie.double()
 
 

@@ -54,7 +54,7 @@ from contactqp.model.solution import Answer
 
 
 class ScaledRows(Protocol):
-    """What the units of scaled rows are; attributes as those of `FrictionalRows`."""
+    """The units of scaled rows; attributes are those of `FrictionalRows`."""
 
     width: int
     normal_length: Vector
@@ -65,13 +65,13 @@ class ScaledRows(Protocol):
 
 
 class Corrections(Protocol):
-    """The factorised system of one combination, attributes as those of `StateSystem`."""
+    """The factorised system of one combination; attributes are those of `StateSystem`."""
 
     regular: bool
     redundant: bool
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts, dnu (k,) for residuals of the full problem."""
+        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
 
 
 class FrictionalRows:
@@ -112,23 +112,23 @@ class FrictionalRows:
 
     @cached_property
     def all_rows(self) -> Array:
-        """(d m + k, p): contacts, tangents, ties."""
+        """The rows of contacts, tangents and ties (d m + k, p)."""
         return np.vstack([self.normal, self.tangent, self.tie])
 
     @cached_property
     def compliance(self) -> Array:
-        """S^+ (p, p): the inverse of S, zero on the rigid motions."""
+        """The pseudoinverse S^+ (p, p): the inverse of S, zero on the rigid motions."""
         return compliance_of(self.S, self.motions)
 
     def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:
-        """Scaled gaps (m,), slip origins ((d-1) m,), tie values (k,)."""
+        """Return scaled gaps (m,), slip origins ((d-1) m,) and tie values (k,)."""
         origin = np.zeros(len(self.tangent)) if problem.slip_origin is None else problem.slip_origin.ravel()
         slip = origin / np.repeat(self.tangent_length, self.width)
         return problem.gap / self.normal_length, slip, problem.tie_value / self.tie_length
 
 
 def compliance_of(S: Array, motions: Array) -> Array:
-    """S^+ (p, p) of a stiffness that orthonormal motions (p, q) alone do not feel, to rounding none along them."""
+    """Return the pseudoinverse S^+ (p, p) of a stiffness whose null space is spanned by orthonormal motions (p, q)."""
     if not motions.shape[1]:
         return _inverse(S)
     inverse = _inverse(S + motions @ motions.T)
@@ -137,7 +137,7 @@ def compliance_of(S: Array, motions: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix, positive definite unless rounding has it otherwise."""
+    """Return the inverse of a symmetric matrix that is positive definite up to rounding."""
     from scipy.linalg.lapack import dpotrf, dpotri
 
     factor, failed = dpotrf(matrix, lower=1)
@@ -148,7 +148,7 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _unit(rows: Array) -> tuple[Array, Vector]:
-    """Rows of unit length, and what they were divided by; an empty row is left as it is."""
+    """Return rows of unit length and the lengths that they were divided by; an empty row is left as it is."""
     length = np.linalg.norm(rows, axis=1)
     length = np.where(length > 0, length, 1.0)
     return rows / length[:, None], length
@@ -186,8 +186,8 @@ class StateSystem:
     turning : (m,) array
         mu l_N / |s| in scaled forces and lengths, zero in the plane.
     independent : bool
-        Whether rows that depend on others get no correction and motions that no row resists stay at rest: what the
-        start says of both is kept, and the system is not taken for singular because its stiffness is slender.
+        Whether rows that depend on others get no correction and motions that no row resists stay at rest. Forces and
+        motions of the start are then kept there, and a nearly singular stiffness does not make the system irregular.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class StateSystem:
         self._factor = (factor, pivots)
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts, dnu (k,) for residuals of the full problem."""
+        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
         from scipy.linalg import lu_solve
 
         reduced, inner = self._way.reduce_load(load)
@@ -278,7 +278,7 @@ def _of_unit_length(rows: Array) -> Array:
 
 
 def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[Array, Vector]:
-    """Rows (k, p) across the directions of slip, and the compliances |s| / mu l_N of their forces; in space only.
+    """Return rows (k, p) across the directions of slip and the compliances |s| / mu l_N of their forces, in space only.
 
     Where bodies move far under small forces the compliances are large: then both are scaled to one.
     """
@@ -293,7 +293,7 @@ def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class RefinedState:
-    """The answer of one combination in extended precision; nothing is said of whether its signs hold."""
+    """The answer of one combination in extended precision, whether its signs hold or not."""
 
     displacement: Extended  # (n,)
     normal_force: Extended  # (m,)
@@ -305,7 +305,7 @@ class RefinedState:
     redundant: bool  # whether forces of contacts or ties that depend on others were kept as they were
 
     def answer(self, width: int) -> Answer:
-        """In double precision."""
+        """Return the answer in double precision, friction forces as (m, width)."""
         friction = self.friction_force.double().reshape(-1, width)
         return Answer(self.displacement.double(), self.normal_force.double(), friction, self.tie_force.double())
 
@@ -318,10 +318,10 @@ def refined_in(
     start: Answer,
     independent: bool = False,
 ) -> RefinedState:
-    """The answer of one combination, refined from `start`; `independent` as in `StateSystem`.
+    """Refine the answer of one combination from `start`; `independent` as in `StateSystem`.
 
-    In space slip directions are those of the start to begin with. K is taken as it is stated unless its rounding along
-    rigid motions spoils the resultants of the forces, as in `polishing.answer_on`.
+    In space the first slip directions are those of the start. K is taken as it is stated unless its rounding along
+    rigid motions spoils the resultants of the forces, as in `contactqp.linalg.refinement.answer_on`.
     """
     exact = extended_rows(problem)
 
@@ -344,9 +344,9 @@ def refined_by(
     start: Answer,
     sweeps: int = MAX_SWEEPS,
 ) -> RefinedState:
-    """`refined_in` with the products of `exact` and systems that `make` returns for directions and turning.
+    """Refine as `refined_in` does, with the products of `exact` and systems that `make` returns for slip directions.
 
-    In the plane it takes so many `sweeps` at most.
+    In the plane at most so many `sweeps` are made.
     """
     pushing = np.where(status != OPEN, start.normal_force, 0.0)
     sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
@@ -382,9 +382,9 @@ def refined_by(
 def answer_in(
     problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
 ) -> Answer:
-    """The answer of one combination, refined from `start`; where it leaves something free, near the start.
+    """Return the answer of one combination, refined from `start`; what the combination leaves free stays as there.
 
-    Nothing is said of whether signs hold: see `holds`.
+    Whether its signs hold is for `contactqp.certificate.figures.holds` to say.
     """
     refined = refined_in(problem, condensation, rows, status, start)
     if not refined.regular:
@@ -397,12 +397,12 @@ def answer_in(
 
 
 def _settled(refined: RefinedState) -> bool:
-    """Whether the last correction of the displacement is no more than what directions in doubles leave of it."""
+    """Return whether the last correction of the displacement is at the rounding of slip directions in doubles."""
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
 def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
-    """Unit directions of slip (m, d-1), and how slip turns them (m,), nothing in the plane."""
+    """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane."""
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
     sliding = abs(status) == 1
@@ -414,7 +414,7 @@ def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended)
 
 
 def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
-    """Zero where beneath the refinement's rounding: of what it started from, of what it ends at, and of the load.
+    """Set to zero what is beneath the rounding of refinement: of the start, of the answer and of the load.
 
     All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
     contact, friction or tie times the scaled length of its row.
@@ -434,7 +434,7 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
 
 
 def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
-    """mu l_N t, flat; exactly in the plane, where mu t is a double."""
+    """Return mu l_N t as a flat vector; exact in the plane, where mu t is a double."""
     coefficient = 0.0 if problem.friction is None else problem.friction
     along = (np.asarray(coefficient)[..., None] * directions).ravel()
     width = directions.shape[1]
@@ -451,9 +451,9 @@ def _origin(problem: ContactProblem) -> Vector:
 
 
 def _pushed_part(rows: ScaledRows, change: tuple[Vector, Vector], whole: tuple[Vector, Vector]) -> float:
-    """Return the part of normal and friction forces, in energy scale together, that a correction of them changes.
+    """Return the size of a correction of normal and friction forces relative to them, both together in energy scale.
 
-    Apart, any correction of the friction of contacts that stick without friction would be all of it.
+    Measured apart, a correction of friction forces that are zero would be infinite.
     """
     lengths = np.concatenate([rows.normal_length, np.repeat(rows.tangent_length, rows.width)])
     return _part(lengths * np.concatenate(change), lengths * np.concatenate(whole))

@@ -22,7 +22,7 @@ HARDLY_HELD = 1e-4
 
 
 def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
-    """The unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K tells.
+    """Return the unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K allows.
 
     Unknowns that K couples with the same others are those of one node.
     """
@@ -38,7 +38,7 @@ def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
 
 
 def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(n,) how many entries lie between each unknown and the nearest of some, at least one of them in every body."""
+    """Return the distance of each unknown from the nearest start (n,), in entries of K; every body has a start."""
     from scipy.sparse.csgraph import breadth_first_order
 
     size = graph.shape[0]  # and the number of an unknown more, from which the search starts
@@ -61,7 +61,7 @@ def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
 
 
 def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
-    """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
+    """Return stiff unknowns that, held together with the retained ones, leave no rigid motion to the interior."""
     from scipy.linalg import qr
 
     if not motions.shape[1]:

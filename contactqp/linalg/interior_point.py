@@ -59,7 +59,7 @@ class CentralPoint:
 
     @property
     def closed(self) -> Mask:
-        """(m,) the contacts whose force outweighs their slack."""
+        """The contacts whose force exceeds their slack (m,)."""
         return np.asarray(self.force > self.slack)
 
     @property
@@ -69,7 +69,7 @@ class CentralPoint:
 
     @property
     def work(self) -> float:
-        """The work l's of forces on slacks."""
+        """The work l's of forces l on slacks s, which measures the distance from the solution."""
         return float(self.force @ self.slack)
 
 
@@ -90,7 +90,7 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort) -> ClosedSt
 
 
 def _off(problem: ContactProblem, answer: Answer) -> float:
-    """A length by which the displacement of an answer may be off: what it penetrates and leaves of ties."""
+    """Return a length by which the displacement of an answer may be off: its penetration or what ties are open."""
     gap = problem.gap - problem.normal @ answer.displacement
     open_ties = problem.tie_value - problem.tie @ answer.displacement
     least = BACKEND_IS_OFF * float(np.max(abs(answer.displacement), initial=0.0))
@@ -124,7 +124,7 @@ def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> Centra
 
 
 def _near_path(problem: ContactProblem, answer: Answer) -> CentralPoint:
-    """The answer with forces and slacks that are positive."""
+    """Return the answer with forces and slacks raised until they are positive."""
     force, slack = answer.normal_force, problem.gap - problem.normal @ answer.displacement
     products = np.maximum(force, 0.0) * np.maximum(slack, 0.0)
     least = LEAST * np.sqrt(max(float(np.mean(products)) if len(products) else 0.0, np.finfo(float).eps))
@@ -132,7 +132,7 @@ def _near_path(problem: ContactProblem, answer: Answer) -> CentralPoint:
 
 
 def _energies(problem: ContactProblem, point: CentralPoint) -> float:
-    """The size of the energies that make up that of the point."""
+    """Return the size of the terms of the energy at a point."""
     u = point.displacement
     return float(
         abs(u) @ (problem.stiffness_sizes @ abs(u)) + abs(problem.load) @ abs(u) + abs(problem.gap) @ point.force
@@ -140,7 +140,7 @@ def _energies(problem: ContactProblem, point: CentralPoint) -> float:
 
 
 def _step(problem: ContactProblem, point: CentralPoint, effort: Effort) -> tuple[CentralPoint, float]:
-    """Predict, centre and correct; return the next point and the part of the step that was gone."""
+    """Make a predictor-corrector step; return the next point and the step length, at most one."""
     u, l, s = point.displacement, point.force, point.slack  # noqa: E741
     solve = _solver(problem, s / l, effort)
     force = problem.load - problem.stiffness_rows @ u - problem.normal.T @ l - problem.tie.T @ point.tie_force
@@ -160,12 +160,12 @@ def _step(problem: ContactProblem, point: CentralPoint, effort: Effort) -> tuple
 
 
 def _until_zero(values: Vector, change: Vector) -> float:
-    """The part of a change, one at most, that positive values survive."""
+    """Return the largest step, at most one, along a change after which positive values stay positive."""
     return float(1.0 / max(1.0, np.max(-change / values, initial=0.0)))
 
 
 def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector], Step]:
-    """What solves K u + E'l + A'nu = f, E u - c l = g, A u = b for compliances c (m,) of the contacts.
+    """Return a function that solves K u + E'l + A'nu = f, E u - c l = g, A u = b, c (m,) compliances of contacts.
 
     Contacts of one unknown alone, bounds, are eliminated beforehand: they add E_ij^2 / c_i to its stiffness.
     """

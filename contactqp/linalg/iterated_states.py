@@ -29,7 +29,7 @@ from contactqp.model.solution import Answer
 
 
 class FrictionalLimits(Limits, Protocol):
-    """A contact problem with friction as far as an iteration asks it."""
+    """The part of a contact problem with friction that changes from load to load, as an iteration reads it."""
 
     @property
     def friction(self) -> Vector | None: ...  # (m,)
@@ -44,14 +44,14 @@ STIFFEST = 1e2
 
 @dataclass(frozen=True, eq=False)
 class FrictionalAnswer(Answer):
-    """Displacement and forces of a problem with tangential rows; over ranks, those of one."""
+    """Displacement and forces of a problem with tangential rows; on several ranks, those of one rank."""
 
     friction_force: Array  # (m, d-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """The states of contacts; over ranks, of those of one."""
+    """The states of contacts; on several ranks, of the contacts of one rank."""
 
     closed: Mask  # (m,)
     stick: Mask  # (m,) some of the closed ones
@@ -215,7 +215,7 @@ class FrictionRows:
 
     @property
     def tangential(self) -> sp.csr_matrix:
-        """E_T over the unknowns that the rows touch."""
+        """The tangential rows E_T over the unknowns that the rows touch."""
         return self.iteration.entries[self.plain :]
 
 
@@ -284,7 +284,7 @@ class CombinationSystem:
         return abs(self._iteration.dot(unbalanced, self._along(unbalanced)))
 
     def solved(self, x: Vector, tolerance: float, energy: float, most: int = ROUNDS * STEPS) -> Vector:
-        """Return the displacement from one that is closed, as exact as equilibrium and energy ask, or as GMRES comes.
+        """Solve from a displacement on the limits until equilibrium and energy are met, or GMRES gets no further.
 
         Parameters
         ----------

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso
-from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Flags
+from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.v_cycle import HeldHierarchy
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
@@ -41,7 +41,7 @@ FLOATING = 1e-12
 
 
 def iterated(problem: ContactProblem) -> bool:
-    """Whether a problem is solved and judged without a factorisation.
+    """Return whether a problem is solved and judged without a factorisation.
 
     From 200 000 unknowns with more than 40 entries a row where pyamg is installed, with more than 300 contacts that rub
     in space from 10 000. What cannot be iterated on, bodies that float and methods that work with factors
@@ -69,7 +69,7 @@ def _is_large(problem: ContactProblem) -> bool:
 
 
 def contacts_are_many(problem: ContactProblem) -> bool:
-    """Whether contacts are so many that candidates among them cost less: never with friction in the plane."""
+    """Return whether contacts are so many that a subset of candidates costs less; never with friction in the plane."""
     known = problem._computed.all_contacts
     if problem.frictional not in known:
         known[problem.frictional] = not _are_many(problem)
@@ -84,13 +84,15 @@ def _are_many(problem: ContactProblem) -> bool:
 
 
 def may_be_factorised(problem: ContactProblem) -> bool:
-    """Whether a body that is iterated on may be: by a solver that refuses what does not fit, unless the user chose."""
+    """Return whether an iterated body may be factorised: by a solver that refuses what does not fit into memory, and
+    not where the user chose another.
+    """
     return (pardiso.available() or problem.dimension < LARGE) and not os.environ.get(CHOICE, "")
 
 
 @contextmanager
 def factorised(problem: ContactProblem) -> Iterator[None]:
-    """Have a stiffness factorised however large it is, for as long as that goes well: a method works with its factors.
+    """Allow a stiffness of any size to be factorised inside the block, for methods that work with factors.
 
     Afterwards the factors are there, and what is asked of the same stiffness uses them.
     """
@@ -104,7 +106,7 @@ def factorised(problem: ContactProblem) -> Iterator[None]:
 
 
 def held_by_hierarchy(problem: ContactProblem) -> bool:
-    """Whether no body floats, as far as a hierarchy can tell; False without pyamg."""
+    """Return whether a multigrid hierarchy finds no floating body; False without pyamg."""
     with problem.lock:
         if problem._computed.of_stiffness.supported is None:
             try:
@@ -166,52 +168,41 @@ class Iteration(ContactIteration):
         self._plain = self._hierarchy.cycle(self._no_rows)
 
     def dot(self, a: Vector, b: Vector) -> float:
-        """Return the inner product a'b of two vectors."""
         return float(a @ b)
 
-    def any(self, flags: Flags | bool) -> bool:
-        """Whether any flag is set."""
+    def any(self, flags: Mask | bool) -> bool:
         return bool(np.any(flags))
 
-    def count(self, flags: Flags) -> int:
-        """How many are set."""
+    def count(self, flags: Mask) -> int:
         return int(np.sum(flags))
 
-    def mark(self, flags: Flags) -> object:
-        """Something to tell this set of flags from others by."""
+    def mark(self, flags: Mask) -> object:
         return flags.tobytes()
 
     def largest(self, values: Vector) -> Vector:
-        """Return the largest over all processes, entry by entry."""
         return values
 
     @property
     def diagonal(self) -> Vector:
-        """D = diag K (n,) [force / length]."""
         return self._diagonal
 
     @property
     def entries(self) -> sp.csr_matrix:
-        """Return E (m + k + ..., t) over the unknowns that its rows touch."""
         return self.rows
 
     def of_rows(self, chosen: NDArray[np.intp]) -> Iteration:
-        """Return the same stiffness with some of the rows alone, all contacts first."""
         other = copy(self)
         other._hierarchy = self._hierarchy.of_rows(chosen)
         other.rows, other._row_sizes = self.rows[chosen], self._row_sizes[chosen]
         return other
 
     def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
-        """Return the lengths of other rows (a, t) over the touched unknowns."""
         return np.asarray(entries @ x[self.touched])
 
     def forces_of(self, entries: sp.csr_matrix, force: Vector) -> Vector:
-        """Return what forces (a,) on other rows (a, t) do to the unknowns (n,)."""
         return self._spread(entries.T @ force)
 
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> AssembledRows:
-        """The projections of other rows (a, t), held at limits (a,)."""
         return AssembledRows(entries, self.touched, limit, self._compliance[self.touched])
 
     def gmres(
@@ -245,31 +236,24 @@ class Iteration(ContactIteration):
 
     @property
     def own_compliance(self) -> Vector:
-        """(m + k,) E_i D^-1 E_i' [length / force]."""
         return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
 
     def product(self, x: Vector) -> Vector:
-        """Return the forces K x of a displacement."""
         return np.asarray(self.matrix @ x)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """Return the sizes |K||x| of what these forces add up."""
         return np.asarray(self._sizes @ abs(x))
 
     def lengths(self, x: Vector) -> Vector:
-        """(m + k,) E x."""
         return np.asarray(self.rows @ x[self.touched])
 
     def length_sizes(self, x: Vector) -> Vector:
-        """(m + k,) |E||x|."""
         return np.asarray(self._row_sizes @ abs(x[self.touched]))
 
     def forces(self, force: Vector) -> Vector:
-        """Return what forces on the rows do to the unknowns, E'l (n,)."""
         return self._spread(self.rows.T @ force)
 
     def force_sizes(self, force: Vector) -> Vector:
-        """(n,) |E|'|l|."""
         return self._spread(self._row_sizes.T @ abs(force))
 
     def _spread(self, near: Vector) -> Vector:
@@ -278,35 +262,28 @@ class Iteration(ContactIteration):
         return whole
 
     def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
-        """(m + k,) max_j |E_ij l_i| / F_j, F = |K||x| + |E|'|l| + |f|."""
         sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
         return force_measure(self.rows, force, sizes)
 
     def held(self, rows: NDArray[np.intp], limit: Vector) -> AssembledRows:
-        """The projections of some rows, held at limits."""
         return self.constrained(self.rows[rows], limit)
 
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
-        """Move x onto the limits of held rows, and the residual with it, both in place."""
         away = x[self.touched]
         held.close(x)
         residual -= self._near.T @ (x[self.touched] - away)
 
     def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
-        """Conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
         return ConjugateGradients(self.product, self._hierarchy.cycle(rows), x, residual, held)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
-        """Conjugate gradients on K e = r from e = 0; r is changed in place."""
         held = self.held(self._no_rows, np.zeros(0))
         return ConjugateGradients(self.product, self._plain, np.zeros_like(residual), residual, held)
 
     def smooth(self, force: Vector) -> Vector:
-        """M r, M for the bodies without rows."""
         return self._plain(force)
 
-    def around(self, contacts: Flags, layers: int) -> Flags:
-        """(m,) these contacts and those within so many layers of unknowns around them."""
+    def around(self, contacts: Mask, layers: int) -> Mask:
         normal = self._row_sizes[: len(contacts)]
         for _ in range(layers):
             reached = self._near_sizes.T @ (normal.T @ contacts.astype(float))
@@ -318,7 +295,7 @@ _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso (
 
 
 def iteration(problem: ContactProblem) -> Iteration:
-    """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
+    """Return the iteration of a stiffness and its rows, which is made once and shared by all that `replace` derives."""
     if problem._computed.iteration is None:
         problem._computed.iteration = Iteration(problem)
     made: Iteration = problem._computed.iteration
@@ -326,7 +303,7 @@ def iteration(problem: ContactProblem) -> Iteration:
 
 
 def frictional_iteration(problem: ContactProblem) -> Iteration:
-    """The same with the tangential rows behind contacts and ties, on the same hierarchy."""
+    """Return the iteration with tangential rows behind contacts and ties, on the same hierarchy."""
     if problem._computed.frictional_iteration is None:
         known = iteration(problem).hierarchy
         problem._computed.frictional_iteration = Iteration(problem, tangents=True, known=known)

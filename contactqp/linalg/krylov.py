@@ -33,13 +33,13 @@ TINY = float(np.finfo(float).tiny)
 
 
 class Projections(Protocol):
-    """What rows that hold make of displacements and forces."""
+    """Projections of displacements and forces by rows that are held."""
 
     def admit(self, z: Vector) -> None:
-        """Take out of z what moves the rows, in place."""
+        """Remove from z the part that moves the rows, in place."""
 
     def balanced(self, r: Vector) -> Vector:
-        """What the forces on the rows leave of r."""
+        """Return r less the forces on the rows that balance it best."""
 
 
 class ConjugateGradients:
@@ -90,11 +90,11 @@ class ConjugateGradients:
         return self._square
 
     def estimate(self) -> float:
-        """rho as far as the last application of M tells, scaled with the residual; infinite before the first."""
+        """An estimate of rho from the last application of M, scaled with the residual; infinite before the first."""
         return self._before * self._size() / self._before_size
 
     def _aim(self) -> float:
-        """The next direction, and rho."""
+        """Set the next direction and return rho."""
         z = self._precondition(self.unbalanced)
         self._rows.admit(z)
         square = max(float(self._dot(self.unbalanced, z)), 0.0)
@@ -111,7 +111,7 @@ class ConjugateGradients:
         return float(self._dot(self.unbalanced, self.unbalanced))
 
     def step(self) -> bool:
-        """One iteration; false where rounding or a singular K leave nothing to go along."""
+        """Make one iteration; return False where rounding or a singular K leaves no direction of descent."""
         square = self.square()
         force = self._product(self._direction)
         stiffness = float(self._dot(self._direction, force))
@@ -170,7 +170,7 @@ class IndependentRows:
             rows = entries[self.kept]
 
     def _factorise(self, gram: Any) -> NDArray[np.bool_]:
-        """Factors of the rows' Gram matrix, its diagonal one; which of the rows do not depend on rows before them."""
+        """Factorise the scaled Gram matrix of the rows; return which rows do not depend on rows before them."""
         from scipy.sparse.linalg import splu
 
         self._factor: Any = None
@@ -183,7 +183,7 @@ class IndependentRows:
         return np.asarray(self._factor.U.diagonal()[self._factor.perm_c] > DEPENDENT)
 
     def solve(self, lengths: Vector) -> Vector:
-        """(a,) forces that cause the lengths (a,), zero on rows that depend on others."""
+        """Return the forces (a,) that cause the lengths (a,), zero on rows that depend on others."""
         force = np.zeros(self._count)
         if self.kept.size:
             scaled = self._scale * lengths[self.kept]
@@ -216,16 +216,16 @@ class AssembledRows:
         x[self._columns] += self._compliance * (self._spread @ self._gram.solve(missing))
 
     def admit(self, z: Vector) -> None:
-        """Take out of z what moves the rows, in place."""
+        """Remove from z the part that moves the rows, in place."""
         moved = self._gram.solve(self._entries @ z[self._columns])
         z[self._columns] -= self._compliance * (self._spread @ moved)
 
     def forces(self, r: Vector) -> Vector:
-        """(a,) l, zero on dependent rows."""
+        """Return the forces l (a,) that balance r best, zero on dependent rows."""
         return self._gram.solve(self._entries @ (self._compliance * r[self._columns]))
 
     def balanced(self, r: Vector) -> Vector:
-        """What the forces on the rows leave of r."""
+        """Return r less the forces on the rows that balance it best."""
         left = r.copy()
         left[self._columns] -= self._spread @ self.forces(r)
         return left

@@ -67,7 +67,7 @@ class RowSizes:
 
 
 def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
-    """Return the sizes of rows with a column an unknown; those of the problem's own rows are computed once."""
+    """Return the sizes of rows (r, n) over all unknowns; those of the problem's own rows are computed once."""
     if rows is not problem.normal and rows is not problem.tangent and rows is not problem.tie:
         return sizes_of(rows, problem.diagonal)
     made: dict[int, RowSizes] = problem._computed.row_sizes
@@ -77,7 +77,7 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
 
 
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
-    """Return the sizes of rows over unknowns with these entries K_jj."""
+    """Return the sizes of rows (r, n) over unknowns whose diagonal entries K_jj are given."""
     compliance = reciprocal(diagonal)
     size, row = abs(rows.data), _row_of_entries(rows)
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
@@ -100,7 +100,7 @@ ROUNDING_OF_LOADS = 64 * float(np.finfo(float).eps)
 
 
 def without_rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:
-    """The displacement (n,) less its rigid part, in the least squares of sqrt(K_jj) u_j.
+    """Return the displacement (n,) without its rigid part, found by least squares of sqrt(K_jj) u_j.
 
     Where nothing is stiff there is no rigid part either: unknowns without stiffness keep their displacement.
     """
@@ -108,7 +108,7 @@ def without_rigid_part(problem: ContactProblem, displacement: Vector, rigid: Rig
 
 
 def rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:
-    """The coordinates (r,) of the rigid part of a displacement."""
+    """Return the coordinates (r,) of the rigid part of a displacement in the basis of rigid motions."""
     weight = np.sqrt(problem.diagonal)
     coordinates, *_ = np.linalg.lstsq(weight[:, None] * rigid.motions, weight * displacement, rcond=None)
     return np.asarray(coordinates)
@@ -119,7 +119,7 @@ STANDS_STILL = 256 * float(np.finfo(float).eps)
 
 
 def that_move(problem: ContactProblem, motions: Array) -> Array:
-    """Rigid motions (n, r), zero at unknowns that no motion of their body moves but for rounding.
+    """Return rigid motions (n, r) with zeros at the unknowns that no motion of their body moves beyond rounding.
 
     Where forces act on such unknowns alone, their work would be rounding, measured against rounding.
     """
@@ -131,7 +131,7 @@ def that_move(problem: ContactProblem, motions: Array) -> Array:
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:
-    """S (n,) of a problem and an answer, that of the part which each unknown belongs to.
+    """Return the intrinsic size S (n,) at each unknown: that of the connected part which it belongs to.
 
     `elastic` (n,) is the displacement without its rigid part.
     """
@@ -154,7 +154,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
 
 
 def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether anything moves each part: a load, an overlap, a tie's or a slip's length."""
+    """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
     for rows, limit in _rows(problem):
@@ -166,7 +166,7 @@ def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_
 
 
 def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:
-    """What is nothing beside intrinsic sizes (n,): this part of them, or what no doubles could hold better.
+    """Return the forces and lengths that count as none: the fraction `part` of the intrinsic sizes (n,), or rounding.
 
     `elastic` (n,) is the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most.
     """
@@ -192,7 +192,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
 
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
-    """The length S |E_i D| of every row that an intrinsic size S (n,) of the unknowns has there.
+    """Return the length S |E_i D| of every row that belongs to an intrinsic size S (n,) of the unknowns.
 
     Rows that touch nothing stiff move with what other rows join them to (`scale_of_unknowns`).
     """
@@ -205,7 +205,7 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:
-    """(n,) the number of the body, a connected part of K, that each unknown belongs to."""
+    """Return the number of the body, a connected part of K, that each unknown belongs to (n,)."""
     of_stiffness = problem._computed.of_stiffness
     if of_stiffness.bodies is None:
         of_stiffness.bodies = connected_parts(problem.stiffness_rows)[1].astype(np.intp)
@@ -213,7 +213,7 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
 
 
 def parts(problem: ContactProblem) -> NDArray[np.intp]:
-    """(n,) the number of the part, bodies connected by contacts and ties, that each unknown belongs to."""
+    """Return the number of the part that each unknown belongs to (n,): bodies joined by contacts and ties."""
     found: NDArray[np.intp] | None = problem._computed.parts
     if found is None:
         found = bodies(problem)
@@ -232,7 +232,7 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
 
 
 def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(2, z) the body of each entry of CSR rows, and the body of the first entry of its row."""
+    """Return the body of each of z entries of CSR rows, and the body of the first entry of its row, (2, z)."""
     counts = np.diff(rows.indptr)
     first = rows.indices[rows.indptr[:-1][counts > 0]]
     return np.stack([body[rows.indices], np.repeat(body[first], counts[counts > 0])])
@@ -246,7 +246,7 @@ def _rows(problem: ContactProblem) -> list[tuple[Any, Vector]]:
 
 
 def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compliance: Vector) -> Vector:
-    """The lengths that rows impose on an answer, each in the square root of energy.
+    """Return the length that each row imposes on an answer (r,) [square root of energy].
 
     Parameters
     ----------
@@ -263,12 +263,12 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
 
 
 def in_energy(length: Vector, compliance: Vector) -> Vector:
-    """Lengths of rows over |E_i D|; those of rows that touch nothing stiff give no size."""
+    """Return lengths of rows over |E_i D| (r,) [square root of energy]; rows that touch nothing stiff give zero."""
     return np.divide(length, np.sqrt(compliance), out=np.zeros_like(length), where=compliance > 0)
 
 
 def scale_of_unknowns(problem: ContactProblem) -> Vector:
-    """D (n,): 1/sqrt(K_jj); of an unknown without stiffness what its rows give it, and 0 where none does.
+    """Return D (n,): 1/sqrt(K_jj), or of an unknown without stiffness the scale that its rows give it, else 0.
 
     A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts, and what
     has been given is given on.
@@ -299,7 +299,7 @@ def _given_by(rows: Any, D: Vector) -> Vector:
 
 
 def _untouched(problem: ContactProblem) -> Any:
-    """(n,) whether neither the stiffness nor a row touches an unknown."""
+    """Return whether neither the stiffness nor a row touches each unknown (n,)."""
     if problem._computed.untouched is None:
         touched = problem.diagonal > 0
         for rows in (problem.normal, problem.tangent, problem.tie):
@@ -314,17 +314,17 @@ ROUNDING_OF_LENGTH = 1e-14
 
 
 def lay_out(problem: ContactProblem) -> None:
-    """Make what residuals and figures need of the stiffness, for every answer that follows."""
+    """Form what residuals and figures of every answer need of the stiffness, so that no timing includes it."""
     extended_rows(problem), problem.stiffness_sizes, bodies(problem)
 
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
-    """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
+    """Return F (n,): the sum of the sizes of all forces that meet at each unknown [force]."""
     return np.asarray(problem.stiffness_sizes @ abs(answer.displacement) + outer_forces(problem, answer))
 
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
-    """F without |K||u|: what acts on the bodies from outside."""
+    """Return F without |K||u| (n,): the sizes of loads, contact forces and tie forces at each unknown [force]."""
     outer = problem.load_size + row_sizes(problem, problem.normal).forces(abs(answer.normal_force))
     outer = outer + row_sizes(problem, problem.tie).forces(abs(answer.tie_force))
     if problem.tangent is not None and answer.friction_force is not None:
@@ -343,7 +343,7 @@ NOTABLE = 1e-6
 
 
 def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, size: Vector) -> Vector:
-    """F (n,) [force], by which residuals are measured: all that meets at an unknown, unless it hides what acts there.
+    """Return the forces F (n,) by which residuals are measured: those that meet, unless they hide the load [force].
 
     Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
     lost. Where all that meets is 1e6 times |f| + |K||u| and more, F is no more than what its rounding needs; where it
@@ -366,7 +366,10 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
 
 
 def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """The part by which the outer forces miss balance on the worst rigid motion of a basis, of those along it."""
+    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
+
+    It is |z'r| / |z|'F_outer of a motion z, r being the resultant of loads, contacts and ties.
+    """
     rows = extended_rows(problem)
     if not rigid.count:
         return 0.0
@@ -379,7 +382,7 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
 def lengths_that_meet(
     problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH
 ) -> Vector:
-    """L_i = (|E||u| + |g|)_i, infinite where that is zero [length].
+    """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
     It is zero where it is no more than `rounding` |E_i D| max_j |u_j / D_j| of the displacements of the bodies that the
     row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
@@ -395,7 +398,7 @@ def lengths_that_meet(
 
 
 def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH) -> Vector:
-    """|L| (m,) of the tangential rows of each contact [length]; a row at rest adds none where another one moves."""
+    """Return |L| (m,) of each contact's tangential rows [length]; a row at rest adds none where another one moves."""
     if problem.tangent is None or problem.slip_origin is None:
         return np.full(problem.contacts, np.inf)
     meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement, rounding)
@@ -403,20 +406,31 @@ def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: 
 
 
 def lengths_of_pairs(meeting: Array) -> Vector:
-    """|L| (m,) of the lengths (m, d-1) that meet along the tangential rows of each contact, infinite at rest."""
+    """Return |L| (m,) of the lengths (m, d-1) that meet along each contact's tangential rows, infinite at rest."""
     finite = np.where(np.isfinite(meeting), meeting, 0.0)
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
 
 def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) -> Vector:
-    """Lengths (m,), infinite where they are at most `least` (m,) of the `largest` (n,) unknown that a row touches."""
+    """Return lengths of rows, set to infinity where they are rounding of the displacements that the row touches.
+
+    Parameters
+    ----------
+    rows : (r, n) CSR matrix
+    length : (r,) array
+        |E||u| + |g| of each row [length].
+    least : (r,) array
+        The fraction of the largest displacement up to which the length is rounding.
+    largest : (n,) array
+        The largest displacement of the body that each unknown belongs to.
+    """
     touched = np.zeros(rows.shape[0])
     np.maximum.at(touched, _row_of_entries(rows), largest[rows.indices])
     return np.where(length <= least * touched, np.inf, length)
 
 
 def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
-    """(n,) the largest size (n,) of an unknown on the body that each belongs to."""
+    """Return, for each unknown, the largest size (n,) of any unknown of its body (n,)."""
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
     np.maximum.at(largest, body, size)
@@ -424,7 +438,7 @@ def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
 
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
-    """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
+    """Return |E_i D|^2 (r,), D = 1/sqrt(K_jj): the compliance of row i, all other unknowns held [length / force]."""
     return row_sizes(problem, rows).compliance
 
 
@@ -439,12 +453,23 @@ def reciprocal(size: Array) -> Array:
 
 
 def beyond(size: Vector, none: Vector) -> Vector:
-    """Sizes, 0 where they are nothing; NaN is something, and nothing hides behind what overflows."""
+    """Return sizes with 0 where they are at most `none`; NaN stays, and an infinite `none` excuses nothing."""
     return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
 
 
 def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
-    """max_j |E_ij l_i| / F_j for every row i; what is no more than `none` (n,) does not count."""
+    """Return the measure max_j |E_ij l_i| / F_j of the force of every row (r,).
+
+    Parameters
+    ----------
+    rows : (r, n) CSR matrix
+    force : (r,) array
+        The multipliers l [force].
+    meeting : (n,) array
+        F, the forces that meet at each unknown [force].
+    none : (n,) array, optional
+        Forces up to which there is none at an unknown.
+    """
     row = _row_of_entries(rows)
     acting = abs(rows.data) * abs(force)[row]
     if none is not None:

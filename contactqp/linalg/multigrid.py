@@ -42,13 +42,13 @@ JACOBI = 4 / 3
 
 
 def available() -> bool:
-    """Whether pyamg can be had; nothing is loaded to find out."""
+    """Return whether pyamg is installed; nothing is imported to find out."""
     return importlib.util.find_spec("pyamg") is not None
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One level: its matrix, D, the largest eigenvalue of D^-1 K, and the way to the next coarser level."""
+    """One level: its matrix, D, the largest eigenvalue of D^-1 K, and the prolongation from the next coarser level."""
 
     matrix: Any
     diagonal: Array
@@ -113,7 +113,7 @@ class Hierarchy:
             matrix, B = (prolong.T @ (matrix @ prolong)).tobsr((size, size)), coarse_B
 
     def _least_energy(self, B: Array, forces: Array, diagonal: Array) -> Array:
-        """min over a of a'(B'KB)a / a'(B'DB)a for each body; `forces` is K B."""
+        """Return min over a of a'(B'KB)a / a'(B'DB)a for each body; `forces` is K B."""
         q, count = B.shape[1], int(self.bodies.max()) + 1
         if count == 1:
             return energy_ratios(B.T @ forces, B.T @ (diagonal[:, None] * B))[0][:1]
@@ -126,7 +126,7 @@ class Hierarchy:
 
 
 def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
-    """The values a'Ea / a'Sa (p,) of the eigenvectors a (q, p) of E a = value S a on the range of S, from the least."""
+    """Return the eigenvalues (p,) and eigenvectors (q, p) of E a = value S a on the range of S, the least first."""
     values, vectors = np.linalg.eigh(size)
     kept = values > np.finfo(float).eps * len(size) * values[-1]
     basis = vectors[:, kept] / np.sqrt(values[kept])
@@ -135,12 +135,12 @@ def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
 
 
 def _positive(diagonal: Array) -> Array:
-    """A coarse unknown that an aggregate had no motion for has a zero row: one stands for its diagonal."""
+    """Return a diagonal with ones in place of zeros, which coarse unknowns without a motion have."""
     return np.where(diagonal > 0, diagonal, 1.0)
 
 
 def in_blocks(stiffness: Any, total: Callable[[int], int] = int) -> Any:
-    """K in blocks of three or two unknowns where its entries come in such blocks, else by rows.
+    """Return K in blocks of three or two unknowns where its entries come in such blocks, else by rows.
 
     Where it is some rows of K, that cut no block, `total` is the sum over all who have some.
     """
@@ -159,13 +159,13 @@ def block_size(matrix: Any) -> int:
 
 
 def _graph(matrix: Any) -> Any:
-    """Which blocks of unknowns K couples."""
+    """Return which blocks of unknowns K couples."""
     count = len(matrix.indptr) - 1
     return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
 
 
 def of_size_one(motions: Array, most: Callable[[Array], Array] = np.asarray) -> Array:
-    """The motions that move anything, each with its largest entry at one: their sizes mean nothing.
+    """Return the motions that are not zero, each divided by its largest entry.
 
     `most` is the largest, entry by entry, of all who have a part of the motions.
     """
@@ -174,7 +174,7 @@ def of_size_one(motions: Array, most: Callable[[Array], Array] = np.asarray) -> 
 
 
 def constants(count: int, size: int) -> Array:
-    """(count, size) the motions of unknowns in blocks, one for each unknown of a block."""
+    """Return the constant motions (count, size) of unknowns in blocks, one for each unknown of a block."""
     return np.tile(np.eye(size), (count // size, 1))
 
 
@@ -187,7 +187,7 @@ def _bodies(matrix: Any) -> NDArray[np.intp]:
 
 
 def _aggregates(matrix: Any) -> Any:
-    """Each block with its neighbours, as a matrix (blocks, aggregates); None where that makes nothing coarser."""
+    """Return aggregates of neighbouring blocks as a matrix (blocks, aggregates); None where nothing gets coarser."""
     from pyamg.aggregation.aggregate import standard_aggregation
 
     aggregates, _ = standard_aggregation(_graph(matrix))
@@ -195,7 +195,7 @@ def _aggregates(matrix: Any) -> Any:
 
 
 def _tentative(aggregates: Any, B: Array) -> tuple[Any, Array]:
-    """T with T'T = 1 and its B_coarse, B = T B_coarse."""
+    """Return the tentative prolongation T with T'T = 1, and B_coarse with B = T B_coarse."""
     from pyamg.aggregation.tentative import fit_candidates
 
     tentative, coarse = fit_candidates(aggregates, B)
@@ -285,7 +285,7 @@ class HeldCoarsestLevel:
 
 
 def cholesky(matrix: Array) -> Array:
-    """L of a matrix with a diagonal of about one.
+    """Return Cholesky's L of a matrix with a diagonal of about one.
 
     Raises
     ------
@@ -305,14 +305,14 @@ def cholesky(matrix: Array) -> Array:
 
 
 def forward(lower: Array, right: Array) -> Array:
-    """L^-1 right; LAPACK refuses what is empty."""
+    """Return L^-1 right, also of empty matrices, which LAPACK refuses."""
     from scipy.linalg import solve_triangular
 
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if right.size else right.copy()
 
 
 def backward(lower: Array, right: Array) -> Array:
-    """L'^-1 right."""
+    """Return L'^-1 right."""
     from scipy.linalg import solve_triangular
 
     if not right.size:

@@ -30,7 +30,7 @@ class Infeasible(Exception):
 def dual_active_set(
     W: Array, h: Vector, free: NDArray[np.bool_], tolerance: Vector, max_steps: int
 ) -> tuple[Vector, int, bool]:
-    """Forces l with l >= 0 off `free`, h - W l <= tolerance, and the number of steps; the flag says whether it ended.
+    """Find forces l with l >= 0 off `free` and h - W l <= tolerance; return them, the steps, and whether it ended.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: 
 
 
 def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
-    """The first rows that do not depend on those before them."""
+    """Return the rows that do not depend on rows before them."""
     chosen: list[int] = []
     for i in rows:
         held = W[np.ix_(chosen, chosen)]

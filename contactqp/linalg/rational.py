@@ -202,6 +202,11 @@ def least_change(directions: fmpq_mat, x: fmpq_mat) -> fmpq_mat:
     return x - directions * (across * directions).solve(across * x)
 
 
+def sum_of_products(one: Sequence[Any], other: Sequence[Any]) -> Any:
+    """Return the sum of products of two sequences of rationals or balls of python-flint."""
+    return sum((x * y for x, y in zip(one, other, strict=True)), fmpq(0))
+
+
 def is_semidefinite(K: fmpq_mat) -> bool:
     """Whether z'Kz >= 0 for all z, exactly.
 

@@ -83,7 +83,7 @@ def answer_on(
     caution: float = 1.0,
     at_rest: bool = False,
 ) -> OnSet:
-    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
+    """Solve K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, by refinement from `start`.
 
     Free motions of the start stay as they are; without one, and `at_rest`, they take the displacement to its least norm
     within the gaps. `left` are the start's residuals, if they are known; they are of use where it has no force but on
@@ -101,7 +101,7 @@ def answer_on(
 
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
-    """The part by which the outer forces miss balance on rigid motions, if noise does not make them miss it."""
+    """Return the relative imbalance of the outer forces on rigid motions, forces that are noise left out."""
     missed = imbalance(problem, found.doubles, condensation.rigid)
     if missed <= BALANCED:
         return missed
@@ -111,7 +111,7 @@ def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet
 
 
 def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vector, Vector]:
-    """Contact and tie forces in doubles, zero where they are what refinement leaves of zero.
+    """Return contact and tie forces in doubles, set to zero where they are the rounding that refinement leaves.
 
     On a body that nothing else loads such noise would be all that drives it.
     """
@@ -132,7 +132,7 @@ def _refined(
     at_rest: bool,
     cleared: bool = False,
 ) -> OnSet:
-    """`answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
+    """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
     saddle, compliance = saddle_point(condensation, closed), delassus(condensation).compliance
     size_of = _CorrectionSize(problem, condensation, compliance, closed)
     rows = extended_rows(problem)
@@ -200,7 +200,7 @@ class _CorrectionSize:
         return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
 
     def is_negligible(self, size: float, answer: tuple[Vector, Vector, Vector], whole: float) -> bool:
-        """Whether a correction is far below what doubles hold of an answer of size `whole`, or what two doubles hold.
+        """Return whether a correction is far below the rounding of doubles of size `whole`, or that of two doubles.
 
         The rigid part of a displacement strains nothing and counts for the latter alone.
         """
@@ -211,7 +211,7 @@ class _CorrectionSize:
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
-    """The contacts that an answer says are closed: W_ii l_i > gap_i, both lengths; `compliance` (m,) is W_ii."""
+    """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths; `compliance` (m,) is W_ii."""
     return np.flatnonzero(compliance * force > problem.gap - problem.normal @ u)
 
 
@@ -224,7 +224,9 @@ def polish(
     left: Residuals | None = None,
     caution: float = 1.0,
 ) -> tuple[OnSet, int, bool]:
-    """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
+    """Refine the answer on a set of closed contacts and correct the set; return whether its signs hold in the end.
+
+    Returned are the answer, the number of corrections, and whether no contact pulls and no open one penetrates.
 
     A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
     that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
@@ -275,7 +277,7 @@ def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
 
 
 def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
-    """A redundant set in which its most penetrated dependent contact replaces the contact that must give way to it.
+    """Return the redundant set in which the most penetrated dependent contact replaces the one that must open for it.
 
     None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
     """
@@ -290,7 +292,7 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
 
 
 def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding.
+    """Return the contacts that must open, in tension or apart though they push, and those that penetrate.
 
     Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
     """
@@ -307,15 +309,16 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
 
 
 def _regular(answer: OnSet) -> bool:
-    """Whether no row of a set depends on others, or nearly so."""
+    """Return whether the rows of a set are independent, and not nearly dependent."""
     return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
 
 
 def _decided(
     problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]
 ) -> NDArray[np.intp] | None:
-    """The set that follows from signs in extended precision, beneath what doubles tell from zero; None where a set is
-    redundant or nearly so, or bodies float: there rounding of the data decides.
+    """Return the set that signs in extended precision ask for, of gaps and forces that doubles cannot tell from zero.
+
+    None where a set is redundant or nearly so, or where bodies float: there the rounding of the data decides.
 
     What refinement may have left undecided is refined further.
     """
@@ -338,7 +341,7 @@ def _decided(
 def _reached_by_drive(
     problem: ContactProblem, condensation: Condensation, answer: OnSet
 ) -> tuple[NDArray[np.intp], bool]:
-    """The contacts first reached by a motion that the set leaves free and the load drives, and whether there is one."""
+    """Return the contacts first reached by a free motion that the load drives, and whether there is such a motion."""
     if not answer.saddle.free.shape[1]:
         return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
@@ -357,7 +360,7 @@ def _reached_by_drive(
 
 
 def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) -> Vector:
-    """A condensed load less what contacts and ties carry of it.
+    """Return a condensed load (p,) less what contacts and ties carry of it.
 
     These do no work on a free motion, but for the rounding of it: a soft body's motion sideways lifts it by a rounding,
     and what lies on it, be it ever so stiff.
@@ -366,7 +369,7 @@ def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) ->
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
-    """The members of a redundant set that carry its resultant without tension, if any can."""
+    """Return the members of a redundant set that carry its resultant without tension, or all where none can."""
     from scipy.optimize import nnls
 
     closed = answer.saddle.closed
@@ -386,7 +389,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
 
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
-    """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
+    """Return displacement, contact and tie forces in double precision, zero beneath the rounding of the refinement."""
     u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
@@ -401,7 +404,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
 def least_displacement(
     problem: ContactProblem, condensation: Condensation, answer: OnSet, caution: float = 1.0
 ) -> tuple[OnSet, Array]:
-    """Among the displacements that differ by motions nothing drives and nothing resists, the one of least norm.
+    """Move an answer to its least norm along the motions that nothing drives and nothing resists.
 
     Returns the answer there and an orthonormal basis (n, q) of those motions.
     """
@@ -426,7 +429,7 @@ def least_displacement(
 def shift_to_least_norm(
     problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
 ) -> tuple[Vector, Array]:
-    """The motion that nothing resists and that takes an answer to its least norm within the gaps.
+    """Find the free motion that takes an answer to its least norm within the gaps.
 
     Contacts that push resist, or those that are said to be closed. Returns the shift (n,) and an orthonormal basis
     (n, q) of the motions.
@@ -454,7 +457,7 @@ def shift_to_least_norm(
 def _out_of_contacts(
     problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: NDArray[np.intp]
 ) -> Vector:
-    """A shift along free motions, corrected where its rounding leaves some of the contacts penetrated.
+    """Correct a shift along free motions where its rounding leaves some contacts penetrated.
 
     The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
     are met to few digits. What is missing is therefore found along a basis (n, q), orthonormal in the scale of the
@@ -471,11 +474,11 @@ def _out_of_contacts(
 
 
 def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
-    """Contacts with a force beyond rounding."""
+    """Return the contacts with a force beyond rounding."""
     return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
 
 
 def _push(problem: ContactProblem, answer: Answer) -> Vector:
-    """Every contact force in its measure, negative in tension."""
+    """Return the measure of every contact force (m,), negative in tension."""
     force = answer.normal_force
     return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)

@@ -69,7 +69,7 @@ WASTED = 25
 
 
 def constraints_are_many(problem: ContactProblem) -> bool:
-    """Whether sparse saddle points, and what identifies their contacts, are predicted to cost less than condensing.
+    """Return whether sparse saddle points, identification of contacts included, should cost less than condensing.
 
     Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
     like p, for residuals and steps, and like the operations of a sparse factorisation: p b^2 for a band of b,
@@ -84,7 +84,7 @@ def constraints_are_many(problem: ContactProblem) -> bool:
 
 
 def condense_anyway(problem: ContactProblem) -> None:
-    """Have a problem condensed, whatever is predicted: sparse systems have not led to an answer."""
+    """Condense a problem whatever is predicted, because sparse systems have not led to an answer."""
     problem._computed.constraints_are_many[problem.frictional] = False
 
 
@@ -124,7 +124,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
 
 
 def grid_operations(size: float, per_row: float) -> float:
-    """Return what factorising a grid of so many unknowns takes, with so many entries in a row."""
+    """Return the operations that factorising a plane grid of `size` unknowns takes, with `per_row` entries a row."""
     plane, space = float(10 * size**1.5 * (per_row / 5) ** 2), IN_SPACE * size**2
     return plane if per_row <= OF_PLANES else max(plane, space)
 
@@ -134,7 +134,7 @@ def _in_the_plane(problem: ContactProblem) -> bool:
 
 
 def _band(problem: ContactProblem) -> int:
-    """The half band of K and all rows of more than one entry, in the order of Cuthill and McKee reversed."""
+    """Return the half bandwidth of K and all rows of more than one entry, in the reverse Cuthill-McKee order."""
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     rows = sp.vstack([problem.normal, problem.tie], format="csr")
@@ -192,9 +192,9 @@ class SparseSaddle:
         return u, carried[: self._contacts], carried[self._contacts :]
 
     def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
-        """Return u, l and nu that take up residuals, refined in double precision, and the back-substitutions it took.
+        """Return corrections of u, l and nu for residuals, refined in double precision, and the back-substitutions.
 
-        Residuals in doubles cost a small part of those in extended precision, and tell the first digits as well.
+        Residuals in doubles cost a small part of those in extended precision and are as good for the first digits.
         """
         found = self.solve(force, gap, tie)
         lengths = np.concatenate([gap, tie])
@@ -222,7 +222,7 @@ def rows_alone(rows: Any) -> tuple[Indices, Indices]:
 def factorised(
     matrix: Any, kind: int, order: pardiso.EliminationOrder, unknowns: Indices
 ) -> Callable[[Vector], Vector]:
-    """Return what solves with a sparse matrix of a PARDISO kind: by it where it is installed and pays, else SuperLU.
+    """Return a function that solves with a sparse matrix, by PARDISO where it is installed and pays, else SuperLU.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def factorised(
 
 @dataclass
 class Effort:
-    """What has been spent on saddle points."""
+    """The number of factorisations and back-substitutions of saddle points so far."""
 
     factorisations: int = 0
     back_substitutions: int = 0
@@ -267,7 +267,7 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class ClosedState:
-    """An answer in which some contacts are held at their gap and the others have no force, and what it leaves.
+    """An answer in which some contacts are held at their gap and the others have no force, with its residuals.
 
     Attributes
     ----------
@@ -278,7 +278,7 @@ class ClosedState:
     answer : ExtendedAnswer
         Displacement and forces.
     left : Residuals
-        What the answer leaves of equilibrium, gaps and ties.
+        The residuals of equilibrium, gaps and ties.
     force, length : float
         The largest force that meets at an unknown, the largest length.
     force_residual, length_residual : float
@@ -327,11 +327,11 @@ class ClosedState:
 
     @property
     def residual(self) -> float:
-        """The larger of the two."""
+        """The larger of the two relative residuals."""
         return max(self.force_residual, self.length_residual)
 
     def better_than(self, before: ClosedState, part: float = 1.0) -> bool:
-        """Whether one residual is less than a part of what it was, and the larger has not grown.
+        """Return whether one residual has fallen below a part of its earlier value and the larger has not grown.
 
         A sweep may mend one of them where rounding of the data keeps the other.
         """
@@ -347,17 +347,17 @@ class ClosedState:
 
     @property
     def pulled(self) -> Mask:
-        """(m,) the closed contacts that are held in tension."""
+        """The closed contacts that are held in tension (m,)."""
         return np.asarray(self.closed & (self.answer.normal_force.double() < -SIGNED * self.force))
 
     @property
     def penetrated(self) -> Mask:
-        """(m,) the open contacts that are penetrated."""
+        """The open contacts that are penetrated (m,)."""
         return np.asarray(~self.closed & (self.left.gap.double() < -SIGNED * self.length))
 
     @property
     def holds(self) -> bool:
-        """Whether the answer solves the problem: it meets what it should, without tension and penetration."""
+        """Whether the answer solves the problem: residuals are small, no contact pulls and none is penetrated."""
         return self.solved and not (np.any(self.pulled) or np.any(self.penetrated))
 
 
@@ -384,7 +384,7 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
 
 
 def _kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
-    """The factorised saddle point; the last of a stiffness is kept, since polish and certificate ask alike."""
+    """Return the factorised saddle point; the last of a stiffness is kept for the certificate."""
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     key = closed.tobytes(), regularisation
     if key not in kept:
@@ -395,7 +395,7 @@ def _kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, e
 
 
 def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedState:
-    """Refine with one factorisation for as long as sweeps take a good part of the residual away."""
+    """Refine with one factorisation for as long as sweeps reduce the residual by a good part."""
     closed, slow = np.flatnonzero(state.closed), 0
     for _ in range(SWEEPS):
         if not state.residual > SOLVED:
@@ -432,7 +432,7 @@ def nearest_state(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, 
 
 
 def closed_in(problem: ContactProblem, answer: Answer) -> Mask:
-    """(m,) the contacts whose force, as a part of the largest, outweighs their gap as a part of the largest length."""
+    """Return the contacts whose force relative to the largest exceeds their gap relative to the largest length (m,)."""
     gap = problem.gap - problem.normal @ answer.displacement
     forces = (answer.normal_force, answer.tie_force, problem.load)
     force = max(float(np.max(abs(values), initial=0.0)) for values in forces)
@@ -449,7 +449,7 @@ class Uniqueness:
 
 
 def uniqueness(state: ClosedState) -> Uniqueness:
-    """Return which part of the answer on these closed contacts is unique.
+    """Return whether displacement and forces on these closed contacts are unique.
 
     The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
     rows ask for differently, by 1/d times it. Forces and gaps at random do both.

@@ -67,7 +67,7 @@ class SparseFrictionalRows:
         self.factorisations = 0
 
     def system(self, problem: ContactProblem, status: Status) -> StateSystem:
-        """The system of a combination; the last are kept, since polish and certificate ask alike."""
+        """Return the system of a combination; the last few are kept for the certificate."""
         key = status.tobytes()
         if key not in self._systems:
             if len(self._systems) == KEPT:
@@ -76,7 +76,7 @@ class SparseFrictionalRows:
         return self._systems[key]
 
     def _made(self, problem: ContactProblem, status: Status) -> StateSystem:
-        """The system of a combination by the factors of the last one, where it differs from that in few equations."""
+        """Return the system of a combination, by factors of the last one where it differs in few equations."""
         last = self._factorised
         if last is not None and last.regular and np.any(status != OPEN):
             few = sum(len(some) for some in _changes(last.status, status)) <= MOST_CHANGES
@@ -91,7 +91,7 @@ class SparseFrictionalRows:
 
 
 def _unit(rows: Any) -> tuple[Any, Vector]:
-    """Rows of unit length, and what they were divided by."""
+    """Return rows of unit length and the lengths that they were divided by."""
     rows.eliminate_zeros()
     length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     length = np.where(length > 0, length, 1.0)
@@ -99,7 +99,7 @@ def _unit(rows: Any) -> tuple[Any, Vector]:
 
 
 def frictional_rows(problem: ContactProblem) -> SparseFrictionalRows:
-    """Made once for a stiffness, its rows and its coefficients."""
+    """Return the frictional rows of a stiffness, its rows and coefficients, which are made once."""
     kept = problem._computed.sparse_frictional_rows
     if kept is None or kept[0] is not problem.friction:
         kept = problem._computed.sparse_frictional_rows = (problem.friction, SparseFrictionalRows(problem))
@@ -108,7 +108,7 @@ def frictional_rows(problem: ContactProblem) -> SparseFrictionalRows:
 
 
 class StateSystem(ABC):
-    """The system of one combination, attributes as those of `friction_states.StateSystem`; what it has been asked for.
+    """The system of one combination in all unknowns; attributes are those of `friction_states.StateSystem`.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class StateSystem(ABC):
         """
 
     def _solve(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
-        """The same without the regularisation: refined in double precision as long as that takes most of it away."""
+        """Return the solution without regularisation, refined in double precision while that removes most of it."""
         right = (load, np.where(self._closed, gap, 0.0), np.where(self._stuck, slip, 0.0), tie)
         found, last = self._once(*right), _largest(right)
         for _ in range(CORRECTIONS):
@@ -151,7 +151,7 @@ class StateSystem(ABC):
         return found
 
     def _left(self, right: _Parts, found: _Parts) -> _Parts:
-        """What a solution leaves of scaled right-hand sides, in double precision."""
+        """Return the scaled residuals of a solution, in double precision."""
         rows, (u, normal, friction, tied) = self._rows, found
         force = right[0] - rows.S @ u - rows.normal.T @ normal - rows.tie.T @ tied
         force -= rows.tangent.T @ (self.drag * normal + friction)
@@ -160,14 +160,14 @@ class StateSystem(ABC):
         return force, gap, slip, right[3] - rows.tie @ u
 
     def _regular(self) -> bool:
-        """Whether the response to right-hand sides at random is less than what the regularisation alone allows."""
+        """Return whether the response to random right-hand sides is smaller than regularisation alone would allow."""
         random, rows = np.random.default_rng(0), self._rows
         sizes = (len(rows.scale), len(self.status), len(self.status), len(rows.tie_length))
         response = np.concatenate(self._once(*(random.uniform(0.5, 1.0, size) for size in sizes)))
         return bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts, dnu (k,) for residuals of the problem."""
+        """Return du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts and dnu (k,) from residuals of the problem."""
         rows = self._rows
         lengths = (gap / rows.normal_length, slip / rows.tangent_length, tie / rows.tie_length)
         moved, pushing, sticking, tied = self._solve(load * rows.scale, *lengths)
@@ -175,7 +175,7 @@ class StateSystem(ABC):
         return (moved * rows.scale, pushing / rows.normal_length, friction_force, tied / rows.tie_length)
 
     def response_norm(self, load: Vector) -> float:
-        """The energy norm of the response to a load (n,), lengths held at zero."""
+        """Return the energy norm of the response to a load (n,) with all constrained lengths held at zero."""
         held, scaled = np.zeros(len(self.status)), load * self._rows.scale
         moved = self._once(scaled, held, held, np.zeros(len(self._rows.tie_length)))[0]
         return float(np.sqrt(max(float(scaled @ moved), 0.0)))
@@ -213,18 +213,18 @@ class SparseStateSystem(StateSystem):
         return self._factor(right)
 
     def right(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Vector:
-        """(p,) the right-hand side of the system."""
+        """Return the right-hand side of the system (p,)."""
         return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
 
     def places(self) -> tuple[Indices, Indices]:
-        """(m,) where in the system the forces are that contacts push and stick with, -1 where there are none."""
+        """The places in the system of normal and of sticking forces, (m,) each; -1 where a contact has none."""
         pushing, sticking = np.full((2, len(self.status)), -1)
         pushing[self.closed] = len(self._rows.scale) + np.arange(len(self.closed))
         sticking[self.stuck] = len(self._rows.scale) + len(self.closed) + np.arange(len(self.stuck))
         return pushing, sticking
 
     def parts(self, found: Vector) -> _Parts:
-        """Return what a solution (p,) of the system consists of."""
+        """Return displacement, normal, friction and tie forces of a solution (p,)."""
         closed, stuck = self.closed, self.stuck
         normal_force, friction_force = np.zeros((2, len(self.status)))
         cuts = np.cumsum([len(self._rows.scale), len(closed), len(stuck)])
@@ -295,7 +295,7 @@ class ChangedStateSystem(StateSystem):
 
 
 def _changes(before: Status, after: Status) -> tuple[Indices, ...]:
-    """Contacts that open, that were stuck and are no more, that close, that were not stuck and are, that turn."""
+    """Return the contacts that open, that stop sticking, that close, that begin to stick, and that turn."""
     flags = (
         (before != OPEN) & (after == OPEN),
         (before == STICK) & (after != STICK),
@@ -307,12 +307,12 @@ def _changes(before: Status, after: Status) -> tuple[Indices, ...]:
 
 
 def _units(places: Indices, size: int) -> Any:
-    """Rows (q, size) of zeros with a one at these places."""
+    """Return rows (q, size) of zeros with a one at each of these places."""
     return sp.csr_matrix((np.ones(len(places)), places, np.arange(len(places) + 1)), shape=(len(places), size))
 
 
 def _padded(rows: Any, size: int) -> Any:
-    """Rows with columns of zeros behind their own, so many in all."""
+    """Return rows extended by columns of zeros to `size` columns."""
     return sp.csr_matrix((rows.data, rows.indices, rows.indptr), shape=(rows.shape[0], size))
 
 
@@ -321,7 +321,7 @@ def _largest(parts: _Parts) -> float:
 
 
 def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweeps: int = MAX_SWEEPS) -> RefinedState:
-    """The answer of a combination, refined from a start in extended precision.
+    """Refine the answer of a combination from a start, in extended precision.
 
     Raises
     ------

@@ -36,7 +36,7 @@ HOLDING = 10.0
 
 
 class HeldLevel(ABC):
-    """One level with the stiffness of the rows that hold: K + E'CE, its diagonal and largest eigenvalue."""
+    """One level with springs on the held rows: K + E'CE, its diagonal and largest eigenvalue."""
 
     diagonal: Array
     largest: float
@@ -54,7 +54,10 @@ class HeldLevel(ABC):
         """Return P z, a displacement of the next coarser level on this one."""
 
     def smooth(self, r: Array, terms: int) -> tuple[Array, Array, Array]:
-        """Chebyshev's polynomial from zero (Saad 2003, algorithm 12.1): z, its last step, the residual before that."""
+        """Apply Chebyshev's polynomial from zero (Saad 2003, algorithm 12.1).
+
+        Returns z, the last step, and the residual before it.
+        """
         middle, half = (1 + DAMPED) / 2 * self.largest, (1 - DAMPED) / 2 * self.largest
         sigma = middle / half
         rho = 1 / sigma
@@ -71,7 +74,7 @@ class HeldLevel(ABC):
 
 
 class VCycle:
-    """M for K + E'CE, from its levels, the finest first, and the inverse on the coarsest one."""
+    """The preconditioner M of K + E'CE, from its levels, the finest first, and the inverse on the coarsest one."""
 
     def __init__(self, levels: Sequence[HeldLevel], coarsest: Callable[[Array], Array]) -> None:
         self._levels, self._coarsest = levels, coarsest
@@ -101,7 +104,7 @@ class LevelRows(NamedTuple):
 
 
 class HeldHierarchy:
-    """A hierarchy and all rows that may hold: E, E P, E P P, ... of rows (a, n)."""
+    """A hierarchy with all rows that may be held, on every level: E, E P, E P P, ... of rows (a, n)."""
 
     def __init__(self, hierarchy: Hierarchy, rows: Any) -> None:
         self.levels, self.rows = hierarchy.levels, []
@@ -114,15 +117,15 @@ class HeldHierarchy:
         self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns)
 
     def of_rows(self, chosen: NDArray[np.intp]) -> HeldHierarchy:
-        """The same hierarchy with some of the rows alone."""
+        """Return the same hierarchy with some of the rows alone."""
         other = copy(self)
         other.rows = [LevelRows(row.entries[chosen], row.columns) for row in self.rows]
         return other
 
     def cycle(self, held: NDArray[np.intp], sprung: sp.csr_matrix | None = None) -> VCycle:
-        """M for the stiffness K + E'CE, E the rows `held` (h,).
+        """Return the preconditioner M of K + E'CE, E being the rows `held` (h,).
 
-        With `sprung` (s, a) F'F is added too, F = `sprung` times all rows: springs that the stiffness has besides.
+        With `sprung` (s, a) the springs F'F are added to the stiffness, F being `sprung` times all rows.
         """
         E, columns = self.rows[0]
         strength = held_strength(E[held].multiply(E[held]) @ (1 / self.levels[0].diagonal[columns]))
@@ -135,7 +138,7 @@ class HeldHierarchy:
 
 
 def held_strength(compliance: Array) -> Array:
-    """sqrt(C) of rows with the compliance E D^-1 E'; zero for rows that move nothing."""
+    """Return sqrt(C) of rows with compliance E D^-1 E' (a,); zero for rows that move nothing."""
     return np.sqrt(np.divide(HOLDING, compliance, out=np.zeros_like(compliance), where=compliance > 0))
 
 
