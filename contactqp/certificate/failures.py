@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactqp.certificate.bounds import Bounds
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.model.solution import FIGURES, Answer, Violations
+from contactqp.model.solution import ANSWER_PARTS, FIGURES, Answer, Violations
 
 # Grazing contacts, and dependent ties, that a note names.
 MOST_NAMED = 8
@@ -33,11 +33,8 @@ class Named(Protocol):
     def tie_name(self) -> Callable[[int], str]: ...
 
 
-PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
-
-
 def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
-    for name in PARTS:
+    for name in ANSWER_PARTS:
         values = getattr(answer, name)
         if values is not None and not np.all(np.isfinite(values)):
             yield said_of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))

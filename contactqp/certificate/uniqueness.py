@@ -16,6 +16,7 @@ each of them; here they are counted.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -158,19 +159,22 @@ class _Systems:
         asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
         return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
 
+    def _by_state(self, status: NDArray[np.int8]) -> Iterator[NDArray[np.intp]]:
+        """Yield the open, the closed and the sticking contacts, and those that slide against friction."""
+        for mask in (status == OPEN, status != OPEN, status == STICK, (abs(status) == 1) & (self.mu > 0)):
+            yield np.flatnonzero(mask)
+
     def sizes(self, status: NDArray[np.int8], y: Vector) -> Vector:
         """Return by how much every row of `signs` may fail in a solution (q,)."""
         length, pushed = (part[0] for part in self._allowed(y[None]))
-        opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
-        sliding = np.flatnonzero((abs(status) == 1) & (self.mu > 0))
+        opened, closed, stuck, sliding = self._by_state(status)
         rubbed = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
         return np.concatenate([length[opened, 0], pushed[closed, 0], rubbed, rubbed, length[sliding, 1]])
 
     def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
         """Room and its slope in y: the signs hold where room + slope y >= 0."""
         m, unit = len(self.mu), np.eye(self._slope.shape[1])
-        opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
-        sliding = np.flatnonzero((abs(status) == 1) & (self.mu > 0))
+        opened, closed, stuck, sliding = self._by_state(status)
         sign, bound = status[sliding].astype(float), self.mu[stuck, None] * unit[2 * stuck]
         none = np.zeros(len(closed) + 2 * len(stuck))
         room = np.concatenate([self._room[opened, 0], none, -sign * self._room[sliding, 1]])

@@ -13,7 +13,6 @@ from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_f
 from contactqp.certificate.coulomb_law import IMPLIED
 from contactqp.certificate.failures import (
     MOST_NAMED,
-    PARTS,
     said_of_balance,
     said_of_estimates,
     said_of_figure,
@@ -34,15 +33,14 @@ from contactqp.distributed.problem import (
 )
 from contactqp.distributed.violations import coulomb_residual, outer_forces, outer_resultant, row_sizes, violations
 from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.linalg.existence import LP_OPTIONS
 from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations
+from contactqp.model.solution import ANSWER_PARTS, FIGURES, GLOBALLY, Answer, Certificate, Violations
 
 # How near to each other the bounds of a minimum come: figures are read with a few digits.
 NEAR = 1e-9
 MOST_QUERIES = 1000
-# The linear program's own tolerance, below NEAR.
-LP_TOLERANCE = 1e-10
 
 
 class CuttingPlanes:
@@ -115,7 +113,7 @@ class CuttingPlanes:
             b_eq=[1.0],
             bounds=[(None, None)] * width + [(0, None)],
             method="highs",
-            options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+            options=LP_OPTIONS,
         )
         if found.x is None:
             raise NotConverged(f"the balance of forces could not be judged: {found.message}")
@@ -321,7 +319,7 @@ def contact_status(problem: DistributedProblem, certificate: Certificate) -> Any
 def _refuse_shapes(problem: DistributedProblem, answer: Answer) -> None:
     tangential = None if problem.slip_origin is None else problem.slip_origin.shape
     shapes = (problem.load.shape, problem.gap.shape, tangential, problem.tie_value.shape)
-    for name, shape in zip(PARTS, shapes, strict=True):
+    for name, shape in zip(ANSWER_PARTS, shapes, strict=True):
         values = getattr(answer, name)
         if values is None and name == "friction_force":
             if problem.friction is not None and np.any(problem.friction > 0):
@@ -334,7 +332,7 @@ def _not_finite(problem: DistributedProblem, answer: Answer) -> list[str]:
     """Return a message for each part of the answer that is not finite, of its first such unknown, contact or tie."""
     numbers = problem.dof_number, problem.contact_number, problem.contact_number, problem.tie_number
     messages = []
-    for name, number in zip(PARTS, numbers, strict=True):
+    for name, number in zip(ANSWER_PARTS, numbers, strict=True):
         values = getattr(answer, name)
         values = np.zeros(len(number)) if values is None else values
         flags = ~np.all(np.isfinite(values), axis=tuple(range(1, values.ndim)))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.elements.reference_elements import Block, batches, sum_at_nodes
-from contactqp.elements.scalars import real_array
+from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
@@ -297,9 +297,7 @@ class NonlinearSolid:
         return found
 
     def _parts(self, displacement: ArrayLike) -> Iterator[_Part]:
-        u = real_array("displacement", displacement)
-        if u.shape != (self.dimension,):
-            raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
+        u = real_vector("displacement", displacement, self.dimension)
         moved = u.reshape(self.body.mesh.points.shape)
         for block, first, gradient, volume in self._at_rest:
             H = np.einsum("eni,eqnJ->eqiJ", moved[block.nodes], gradient)

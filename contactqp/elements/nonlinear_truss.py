@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.scalars import real_array
+from contactqp.elements.scalars import real_array, real_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
@@ -312,9 +312,7 @@ class NonlinearTruss(ReadOnly):
         return sp.csc_array((K + K.T) / 2)  # what meets at a node adds up in another order on the other side
 
     def _read(self, displacement: ArrayLike) -> Array:
-        u = real_array("displacement", displacement)
-        if u.shape != (self.dimension,):
-            raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
+        u = real_vector("displacement", displacement, self.dimension)
         return u.reshape(self.nodes.shape)
 
     def _apart(self, values: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector, computes
+from contactqp.model.arrays import Array, Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.summary import Printed, counted, html_of, place_of, summary_of, verdict_of
@@ -39,6 +39,15 @@ class Nothing(ReadOnly):
     tie: Vector  # (k,) in the ties [length]
 
 
+# The arrays that an answer consists of, in the order in which messages and tables name them.
+ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
+
+
+def all_finite(*parts: Array | None) -> bool:
+    """Return whether every number of the arrays that are given is finite."""
+    return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+
+
 @dataclass(frozen=True, eq=False)
 class Answer(ReadOnly):
     """Somebody's displacement and forces, of the right shapes."""
@@ -49,8 +58,7 @@ class Answer(ReadOnly):
     tie_force: Vector  # (k,)
 
     def finite(self) -> bool:
-        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
-        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+        return all_finite(self.displacement, self.normal_force, self.tie_force, self.friction_force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +248,7 @@ class Candidate:
     @property
     def finite(self) -> bool:
         """Whether every number of it is one."""
-        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
-        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+        return all_finite(self.displacement, self.normal_force, self.tie_force, self.friction_force)
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ class Reference:
         """What displacements are relative to: the largest of them, or else of what they must reach; 0 if all vanish."""
         problem = self.problem
         origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
-        moved = _largest(self.displacement)
-        return moved if moved > 0 else max(_largest(problem.gap), _largest(origin), _largest(problem.tie_value))
+        moved = largest_of(self.displacement)
+        return moved if moved > 0 else max(largest_of(problem.gap), largest_of(origin), largest_of(problem.tie_value))
 
     @property
     def force(self) -> float:
@@ -54,7 +54,7 @@ class Reference:
         parts = [weights(self.problem.normal) * abs(self.normal_force), weights(self.problem.tie) * abs(self.tie_force)]
         if self.friction_force is not None:
             parts.append(weights(self.problem.tangent) * abs(self.friction_force).ravel())
-        return _largest(np.concatenate(parts)) or _largest(self.problem.load)
+        return largest_of(np.concatenate(parts)) or largest_of(self.problem.load)
 
     @property
     def resultant(self) -> Vector:
@@ -67,7 +67,7 @@ class Reference:
 
 
 def weights(rows: Any) -> Vector:
-    """max_j |E_ij| of every row: a multiplier times this is the largest force that it puts on an unknown."""
+    """Return max_j |E_ij| of every row (m,): times a multiplier it is the largest force that it puts on an unknown."""
     return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
 
 
@@ -123,7 +123,8 @@ def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
     )
 
 
-def _largest(values: Vector) -> float:
+def largest_of(values: Vector) -> float:
+    """Return the largest absolute value, and 0 of no values."""
     return float(np.max(abs(values), initial=0.0))
 
 

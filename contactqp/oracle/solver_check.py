@@ -10,11 +10,11 @@ from typing import Any
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import ANSWER_PARTS
 from contactqp.oracle.assertions import solution_fault
 from contactqp.oracle.gallery.gallery import problems as gallery_problems
 from contactqp.oracle.gallery.problem import GalleryProblem
 
-PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 VERDICTS = ("right", "wrong", "failed")
 
 
@@ -119,18 +119,18 @@ def _verdict(
 def _parts(answer: Any) -> dict[str, Any]:
     """Displacement and forces of what a solver returned."""
     if isinstance(answer, Mapping):
-        unknown = sorted(set(map(str, answer)) - set(PARTS))
+        unknown = sorted(set(map(str, answer)) - set(ANSWER_PARTS))
         if unknown:
-            raise InvalidProblem(f"the solver returned {unknown[0]!r}; known are {', '.join(PARTS)}")
+            raise InvalidProblem(f"the solver returned {unknown[0]!r}; known are {', '.join(ANSWER_PARTS)}")
         return {str(name): value for name, value in answer.items()}
     if isinstance(answer, tuple | list):
-        if len(answer) > len(PARTS):
-            raise InvalidProblem(f"the solver returned {len(answer)} parts; expected at most {', '.join(PARTS)}")
-        return dict(zip(PARTS, answer, strict=False))
-    found = {name: getattr(answer, name, None) for name in PARTS}
+        if len(answer) > len(ANSWER_PARTS):
+            raise InvalidProblem(f"the solver returned {len(answer)} parts; expected at most {', '.join(ANSWER_PARTS)}")
+        return dict(zip(ANSWER_PARTS, answer, strict=False))
+    found = {name: getattr(answer, name, None) for name in ANSWER_PARTS}
     if found["displacement"] is None and found["normal_force"] is None:
         raise InvalidProblem(
-            f"the solver returned a {type(answer).__name__}; expected {', '.join(PARTS)} as a mapping, a tuple in that "
-            "order or attributes"
+            f"the solver returned a {type(answer).__name__}; expected {', '.join(ANSWER_PARTS)} as a mapping, a tuple "
+            "in that order or attributes"
         )
     return found

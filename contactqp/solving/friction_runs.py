@@ -41,7 +41,7 @@ from contactqp.solving.friction.force_system import CombinationAnswer, ForceSyst
 from contactqp.solving.friction.newton import refined
 from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.friction.sparse_newton import solve_sparse_newton
-from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
@@ -143,7 +143,6 @@ def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
     return quiet if holds(problem, quiet) else answer
 
 
-DEFAULT_METHOD = "active-set"
 _FACTORISE = "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
 # The error in energy of an iteration, over that of the displacement; the certificate asks for the same of its own.
 ENERGY = 1e-10

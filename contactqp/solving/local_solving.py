@@ -26,9 +26,8 @@ from contactqp.solving.friction.enumeration import Combinations, refuse_many
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, has_local_equilibrium
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm
-from contactqp.solving.methods import POLYGON_OPTIONS, Settings, find, refuse_arguments
+from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, refuse_arguments
 
-DEFAULT_METHOD = "active-set"
 ENUMERATION = "enumeration"
 # Sizes from which dense systems are large enough for two threads to wait for each other.
 WORTH_ONE_THREAD = 100

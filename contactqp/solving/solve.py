@@ -38,6 +38,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.among_candidates import solve_among
 from contactqp.solving.methods import (
+    DEFAULT_METHOD,
     Method,
     Settings,
     find,
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
     from contactqp.model.local_problem import LocalSolution
 
 
-DEFAULT_METHOD = "active-set"
 # The active set on sparse systems, nothing being condensed.
 SPARSE = "sparse"
 # Arguments that every method has; all others are options of its own.

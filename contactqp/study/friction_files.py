@@ -43,8 +43,8 @@ from contactqp.linalg.runtime import within_time
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Certificate, LocalCertificate, Solution
-from contactqp.solving.methods import options_of
+from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
+from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
 from contactqp.study.rows import finite
 
@@ -174,8 +174,6 @@ def _first_reads(file: str) -> tuple[Outline, ProblemRows]:
 SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 LOCAL_FIGURES = (*SHARED_FIGURES, "joints", "natural_map", "siconos_error")
 BODY_FIGURES = ("equilibrium", "balance", *SHARED_FIGURES, "tie")
-ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
-DEFAULT_METHOD = "active-set"
 
 
 def split_files(arguments: Sequence[str]) -> tuple[list[str], list[str]]:

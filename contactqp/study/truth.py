@@ -11,9 +11,10 @@ from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.model.arrays import Vector
-from contactqp.model.problem import ContactProblem, Matrix
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array
 from contactqp.model.solution import GLOBALLY, Solution
+from contactqp.oracle.assertions import largest_of, weights
 from contactqp.solving.solve import solve
 
 # The rounding error of a chain of a few dozen additions, relative to the size of its terms.
@@ -73,7 +74,9 @@ class Truth:
         if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(normal_force))):
             return Errors(None, None, None, "the answer is not finite", float("inf"), 0.0)
         energy = self._energy(displacement - self.displacement)
-        largest = _Measured.of(_largest(displacement - self.displacement), _largest(self.displacement), self._length())
+        largest = _Measured.of(
+            largest_of(displacement - self.displacement), largest_of(self.displacement), self._length()
+        )
         force = self._force(normal_force, tie_force)
         decisive = [energy.judged] if energy.relative else []
         decisive += [largest.judged] if not self.free and (self._singular or not energy.relative) else []
@@ -108,13 +111,13 @@ class Truth:
     def _length(self) -> float:
         """Return the largest length that meets at a contact or tie."""
         problem, size = self.problem, abs(self.displacement)
-        at_contacts = (abs(problem.normal) @ size + abs(problem.gap)) / _row_sizes(problem.normal)
-        at_ties = (abs(problem.tie) @ size + abs(problem.tie_value)) / _row_sizes(problem.tie)
-        return max(_largest(at_contacts), _largest(at_ties))
+        at_contacts = (abs(problem.normal) @ size + abs(problem.gap)) / weights(problem.normal)
+        at_ties = (abs(problem.tie) @ size + abs(problem.tie_value)) / weights(problem.tie)
+        return max(largest_of(at_contacts), largest_of(at_ties))
 
     def _force(self, normal_force: Vector, tie_force: Vector | None) -> _Measured | None:
         if self.unique_forces:
-            weight = _row_sizes(self.problem.normal)
+            weight = weights(self.problem.normal)
             change, truth = (normal_force - self.normal_force) * weight, self.normal_force * weight
         elif tie_force is None or self.tie_force is None:
             return None
@@ -122,7 +125,7 @@ class Truth:
             truth = self._resultant(self.normal_force, self.tie_force)
             change = self._resultant(normal_force - self.normal_force, tie_force - self.tie_force)
         meeting = abs(self.problem.stiffness) @ abs(self.displacement) + abs(self.problem.load)  # at each unknown
-        return _Measured.of(_largest(change), _largest(truth), _largest(meeting))
+        return _Measured.of(largest_of(change), largest_of(truth), largest_of(meeting))
 
     def _resultant(self, normal_force: Vector, tie_force: Vector) -> Vector:
         return np.asarray(self.problem.normal.T @ normal_force + self.problem.tie.T @ tie_force)
@@ -156,15 +159,6 @@ class _Measured:
         if scale > 0:
             return cls(change, False, change / scale)
         return cls(change, False, 0.0 if change == 0 else float("inf"))
-
-
-def _largest(values: Vector) -> float:
-    return float(np.max(abs(values), initial=0.0))
-
-
-def _row_sizes(rows: Matrix) -> Vector:
-    """Return max_j |E_ij| of each row, (m,); no row is zero."""
-    return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
 
 
 Reference = Solution | tuple[ArrayLike, ...]

@@ -19,7 +19,7 @@ from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Certificate, Solution, Violations
+from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import judge
 from contactqp.oracle.foreign.recovery import slips
@@ -213,7 +213,6 @@ def unit_of(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 # A hypothesis explains an answer if, undone, so much of the error is gone and no more than this is left.
 GONE, LEFT = 1e-2, 1e-3
 # What differs by less than this has no error left.
@@ -299,7 +298,7 @@ class Evidence:
     @cached_property
     def given_parts(self) -> tuple[str, ...]:
         """The parts that were given and have entries."""
-        return tuple(name for name in PARTS if getattr(self.given, name) is not None and self.size_of(name))
+        return tuple(name for name in ANSWER_PARTS if getattr(self.given, name) is not None and self.size_of(name))
 
     def size_of(self, name: str) -> int:
         return int(np.size(getattr(self.given, name)))

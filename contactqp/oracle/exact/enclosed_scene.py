@@ -20,7 +20,7 @@ from flint import arb, arb_mat
 
 from contactqp.elements.scalars import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
-from contactqp.linalg.rational import fraction, from_fraction
+from contactqp.linalg.rational import fraction, from_fraction, sum_of_products
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts, rounded_up
 from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
@@ -285,13 +285,9 @@ def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclose
             rub[i] = sign[i] * balls.friction[i] * value
     for i, value in zip(stuck, rest[len(closed) :], strict=True):
         rub[i] = value
-    gap = [arb(0) if i in closed else balls.g[i] - _product(balls.E[i], u) for i in range(m)]
-    slip = [arb(0) if i in stuck else _product(row, u) - balls.origin[i] for i, row in enumerate(balls.T)]
+    gap = [arb(0) if i in closed else balls.g[i] - sum_of_products(balls.E[i], u) for i in range(m)]
+    slip = [arb(0) if i in stuck else sum_of_products(row, u) - balls.origin[i] for i, row in enumerate(balls.T)]
     return Enclosed(u, push, rub, tie, gap, slip)
-
-
-def _product(row: list[arb], u: list[arb]) -> arb:
-    return sum((x * y for x, y in zip(row, u, strict=True)), arb(0))
 
 
 def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any) -> str:

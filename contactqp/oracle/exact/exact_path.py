@@ -22,7 +22,7 @@ from flint import fmpq, fmpq_mat
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.exact_algebra import Polyhedron, dot
-from contactqp.linalg.rational import beside, fraction, is_zero, null_space, stack, take, zeros
+from contactqp.linalg.rational import fraction, is_zero, null_space, take, zeros
 from contactqp.model.coulomb import CLOSED, OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
 from contactqp.oracle.exact.exact_solution import ExactEvent
 from contactqp.oracle.exact.rational_equilibrium import Combination, System, system_of
@@ -46,8 +46,7 @@ class LooseRates:
 
     def __init__(self, system: System, motion: fmpq_mat, forces: fmpq_mat, rooms: Rooms) -> None:
         n, rows = system.data.unknowns, system.held.nrows()
-        matrix = stack(beside(system.data.K, system.pushed.transpose()), beside(system.held, zeros(rows, rows)))
-        null = null_space(matrix)
+        null = null_space(system.matrix)
         size = int(null.ncols())
         columns = [null * _unit(size, j) for j in range(size)]
         ways = [system.answer(take(x, range(n)), take(x, range(n, n + rows))) for x in columns]

@@ -90,11 +90,16 @@ class System:
     limit: fmpq_mat  # (k + c + b, 1)
     pushed: fmpq_mat  # (k + c + b, n) A, P, T_b
 
+    @property
+    def matrix(self) -> fmpq_mat:
+        """The matrix [[K, P'], [H, 0]] of displacements and forces, H the rows that hold and P those that push."""
+        rows = self.held.nrows()
+        return stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
+
     def solve(self) -> tuple[fmpq_mat, fmpq_mat, bool] | None:
         """u, the forces (k + c + b, 1), and whether both are the only ones; None, proven, where there is none."""
         n, rows = self.data.unknowns, self.held.nrows()
-        matrix = stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
-        found = solve_any(matrix, stack(self.data.f, self.limit))
+        found = solve_any(self.matrix, stack(self.data.f, self.limit))
         if found is None:
             return None
         x, only = found

@@ -34,6 +34,7 @@ from contactqp.linalg.rational import (
     rational,
     solve_any,
     stack,
+    sum_of_products,
     take,
     take_columns,
     zeros,
@@ -211,20 +212,16 @@ def _wrong_friction(data: RationalProblem, answer: RationalAnswer) -> Iterator[W
     for i, mu in enumerate(data.friction):
         force, moved = rub[width * i : width * (i + 1)], slip[width * i : width * (i + 1)]
         bound = mu * mu * forces[i] * forces[i]
-        if _product(force, force) > bound:
+        if sum_of_products(force, force) > bound:
             yield Wrong("cone", i)
         if mu == 0 or all(s == 0 for s in moved):
             continue
-        along = _product(force, moved)
+        along = sum_of_products(force, moved)
         # Cauchy and Schwarz: equality means parallel.
-        parallel = along * along == _product(force, force) * _product(moved, moved)
+        parallel = along * along == sum_of_products(force, force) * sum_of_products(moved, moved)
         # What carries nothing has no direction of friction.
-        if not (parallel and along >= 0 and _product(force, force) == bound):
+        if not (parallel and along >= 0 and sum_of_products(force, force) == bound):
             yield Wrong("slip direction", i)
-
-
-def _product(one: list[fmpq], other: list[fmpq]) -> fmpq:
-    return sum((x * y for x, y in zip(one, other, strict=True)), fmpq(0))
 
 
 def status(data: RationalProblem, answer: RationalAnswer) -> tuple[str, ...]:

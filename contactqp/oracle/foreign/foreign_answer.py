@@ -20,7 +20,7 @@ from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, all_finite
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
 # Names listed in a message before it says how many more there are.
@@ -40,8 +40,7 @@ class GivenAnswer(ReadOnly):
     notes: tuple[str, ...] = ()
 
     def finite(self) -> bool:
-        parts = (self.displacement, self.normal_force, self.friction_force, self.tie_force)
-        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+        return all_finite(self.displacement, self.normal_force, self.friction_force, self.tie_force)
 
     def filled(self, problem: ContactProblem) -> Answer:
         """Return the answer with zeros for what was not given."""

@@ -39,7 +39,7 @@ from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import ANSWER_PARTS, Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
@@ -259,15 +259,12 @@ def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery
             yield Recovery(known, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
 
 
-_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
-
-
 def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
     """Complete answers of the rows that act, or in units in which numbers are near one, as those of the problem.
 
     What was given stays as it was.
     """
-    names = [name for name in _PARTS if getattr(given, name) is not None]
+    names = [name for name in ANSWER_PARTS if getattr(given, name) is not None]
     there = twin.answer(given.filled(problem))
     for found in recoveries(twin.problem, replace(given, **{name: getattr(there, name) for name in names})):
         whole = twin.whole_answer(found.answer)

@@ -29,6 +29,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
+from contactqp.model.solution import Candidate
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.iterate import RELAXATION, Deadline, Iterate, aitken
 from contactqp.solving.friction.local_form import LocalForm
@@ -197,13 +198,7 @@ class ConvexSteps:
             condense(inner)
         except InvalidProblem as error:
             raise NotConverged(f"{self._method.name}: delassus, of which printing left few digits: {error}") from error
-        if self._method.scale:
-            twin, scaling = nondimensional(inner)
-            candidate = scaling.unscale(self._method.solve(twin, self._settings))
-        else:
-            candidate = self._method.solve(inner, self._settings)
-        if not candidate.finite:
-            raise NotConverged(f"{self._method.name}: {candidate.status or 'its answer is not finite'}")
+        candidate = solve_convex(self._method, inner, self._settings)
         return candidate.displacement, candidate.tie_force
 
     def _parted(self, x: Vector, hard: Vector) -> tuple[Array, Vector]:
@@ -211,6 +206,24 @@ class ConvexSteps:
         joint = np.zeros(form.joints)
         joint[self._soft], joint[self._hard] = x[size:], hard
         return x[:size].reshape(form.m, form.d), joint
+
+
+def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
+    """Solve one convex problem of a fixed point, made nondimensional where the method wants that.
+
+    Raises
+    ------
+    NotConverged
+        The answer has numbers that are not finite.
+    """
+    if method.scale:
+        twin, scaling = nondimensional(problem)
+        candidate = scaling.unscale(method.solve(twin, settings))
+    else:
+        candidate = method.solve(problem, settings)
+    if not candidate.finite:
+        raise NotConverged(f"{method.name}: {candidate.status or 'its answer is not finite'}")
+    return candidate
 
 
 def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:

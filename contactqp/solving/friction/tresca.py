@@ -21,7 +21,6 @@ import numpy as np
 from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
@@ -29,6 +28,7 @@ from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
+from contactqp.solving.friction.convex_steps import solve_convex
 from contactqp.solving.friction.iterate import NEARER, RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 
@@ -202,13 +202,7 @@ class _Run:
         way = Condensation.of_condensed(inner, rigid, scale)
         inner._computed.condensation, inner._computed.unknown_scale = way, scale
         refuse_driven_motion(inner, way)
-        if self._method.scale:
-            twin, scaling = nondimensional(inner)
-            candidate = scaling.unscale(self._method.solve(twin, settings))
-        else:
-            candidate = self._method.solve(inner, settings)
-        if not candidate.finite:
-            raise NotConverged(f"{self._method.name}: {candidate.status or 'its answer is not finite'}")
+        candidate = solve_convex(self._method, inner, settings)
         return candidate.displacement, candidate.normal_force, candidate.tie_force
 
     def suggested(self, step: _Step, bound: Vector) -> Status:

@@ -38,6 +38,7 @@ __all__ = [
     "warm_candidate",
 ]
 
+DEFAULT_METHOD = "active-set"
 # Of the convex steps of friction in space, for methods that take no cones.
 POLYGON_OPTIONS = ("facets", "polygon")
 
