@@ -38,7 +38,7 @@ CONFLICT = 1e-14
 
 
 def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
-    """min |w| over rows w <= -excess, ties w = 0; None where these conflict, or too many steps would be taken.
+    """Minimise |w| over rows w <= -excess, ties w = 0; None where these conflict or too many steps are needed.
 
     Least-distance programming (Lawson and Hanson 1974, chapter 23): with G = -rows, h = excess and r the residual of
     min |[G'; h'] y - (0; 1)| over y >= 0, w_j = -r_j / r_last.
@@ -60,7 +60,7 @@ def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
 
 
 def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
-    """min |rows' l + ties' n - resultant| over l >= 0; None where too many steps would be taken."""
+    """Minimise |rows' l + ties' n - resultant| over l >= 0; None where too many steps are needed."""
     from scipy.optimize import nnls
 
     size = np.linalg.norm(rows, axis=1)
@@ -73,8 +73,10 @@ def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
 
 
 def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
-    """min |w| with rows w = -excess, ties w = 0, in the sense of least squares; what is dependent to rounding counts
-    as dependent."""
+    """Return the least w (p,) that meets rows w = -excess, ties w = 0 in the sense of least squares.
+
+    Rows that are dependent to rounding count as dependent.
+    """
     every = np.vstack([rows, ties])
     size = np.linalg.norm(every, axis=1)
     wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
@@ -113,17 +115,17 @@ class AdmissiblePair:
 
 
 class Unproven(Exception):
-    """Why there is no pair."""
+    """No pair is found, for the reason that the exception states."""
 
 
 class Undecided(Unproven):
-    """Why nothing can be proven in the digits that doubles have, whatever the answer."""
+    """Nothing can be proven in the digits of doubles, whatever the answer."""
 
 
 def admissible_pair(
     problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation
 ) -> AdmissiblePair:
-    """The pair nearest to the solution that can be had.
+    """Return the admissible pair that is nearest to the solution, as far as one is found.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def _holding(
     answer: Answer | None = None,
     left: Residuals | None = None,
 ) -> OnSet | None:
-    """The refined answer on a set, or on what corrections make of it, if its signs hold.
+    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
 
     Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
     """
@@ -166,7 +168,7 @@ def _holding(
 
 
 def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Condensation) -> list[NDArray[np.intp]]:
-    """The contacts closed by gap and force together, and, should these disagree, by either alone."""
+    """Return the sets of contacts closed by gap and force together, and, where these disagree, by either alone."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
@@ -178,7 +180,7 @@ def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Conden
 
 
 def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArray[np.intp] | None:
-    """The closed contacts by a finite method, where corrections of sets go round in circles; None if bodies float."""
+    """Find the closed contacts by a finite method, where corrections of sets cycle; None if bodies float."""
     if condensation.rigid.count:
         return None
     operator = delassus(condensation)
@@ -192,7 +194,7 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArra
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
-    """The refined answer on a set whose signs hold is the solution, to its last correction and to `undecided`."""
+    """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
     dropped, tie_change = _without_tension(problem, condensation, on_set)
     undecided = _undecided(problem, condensation, on_set)
     if dropped.hi.any():
@@ -215,7 +217,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
 
 
 def _without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
-    """The change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
+    """Return the change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
 
     On a body that floats the forces that stay must balance without it: those that push change by the least that does.
     With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
@@ -253,7 +255,7 @@ def rows_on_motions(
 
 
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
-    """How far the solution may be from an answer that penetrates by rounding."""
+    """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.doubles.displacement)
     excess = np.maximum(-on_set.gaps, 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
@@ -264,7 +266,7 @@ def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSe
 
 
 def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
-    """What gaps may hide that are zero in extended precision alone, where contacts that touch depend on each other.
+    """Bound the distance that gaps which are zero in extended precision alone leave open, where contacts are dependent.
 
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
@@ -285,7 +287,7 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
 def _of_penetration(
     problem: ContactProblem, condensation: Condensation, on_set: OnSet, excess: Vector, length: Vector
 ) -> float:
-    """How far the solution may be from an answer u' in which contacts are penetrated by `excess` d >= 0.
+    """Bound the distance of the solution from an answer u' whose contacts are penetrated by `excess` d >= 0 (m,).
 
     u' solves the problem with the gaps g + d. Let w be the least displacement with E w = -d where d > 0 and E w = 0 on
     the other closed contacts, A w = 0. Then u* - w is the solution in these gaps under the load f - K w, and the
@@ -299,7 +301,7 @@ def _of_penetration(
     Raises
     ------
     Undecided
-        There is neither, and more than refinement leaves: contacts that no rounding tells from dependent ones conflict.
+        Neither displacement exists: contacts that are dependent to rounding conflict by more than refinement leaves.
     """
     closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
     measure = np.where(length > 0, length, 1.0)[closed]
@@ -337,7 +339,7 @@ def _by_retreat(
     closed: NDArray[np.intp],
     exactly: NDArray[np.bool_],
 ) -> float:
-    """The smaller bound of two by a displacement w with E w <= -d, E w = -d on the closed contacts of `exactly`.
+    """Return the smaller of two bounds by a displacement w with E w <= -d, E w = -d on the contacts of `exactly`.
 
     One is that of `_of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
     u' the solution in the gaps g - E w too, and |u* - u'| <= 2 |w|; what is left of their response, |l' - l|_W, is
@@ -359,7 +361,7 @@ def _by_retreat(
 def _from_repair(
     problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
 ) -> AdmissiblePair:
-    """v: the candidate with its contacts closed; l: its forces without tension, balanced."""
+    """Return the pair of v, the candidate with its contacts closed, and l, its forces without tension, balanced."""
     rows = extended_rows(problem)
     to_feasible, saddle = _close(problem, answer, condensation, closed)
     force, tie = _admissible_forces(problem, answer, condensation)
@@ -387,7 +389,7 @@ def _from_repair(
 def _close(
     problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
 ) -> tuple[Extended, SaddlePoint]:
-    """The nearest displacement (in energy) on which the set is closed, the set growing by what this penetrates."""
+    """Return the displacement nearest in energy that closes a set, which grows by the contacts it penetrates."""
     rows = extended_rows(problem)
     start = extend(answer.displacement)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
@@ -412,7 +414,7 @@ def _close(
 def _admissible_forces(
     problem: ContactProblem, answer: Answer, condensation: Condensation
 ) -> tuple[Extended, Extended]:
-    """The candidate's forces without tension, changed least so that they balance the load on every rigid motion."""
+    """Return the candidate's forces without tension, changed least to balance the load on every rigid motion."""
     force, tie = np.maximum(answer.normal_force, 0.0), answer.tie_force
     Z = condensation.rigid.basis
     if not Z.shape[1]:

@@ -98,7 +98,7 @@ LARGEST = 8000
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Proven bounds; None where one could not be had, with the reason. Energies are square roots of energies."""
+    """Proven bounds [square root of energy]; one that could not be computed is None, with the reason."""
 
     energy_error: float | None = None
     force_error: float | None = None
@@ -139,12 +139,12 @@ class Bounds:
 
     @property
     def basis(self) -> str:
-        """What a verdict without friction rests on: these bounds, if both errors have one, else the figures alone."""
+        """The basis of a verdict without friction: "bounds" if both errors have one, else "figures"."""
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
 def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:
-    """The bounds of an answer, or the reasons why there are none."""
+    """Return the bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
     if isinstance(way, Iteration):
@@ -156,7 +156,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
 
 
 def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
-    """(n,) whether an unknown belongs to a part, bodies connected by contacts and ties, where anything is elastic."""
+    """Return whether each unknown belongs to a part with stiffness (n,); parts are joined by contacts and ties."""
     stiff = problem.diagonal > 0
     if np.all(stiff) or not np.any(stiff):
         return stiff
@@ -165,7 +165,7 @@ def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
 
 
 def _apart(problem: ContactProblem, answer: Answer, elastic: NDArray[np.bool_]) -> Bounds:
-    """The bounds of the parts where something is elastic, and the forces of single contacts in the others.
+    """Return the bounds of elastic parts, and those on single contact forces in the other parts.
 
     In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
     """
@@ -203,7 +203,7 @@ def _apart(problem: ContactProblem, answer: Answer, elastic: NDArray[np.bool_]) 
 def _part(
     problem: ContactProblem, unknowns: NDArray[np.intp], contacts: NDArray[np.intp], ties: NDArray[np.intp]
 ) -> ContactProblem:
-    """The problem of these unknowns alone, with the contacts and ties that act there."""
+    """Return the problem of these unknowns alone, with the contacts and ties that act there."""
     K = sp.csr_array(problem.stiffness_rows)[unknowns][:, unknowns]
     return ContactProblem(
         K if sp.issparse(problem.stiffness) else K.toarray(), problem.load[unknowns],
@@ -236,7 +236,7 @@ def _conflict_of_constraints(problem: ContactProblem, condensation: Condensation
 
 
 def no_bounds(reason: str) -> Bounds:
-    """None of the bounds, for one reason."""
+    """Return bounds that are all None for one reason."""
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
@@ -321,7 +321,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
 def _strain(
     problem: ContactProblem, solution: Extended, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[float, float]:
-    """|u*|_K of a solution, or what is near it, and what it may be off by where bodies float.
+    """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
 
     Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
     does not move rigidly.
@@ -336,7 +336,7 @@ def _strain(
 
 
 def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
-    """The energy norm that K, being rounded, gives the rigid part of a displacement."""
+    """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
     forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
     forces = forces @ rigid_part(problem, displacement, condensation.rigid)
@@ -345,7 +345,7 @@ def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:
-    """The part of the distance that lies along motions which nothing resists, and which no exact K would count."""
+    """Return the energy norm of the distance along free motions, which is rounding of K."""
     motions = free_motions(condensation, pair.saddle)
     if not motions.shape[1]:
         return 0.0
@@ -359,9 +359,9 @@ def _free_distance(problem: ContactProblem, condensation: Condensation, pair: Ad
 def _force_error(
     problem: ContactProblem, change: Extended, condensation: Condensation, pair: AdmissiblePair, known: Bounds
 ) -> tuple[float, float]:
-    """(3) relative to |l*|_W, and |l*|_W; `change` (m,) are the answer's forces less the pair's.
+    """Return the bound (3) relative to |l*|_W, and |l*|_W; `change` (m,) are the answer's forces less the pair's.
 
-    Zero are forces beneath the rounding of the data: a load that is one unit in its last place larger changes |l*|_W by
+    Forces beneath the rounding of the data are zero: a load that is one unit in its last place larger changes |l*|_W by
     as much as it changes |u*|_K.
 
     Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
@@ -381,7 +381,7 @@ def _force_error(
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:
-    """error over the least that the true scale can be; absolute, with its uncertainty, where the scale is zero."""
+    """Return the error over the least possible true scale; the error with its uncertainty where the scale is zero."""
     if scale == 0:
         return error + uncertainty
     return error / (scale - uncertainty) if scale > uncertainty else float("inf")
@@ -390,8 +390,10 @@ def _relative(error: float, scale: float, uncertainty: float) -> float:
 def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> tuple[Vector | None, str | None]:
-    """(4) on every contact that is closed in v, the bound of the first lines on those that are open, for the forces of
-    the pair."""
+    """Return bounds (m,) on the errors of the pair's contact forces, or None with the reason.
+
+    They are (4) on contacts closed in v, and the bound by the gap on those that are open.
+    """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
     saddle = saddle_point(condensation, active)
@@ -415,10 +417,10 @@ def _force_bound(
 def _out_of_balance(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: NDArray[np.intp]
 ) -> Vector:
-    """(q,) what rounding leaves of the balance of the pair's forces on rigid motions, as forces of active contacts.
+    """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
 
-    Such forces have no part in (4) where bodies float: no gap changes them. Refined forces are balanced to EPS of all
-    that meet, |K||u| of a large motion in it, those of a repair to eps of the outer forces.
+    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to EPS of all that
+    meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
     """
     motions = condensation.rigid.motions
     solution = (extend(answer.displacement) + pair.to_middle).double()
@@ -434,7 +436,7 @@ def _out_of_balance(
 
 
 def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """What is said of the bounds on the whole answer; errors up to `nothing` [square root of energy] are none."""
+    """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are none."""
     if known.suspicious is not None:
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
@@ -465,7 +467,7 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
 
 
 def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """What is said of the energy, where that is all that a problem determines; `nothing` [energy] is none."""
+    """Yield a message if the energy bounds fail, where a problem determines only that; `nothing` [energy] is none."""
     if known.energy_bounds is None or not known.by_energy:
         return
     lower, upper = known.energy_bounds
@@ -475,7 +477,7 @@ def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
 
 
 def fails_force_bound(known: Bounds, tolerance: float, nothing: float) -> bool:
-    """Whether the bound of a contact force, of those that are here, is beyond the tolerance.
+    """Return whether the bound on the force of one of these contacts is beyond the tolerance.
 
     On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
     presses them together.

@@ -135,7 +135,7 @@ def certificate_of(
     factorization: Condensation | None = None,
     prove_friction: bool = False,
 ) -> Certificate:
-    """`compute_certificate` of an answer that has the shapes of the problem."""
+    """Return the certificate of an answer whose shapes are those of the problem; arguments of `compute_certificate`."""
     if not answer.finite():
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
@@ -150,7 +150,7 @@ def certificate_of(
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """All that a certificate says of an answer, before it is put in words."""
+    """Figures, bounds and states of an answer, before they are put into words."""
 
     found: Violations
     balance: float
@@ -290,7 +290,7 @@ def _worded(
 
 
 def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
-    """What a certificate says besides its verdict."""
+    """Return the notes of a certificate besides its verdict."""
     said: list[str] = []
     if grazing.any():
         said += said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]])
@@ -314,7 +314,7 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
 
 
 class _Route(Enum):
-    """How far an answer is from the truth is found in one of these ways."""
+    """The ways in which the distance of an answer from the solution is bounded."""
 
     ITERATED = "by products, nothing being factorised"
     SPARSE = "by sparse systems of all unknowns"
@@ -339,9 +339,9 @@ def _residuals_and_bounds(
     factorization: Condensation | None,
     candidates: NDArray[np.intp] | None,
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
-    """What an answer leaves, how far from the truth that is, the rigid motions of the bodies, and their condensation.
+    """Return residuals, bounds, the rigid motions of the bodies and their condensation.
 
-    The last is None where not all contacts were condensed onto.
+    The condensation is None where it does not retain all contacts.
     """
     if route is _Route.ITERATED:
         left = plain_residuals(problem, answer)
@@ -362,7 +362,7 @@ def _residuals_and_bounds(
 
 
 def _by_energy(problem: ContactProblem, answer: Answer, known: Bounds, rigid: RigidMotions) -> Bounds:
-    """The bounds from the solution nearest to an answer, where condensed systems prove nothing and no body floats."""
+    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats."""
     if problem.frictional or _floats(problem, rigid):
         return known
     found = energy_bounds(problem, answer)
@@ -370,9 +370,9 @@ def _by_energy(problem: ContactProblem, answer: Answer, known: Bounds, rigid: Ri
 
 
 def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
-    """Whether bodies float: their stiffness, being rounded, resists rigid motions, and the energy would count that.
+    """Return whether bodies float, so that the rounding of their stiffness along rigid motions would enter the energy.
 
-    Unknowns without stiffness are no bodies, nor is what moves in more ways without energy than bodies do.
+    Unknowns without stiffness are no bodies, nor are parts with more motions without energy than a body has.
     """
     stiff = problem.diagonal > 0
     motions = int(np.sum(np.any(rigid.motions[stiff] != 0, axis=0)))
@@ -380,7 +380,7 @@ def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
-    """Contacts whose gap and force both vanish, of an `Answer` or of one rank's part of one; `own_compliance` (m,).
+    """Return the contacts whose gap and force both vanish (m,); `compliance` (m,) is `own_compliance`.
 
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
     the energy of the answer is known it must vanish against that too.
@@ -405,7 +405,7 @@ def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
 
 
 def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
-    """The words of `contact_status` for the contacts that the certificate's violations speak of."""
+    """Return the words of `contact_status` for the contacts of a certificate's violations."""
     found = certificate.violations
     if found is None:
         return np.full(len(grazing), "unknown")

@@ -40,7 +40,7 @@ class ContactEntries:
     contacts: int
 
     def over(self, meeting: Vector) -> NDArray[np.float64]:
-        """E_ij / F_j (w, z); where no force meets, and so none acts, as much as the contact's largest."""
+        """Return E_ij / F_j (w, z); where no force meets, an entry counts as much as the contact's largest."""
         F = meeting[self.unknown]
         scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
         if not np.all(F > 0):
@@ -50,21 +50,21 @@ class ContactEntries:
         return scaled
 
     def meets(self, meeting: Vector) -> NDArray[np.bool_]:
-        """(m,) whether any force meets at an unknown of a contact."""
+        """Return whether any force meets at an unknown of each contact (m,)."""
         return self.sums((meeting[self.unknown] > 0).astype(float)) > 0
 
     def largest(self, values: NDArray[np.float64]) -> Vector:
-        """The largest size (m,) of values (w, z), contact by contact."""
+        """Return the largest absolute value of (w, z) at each contact (m,)."""
         found = np.zeros(self.contacts)
         np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
         return found
 
     def sums(self, values: NDArray[np.float64]) -> Vector:
-        """Sums (m,) of (z,) values, contact by contact."""
+        """Return the sum of values (z,) at each contact (m,)."""
         return np.asarray(np.bincount(self.contact, weights=values, minlength=self.contacts), dtype=float)
 
     def forces(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """E_i'v (z,) of one vector v (m, w) a contact."""
+        """Return E_i'v (z,) of one vector v for each contact, (m, w)."""
         return np.asarray(np.sum(self.values * force.T[:, self.contact], axis=0))
 
 
@@ -92,23 +92,23 @@ WEAK = 1e-16
 
 
 def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
-    """Which contacts have a tangential row that is rounding beside their normal one, or zero, (m,).
+    """Return which contacts have a tangential row that is rounding beside the normal one, or zero (m,).
 
-    `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; nothing is
-    told of unknowns without stiffness.
+    `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; rows on
+    unknowns without stiffness are not judged.
     """
     return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
 
 
 def slips_that_are_nothing(none: Nothing, normal: Vector, tangent: Array) -> Nothing:
-    """What is nothing, with the length of its normal row for the slip of a contact that is `hardly_felt`."""
+    """Return `none` with the length of the normal row in place of the slip's where a contact is `hardly_felt`."""
     lengths_ = none.tangent.reshape(tangent.shape)
     along = np.maximum(lengths_, none.normal[:, None])
     return replace(none, tangent=np.where(hardly_felt(normal, tangent)[:, None], along, lengths_).ravel())
 
 
 def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
-    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact; what is no more than `none` (n,) does not count."""
+    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; up to `none` (n,) it is zero."""
     acting = beyond(abs(entries.forces(force)), none[entries.unknown])
     return entries.largest(ratio(acting, meeting[entries.unknown])[None])
 
@@ -122,12 +122,12 @@ class Felt:
     nothing: Vector
 
     def measure(self, force: Array) -> Vector:
-        """max_j |E_i'v|_j / F_j (m,) of one force vector v (m, w) a contact."""
+        """Return max_j |E_i'v|_j / F_j (m,) of one force vector v for each contact, (m, w)."""
         return vector_measure(self.entries, force, self.meeting, self.nothing)
 
 
 def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Callable[[Array], Vector]:
-    """The measure (m,) of tangential forces (m, d-1): what the unknowns feel of them.
+    """Return the function that measures tangential forces (m, d-1) by the forces that meet at their unknowns, (m,).
 
     Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
     forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too; so are
@@ -143,13 +143,13 @@ def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Ca
 
 
 def rounded_slips(moved: Vector, origin: Array) -> Vector:
-    """(m,) what rounding a displacement u to doubles makes of slips, from |E_T||u| and origins (m, d-1) [length]."""
+    """Return the rounding of slips (m,) of a displacement in doubles, from |E_T||u| and origins (m, d-1) [length]."""
     return np.asarray(HELD_BY_DOUBLES * lengths(moved.reshape(origin.shape) + abs(origin)))
 
 
 @dataclass(frozen=True, eq=False)
 class Rubbing:
-    """What Coulomb's law is judged by."""
+    """The slips, coefficients and measures by which Coulomb's law is judged."""
 
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
     rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
@@ -158,7 +158,7 @@ class Rubbing:
 
 
 def rubbing_of(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
-    """What Coulomb's law is judged by, or None without tangential rows; F and `none` (n,) are forces [force]."""
+    """Return the data that judge Coulomb's law, None without tangential rows; F and `none` are (n,) [force]."""
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
@@ -170,7 +170,7 @@ def rubbing_of(problem: ContactProblem, answer: Answer, F: Vector, none: Vector)
 
 
 def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
-    """|E_T||u| + |slip_origin| (m,) of the tangential rows of each contact together [length]."""
+    """Return |E_T||u| + |slip_origin| of the tangential rows of each contact together (m,) [length]."""
     if problem.tangent is None or problem.slip_origin is None:
         return np.zeros(problem.contacts)
     origin, moved = problem.slip_origin, row_sizes(problem, problem.tangent).lengths(abs(displacement))
@@ -178,7 +178,7 @@ def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
 
 
 def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
-    """The compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
+    """Return the compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
 
     They are sum E_ij^2 / K_jj, and infinite where a tangential row acts on an unknown without stiffness.
     """
@@ -190,7 +190,7 @@ def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
 
 
 def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
-    """The compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
+    """Return the compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
     if diagonal.all():
         return compliance
     bare = abs(rows) @ (diagonal == 0).astype(float) > 0
@@ -200,8 +200,7 @@ def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
 def friction_figures(
     answer: Any, rubbing: Rubbing, meeting: Vector, none: Nothing
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, the slip, and the
-    force that rounding of a small slip's direction turns.
+    """Return `cone`, `slip_direction`, the measure of the slip, and the force that a small slip's rounding may turn.
 
     `meeting` (m,) are the lengths that meet along the tangential rows of each contact [length].
     """
@@ -220,7 +219,7 @@ def friction_figures(
 
 
 def slips(slip: Array, none: Nothing) -> Array:
-    """Slips (m, d-1), zero at contacts where they are nothing."""
+    """Return slips (m, d-1), zero at contacts where they count as none."""
     slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
     return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))
 
@@ -232,7 +231,7 @@ PARALLEL = 1e-14
 
 
 def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
-    """|n_i| / (phi_i (1 + mu_i)) (m,), or None without friction.
+    """Return the residual |n_i| / (phi_i (1 + mu_i)) of Coulomb's law (m,), or None without friction.
 
     A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
     friction within the bound would do in that direction.
@@ -253,7 +252,7 @@ def law_residual(
     unit: tuple[Vector, Vector, NDArray[np.bool_]],
     nothing: Vector,
 ) -> Vector:
-    """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
+    """Return `coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
 
     Parameters
     ----------
@@ -281,20 +280,20 @@ def law_residual(
 
 
 def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
-    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one; zero where no force meets."""
+    """Return the l_N whose measure max_j |E_ij l_N| / F_j is one (m,); zero where no force meets."""
     return np.where(entries.meets(meeting), reciprocal(entries.largest(entries.over(meeting))), 0.0)
 
 
 def least_force(entries: ContactEntries, none: Vector) -> Vector:
-    """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
+    """Return the largest l_N that is at most `none` (n,) at every unknown of its contact (m,)."""
     return reciprocal(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
-    """(m,) at least the largest |l_T| whose own measure is one, zero where no force meets, and whether every direction
-    of it is felt.
+    """Return an upper bound of the |l_T| whose measure is one (m,), and whether the unknowns feel all its directions.
 
-    max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
+    It follows from max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a
+    contact, and is zero where no force meets.
     """
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
     unit = reciprocal(entries.largest(scaled))  # so that squares are doubles

@@ -49,7 +49,7 @@ LARGEST_RATIO = "largest ratio of a contact's friction coefficient to its critic
 @computes
 @dataclass(frozen=True, eq=False)
 class CriticalFriction(ReadOnly):
-    """What the bodies' compliance says of friction, whatever the load."""
+    """Critical coefficients of friction and uniqueness, which follow from the bodies' compliance whatever the load."""
 
     single: Vector  # (m,) mu_c = W_NN / |W_NT|, each contact alone; infinite where normal and tangent are uncoupled
     contraction: float  # max mu_i / mu_c,i; one sliding contact's error is that many times smaller a Tresca step
@@ -64,7 +64,7 @@ class CriticalFriction(ReadOnly):
 
     @property
     def ratio(self) -> Vector:
-        """(m,) mu_i / mu_c,i."""
+        """The ratios mu_i / mu_c,i (m,)."""
         return read_only(ratio(self._friction, self.single))
 
     _friction: Vector
@@ -132,7 +132,7 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
 
 
 def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
-    """Why a problem is too large for dense operators of all contacts, or None."""
+    """Return the reason why a problem is too large for dense operators of all contacts, or None."""
     if problem.contacts > MOST_CONTACTS:
         return f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
     if len(condensation.retained) > MOST_UNKNOWNS:
@@ -141,7 +141,7 @@ def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
 
 
 def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFriction:
-    """`critical_friction`, made once for a stiffness, its rows and coefficients."""
+    """Return `critical_friction` of a condensed problem, computed once for a stiffness, its rows and coefficients."""
     mu = np.zeros(problem.contacts) if problem.friction is None else problem.friction
     known = problem._computed.critical_friction
     if known is None or not np.array_equal(known._friction, mu):
@@ -156,7 +156,10 @@ def _made(problem: ContactProblem, mu: Vector, compliance: ContactCompliance) ->
 
 
 def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:
-    """`critical_friction` of a Delassus operator W (d m, d m), normal rows first; kappa is of symmetric ones only."""
+    """Return `critical_friction` of a Delassus operator W (d m, d m), normal rows first.
+
+    kappa needs a symmetric W and is infinite otherwise.
+    """
     m, d = contacts, len(W) // contacts
     blocks = W.reshape(m, d, m, d)
     own = blocks[np.arange(m), :, np.arange(m), :]
@@ -173,7 +176,7 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
 
 
 def _kappa(blocks: Array, mu: Vector) -> float:
-    """Weights c make the diagonals of the two matrices alike."""
+    """Return kappa with weights c that make the diagonals of the two matrices alike."""
     rubs = np.flatnonzero(mu > 0)
     m, d, mu_r = len(mu), blocks.shape[1], mu[rubs]
     tangential = np.r_[[i * d + k for i in rubs for k in range(1, d)]].astype(int)
@@ -204,7 +207,10 @@ def combinations(mu: Vector) -> Status:
 
 
 def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
-    """(c, 2m, 2m): l_N = 0 or (W l)_N, then l_T = 0, (W l)_T or l_T - s mu l_N, contact by contact."""
+    """Return the matrices (c, 2m, 2m) of the combinations.
+
+    Contact by contact their rows are l_N or (W l)_N, then l_T, (W l)_T or l_T - s mu l_N.
+    """
     m = len(mu)
     unit = np.eye(2 * m).reshape(m, 2, 2 * m)
     rows = W.reshape(m, 2, 2 * m)
@@ -217,14 +223,14 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
 
 
 def regular(matrices: Array) -> NDArray[np.bool_]:
-    """Which of (c, q, q) matrices are regular beyond doubt: the determinant is no rounding of the rows' lengths."""
+    """Return which of the matrices (c, q, q) have a determinant that exceeds the rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
     return np.asarray(size > lengths + np.log(SINGULAR))
 
 
 def _one_sign(W: Array, mu: Vector) -> bool:
-    """Whether all determinants are positive, as those of W itself and of no contact at all are."""
+    """Return whether the determinants of all combinations are positive, as that of W is."""
     matrices = system_matrices(W, mu, combinations(mu))
     if np.any(np.linalg.slogdet(matrices)[0] <= 0):
         return False

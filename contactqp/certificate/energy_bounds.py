@@ -89,7 +89,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
 
 
 def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling) -> Bounds:
-    """Bounds in the units of the problem from an answer and a solution in those of its equilibrated twin.
+    """Return bounds in the units of the problem, from an answer and a solution in those of its equilibrated twin.
 
     Where the contacts that it holds closed conflict by rounding, a vertex solves what is left; that the contacts which
     only touch there have no force is a matter of rounding, so forces are compared with those of all that are held.
@@ -139,7 +139,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
 
 
 def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
-    """(m,) what the forces of closed contacts change by that take up what a solution leaves out of balance.
+    """Bound the change of the closed contacts' forces that balances a solution's residual (m,) [force].
 
     Its residual is nothing beside the largest forces of the problem; beside those of contacts on unknowns that nothing
     stiff reaches it may be more.
@@ -159,7 +159,7 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
 
 
 def _taken_by(rows: Any, residual: Vector) -> Vector:
-    """(a,) the sizes of forces on rows that take up residuals of at most these sizes (n,), where rows are not many."""
+    """Bound the forces on rows (a,) that balance residuals of at most these sizes (n,); zero where rows are many."""
     touched, none = np.unique(rows.indices), np.zeros(rows.shape[0])
     if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
         return none
@@ -170,7 +170,7 @@ def _taken_by(rows: Any, residual: Vector) -> Vector:
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
-    """The bounds that are left where closed contacts and ties cannot be met together: those of a problem beside it."""
+    """Return the bounds that remain where closed contacts and ties conflict by rounding."""
     said = f"closed contacts and ties conflict by {conflict}: {DECIDED}"
     beside = f"energy_bounds: those of the problem whose gaps and tie values are moved by {conflict}"
     none = no_bounds(said)
@@ -185,7 +185,7 @@ def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
 
 
 def _width(state: ClosedState) -> float:
-    """w: what rounding leaves of the energy of the solution."""
+    """Return w, the width that rounding leaves between the bounds of the solution's energy."""
     answer = state.answer.double()
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
@@ -208,7 +208,7 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
 
 
 def _energy(problem: ContactProblem, answer: ExtendedAnswer) -> tuple[float, float]:
-    """J, and the larger of its terms; where both vanish, that of the dual energy's."""
+    """Return the energy J and the larger of its terms; where both vanish, the larger of the dual energy's."""
     u, doubles = answer.displacement, answer.double()
     elastic = 0.5 * u.dot(extended_rows(problem).stiffness @ u)
     work = u.dot(extend(problem.load))

@@ -18,7 +18,7 @@ MOST_NAMED = 8
 
 
 class Named(Protocol):
-    """A problem, or one rank's part of one, as messages know it."""
+    """The names and units of a problem, or of one rank's part of one, that messages use."""
 
     @property
     def units(self) -> Units: ...
@@ -41,14 +41,14 @@ def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
 
 
 def said_of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
-    """What part i of an answer is that is not finite."""
+    """Return the message that entry i of a part of an answer is not finite."""
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     part = np.atleast_1d(values[i])
     return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
 def said_of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
-    """What part i of an answer is that is beyond all that the numbers of the problem can make."""
+    """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause."""
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     unit = problem.units.length if name == "displacement" else problem.units.force
     worst = np.atleast_1d(values[i])
@@ -76,7 +76,7 @@ def said_of_balance(figure: float, tolerance: float) -> str:
 
 
 def said_of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
-    """How unknown, contact or tie i of an answer, or of a part of one, misses a figure other than balance."""
+    """Return the message that unknown, contact or tie i misses a figure other than balance."""
     force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
     of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
     if name == "equilibrium":
@@ -137,7 +137,7 @@ FORCES_NOT_UNIQUE = (
 def said_of_dependent_ties(
     problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]
 ) -> tuple[str, ...]:
-    """Which ties depend on which: `dependent` are their numbers, and those of the others."""
+    """Return a message for each dependent tie: `dependent` has its number and those of the ties it depends on."""
     said = []
     for i, others in dependent[:MOST_NAMED]:
         names = [problem.tie_name(int(j)) for j in others[:MOST_NAMED]]
@@ -152,7 +152,7 @@ def said_of_dependent_ties(
 
 
 def said_of_printing(problem: ContactProblem) -> str:
-    """How much of the stiffness was taken for the rounding of printed digits."""
+    """Return the message on the part of the stiffness that was taken for the rounding of printed digits."""
     return (
         f"the stiffness was changed by {problem.rigid_change:.2g} of its diagonal at most, the rounding of printed "
         "digits, so that rigid motions cost no energy"

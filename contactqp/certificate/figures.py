@@ -67,7 +67,7 @@ LP_TOLERANCES = (1e-10, 1e-7)
 
 
 def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
+    """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
 
     By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
     moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
@@ -99,7 +99,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
 
 
 def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
-    """|K z| (r, n), formed once for the motions of a stiffness."""
+    """Return |K z| (r, n) of the rigid motions, which is formed once for a stiffness."""
     known = problem._computed.rounding_of_motions
     if known is None or known[0] is not rigid:
         forces = rigid.forces
@@ -112,7 +112,7 @@ def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Resultants:
-    """What the forces of a body do on p coordinates of its motions.
+    """The resultants of a body's forces on p coordinates of its rigid motions.
 
     With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns: the coordinates are
     those of an orthonormal basis of the columns w.
@@ -124,7 +124,7 @@ class Resultants:
     stray: Vector  # (p,) what K's rounding may make of that
 
     def unseen(self, forces: Vector, hidden: float) -> bool:
-        """Whether rounding hides forces (p,), the sums of |w_j|, where that matters."""
+        """Return whether the rounding of K hides a resultant that is notable; `forces` (p,) are the sums of |w_j|."""
         return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
 
     def seen(self, forces: Vector) -> NDArray[np.bool_]:
@@ -132,26 +132,26 @@ class Resultants:
         return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
 
     def worst(self, forces: Vector) -> float:
-        """The figure of the worst coordinate."""
+        """Return the figure of the worst coordinate."""
         seen = self.seen(forces)
         whole = abs(self.work)[seen] / forces[seen]
         net = np.maximum(abs(self.work) - self.stray, 0.0)[seen] / forces[seen]
         return float(np.max(np.where(whole > FORGIVEN, whole, net), initial=0.0))
 
     def net(self, direction: Vector) -> float:
-        """What is left of the work on a motion (p,) in these coordinates."""
+        """Return the work on a motion (p,) in these coordinates, less its uncertainty."""
         return float(abs(self.work @ direction) - self.stray @ abs(direction))
 
 
 def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Resultants:
-    """From the singular values and right vectors of w (n, r), and the work and its uncertainty (r,) on its motions."""
+    """Form resultants from the singular values and right vectors of w (n, r) and from work and uncertainty (r,)."""
     kept = values > SAME_MOTION * values[0]
     weight = right[kept] / values[kept, None]
     return Resultants(weight, values[kept] / values[0], weight @ work, abs(weight) @ stray)
 
 
 def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
-    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size; `hidden` where rounding hides what acts."""
+    """Return max over a of (|work'a| - stray'|a|) / |motions a|'size, or `hidden` where rounding hides the forces."""
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
     found = resultants(values, right, work, stray)
     basis = left[:, : len(found.work)]
@@ -167,7 +167,7 @@ def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, 
 
 
 def _worst_direction(basis: Array, weight: Vector) -> Vector:
-    """argmax weight'a subject to sum |basis a| <= 1."""
+    """Return the coordinates a that maximise weight'a subject to sum |basis a| <= 1."""
     from scipy.optimize import linprog
 
     count, width = basis.shape
@@ -201,14 +201,14 @@ def violations(
     rounding: float = ROUNDING_OF_LENGTH,
     rigid: RigidMotions | None = None,
 ) -> Violations:
-    """Every figure of an answer with these residuals.
+    """Return every figure of an answer with these residuals.
 
     Parameters
     ----------
     rounding : float
-        The part of the intrinsic size that is nothing.
+        The fraction of the intrinsic size that counts as none.
     rigid : RigidMotions, optional
-        What K lets through; none where nothing floats.
+        The null space of K; none where no body floats.
     """
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
@@ -237,7 +237,7 @@ def violations(
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """What the residuals of an answer are measured against."""
+    """The forces and lengths by which the residuals of an answer are measured."""
 
     meeting: Vector  # (n,) F [force]
     push: Vector  # (m,) |l_N| as a force
@@ -250,7 +250,10 @@ class Sizes:
 
 
 def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
-    """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
+    """Return every figure of an `Answer`, or of one rank's part of one.
+
+    `left` are its residuals of equilibrium (n,), its gaps (m,) and what its ties miss (k,).
+    """
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
     if rubbing is None or answer.friction_force is None:
@@ -281,8 +284,10 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
 
 
 def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
-    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
-    the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
+    """Return whether an answer satisfies equilibrium, contact and Coulomb's law by the certificate's measures.
+
+    The rigid part of the displacement is left out, and what is nothing beside the intrinsic size is excused.
+    """
     if not answer.finite():
         return False
     rigid = condense(problem).rigid
@@ -293,7 +298,7 @@ def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> 
 
 
 def holds_by_products(problem: ContactProblem, answer: Answer, tolerance: float) -> bool:
-    """The same of a body that is not factorised and does not float, by products in double precision."""
+    """Return `holds` of a body that is not factorised and does not float, by products in double precision."""
     rigid = RigidMotions(np.zeros((problem.dimension, 0)))
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")

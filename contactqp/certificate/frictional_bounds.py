@@ -70,7 +70,7 @@ NO_MARGIN = "a contact is within rounding of another state"
 
 @dataclass(frozen=True, eq=False)
 class _Norms:
-    """What a unit of |d|_W can be in each contact, in the scale of the compliance: (m,) each, with the allowance."""
+    """The largest force, gap and slip of each contact (m,) for |d|_W = 1, in the scale of the compliance."""
 
     normal_force: Vector
     tangential_force: Vector
@@ -79,7 +79,7 @@ class _Norms:
 
     @staticmethod
     def of(compliance: ContactCompliance, contacts: int, allowance: float) -> _Norms | None:
-        """None where W has no inverse."""
+        """Return the norms with an allowance for rounding; None where W has no inverse."""
         inverse = _inverse(compliance.W)
         if inverse is None:
             return None
@@ -125,7 +125,7 @@ class _Refined:
 def frictional_bounds(
     problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared
 ) -> Bounds:
-    """The bounds of an answer that was compared with that of its own combination, or the reasons why there are none."""
+    """Return bounds of an answer that was compared with that of its own combination, or reasons for having none."""
     found = _proven(problem, condensation, answer, compared)
     return no_bounds(f"friction: {found}") if isinstance(found, str) else found
 
@@ -163,7 +163,7 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
 
 
 def _kappa_nearby(W: Array, compared: Compared, mu: Vector) -> float:
-    """A constant as kappa of two answers with the same states, 0 in the plane; infinite where W says nothing.
+    """Return kappa for two answers with the same states, 0 in the plane; infinite where W has no inverse.
 
     Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
     slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
@@ -194,7 +194,7 @@ def _kappa_nearby(W: Array, compared: Compared, mu: Vector) -> float:
 
 
 def _rounding_of(compliance: ContactCompliance, condensation: Condensation) -> float:
-    """The part of W^-1 and of kappa that rounding of W may have made, by the pivots of its factors."""
+    """Return the relative error of W^-1 and of kappa by the rounding of W, from the pivots of its factors."""
     try:
         pivots = np.diag(np.linalg.cholesky(compliance.W)) ** 2 / np.diag(compliance.W)
     except np.linalg.LinAlgError:
@@ -206,7 +206,7 @@ def _rounding_of(compliance: ContactCompliance, condensation: Condensation) -> f
 def _refined(
     problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
 ) -> _Refined | None:
-    """The displacement w of the refined forces is one more correction away; its gaps and slips."""
+    """Return the response w to the refined forces, one more correction away, with its gaps and slips."""
     found, rows, m = compared.refined, extended_rows(problem), problem.contacts
     u, force, friction = found.displacement, found.normal_force, found.friction_force
     missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
@@ -233,7 +233,7 @@ def _refined(
 
 
 def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms, kappa: float) -> float:
-    """|d|_W from the refined forces to those of any equilibrium, by (5), and |u - w|_K."""
+    """Bound |d|_W from the refined forces to those of any equilibrium, by (5), and add |u - w|_K."""
     status, more, mu = compared.status, refined.correction, _coefficient(problem, compared)
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
     held = np.where(closed, np.maximum(refined.normal, 0.0), 0.0)  # h_N
@@ -265,7 +265,7 @@ def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, no
 
 
 def _margin(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms) -> float:
-    """The least distance in the energy norm at which a contact can be in another state."""
+    """Return the least distance in the energy norm at which a contact can be in another state."""
     status, mu = compared.status, _coefficient(problem, compared)
     closed, rubs = status != OPEN, mu > 0
     margins = [np.where(closed, np.inf, refined.gap), np.where(closed, refined.normal / norms.normal_force, np.inf)]
@@ -290,7 +290,7 @@ def _bounds(
     compliance: ContactCompliance,
     distance: float,
 ) -> Bounds:
-    """The bounds of an answer, from that of the refined answer of its combination."""
+    """Return the bounds of an answer from the distance of its combination's refined answer."""
     found, m = compared.refined, problem.contacts
     moved, pushed = compared.displacement + distance, compared.force + distance
     strain, size = compared.strain - distance, compared.size - distance

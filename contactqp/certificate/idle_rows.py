@@ -45,7 +45,7 @@ _OF_CONTACTS = (
 
 @dataclass(frozen=True, eq=False)
 class ActingRows:
-    """The contacts and ties of a problem that constrain something, and the problem with these alone."""
+    """The contacts and ties whose rows are not zero, and the problem with these alone."""
 
     whole: ContactProblem
     contacts: NDArray[np.intp]
@@ -78,23 +78,23 @@ class ActingRows:
                 )
 
     def answer(self, answer: Answer) -> Answer:
-        """What an answer says of the rows that act."""
+        """Return the part of an answer that belongs to the acting rows."""
         friction = None if answer.friction_force is None else answer.friction_force[self.contacts]
         return Answer(answer.displacement, answer.normal_force[self.contacts], friction, answer.tie_force[self.ties])
 
     def whole_answer(self, answer: Answer) -> Answer:
-        """An answer of the problem with the rows that act, as one of the whole problem: no force on the others."""
+        """Return an answer on the acting rows as one of the whole problem, without force on the other rows."""
         friction = None if answer.friction_force is None else self.friction(answer.friction_force)
         return Answer(answer.displacement, friction_force=friction, **self._both(answer))
 
     def start(self, solution: Any) -> Any:
-        """What a solution of the whole problem, to start from, says of the rows that act."""
+        """Return the part of a starting solution that belongs to the acting rows."""
         friction = None if solution.friction_force is None else solution.friction_force[self.contacts]
         forces = dict(normal_force=solution.normal_force[self.contacts], friction_force=friction)
         return replace(solution, problem=self.problem, tie_force=solution.tie_force[self.ties], **forces)
 
     def at(self, step: ContactProblem) -> ActingRows:
-        """The same rows at a step: a problem with these rows, its own load and its own slip origin."""
+        """Return the acting rows of a step: a problem with the same rows, another load and slip origin."""
         changes: dict[str, Any] = dict(load=step.load)
         if self.whole.slip_origin is not None and step.slip_origin is not None:
             changes["slip_origin"] = np.array(self.whole.slip_origin)
@@ -102,14 +102,14 @@ class ActingRows:
         return replace(self, whole=self.whole.replace(**changes), problem=step)
 
     def solution(self, found: Any) -> Any:
-        """A solution of the problem with the rows that act, as one of the whole problem."""
+        """Return a solution on the acting rows as one of the whole problem."""
         changed = self.forces(found) | dict(certificate=self._judged(found))
         if found.raw is not None:
             changed["raw"] = replace(found.raw, problem=self.whole, **self._raw(found.raw))
         return replace(found, **changed)
 
     def forces(self, found: Any) -> dict[str, Any]:
-        """The problem, the forces and the states of the contacts of a solution, as those of the whole problem."""
+        """Return problem, forces and contact states of a solution on the acting rows, extended to the whole problem."""
         whole = self.whole
         status = np.full(whole.contacts, "open", dtype=found.contact_status.dtype)
         status[self.contacts] = found.contact_status
@@ -117,7 +117,7 @@ class ActingRows:
         return dict(problem=whole, contact_status=status, friction_force=friction, **self._both(found))
 
     def friction(self, force: Any) -> Any:
-        """Friction forces (..., m, d-1) of the contacts that act, as those of all."""
+        """Return the friction forces of all contacts (..., m, d-1) from those of the acting ones."""
         origin = self.whole.slip_origin
         if origin is None:
             return None
@@ -126,11 +126,11 @@ class ActingRows:
         return every
 
     def normal(self, force: Any) -> Any:
-        """Contact forces (..., m) of the contacts that act, as those of all."""
+        """Return the normal forces of all contacts (..., m) from those of the acting ones."""
         return _spread(self.whole.contacts, self.contacts, force)
 
     def tie(self, force: Any) -> Any:
-        """Forces (..., k) of the ties that act, as those of all."""
+        """Return the forces of all ties (..., k) from those of the acting ones."""
         return _spread(self.whole.ties, self.ties, force)
 
     def _raw(self, raw: Any) -> dict[str, Any]:
@@ -145,7 +145,7 @@ class ActingRows:
         return self.certificate(found.certificate, nothing)
 
     def certificate(self, certificate: Any, answer: Answer) -> Any:
-        """The certificate of the rows that act, as that of an answer (of the whole problem) with forces on the others.
+        """Return the certificate of the whole problem's answer from that of the acting rows.
 
         A force on a row that constrains nothing is refused, as is a row of zeros that is not met.
         """
@@ -174,7 +174,7 @@ class ActingRows:
         return np.asarray(_spread(self.whole.contacts, self.contacts, values, others))
 
     def _violations(self, found: Violations, answer: Answer) -> Violations:
-        """Every figure for all rows: those that constrain nothing are measured by what pushes there."""
+        """Return the figures of all rows; rows of zeros are measured by the forces on them."""
         whole = self.whole
         push, rub = _pushes(whole, answer)
         free = np.where(np.isinf(whole.gap) | (whole.gap >= 0), 0.0, 1.0)
@@ -190,7 +190,7 @@ class ActingRows:
         return replace(replace(found, tie=tie, nothing=self._nothing(found.nothing)), **spread)
 
     def _nothing(self, few: Nothing) -> Nothing:
-        """With rows that constrain nothing: there, nothing but zero is nothing."""
+        """Return the negligible sizes of all rows; on rows of zeros only zero is negligible."""
         whole = self.whole
         tangent = few.tangent
         if whole.slip_origin is not None:
@@ -220,7 +220,7 @@ class ActingRows:
 
 
 def acting_rows(problem: ContactProblem) -> ActingRows | None:
-    """The rows of a problem that constrain something; None where all do."""
+    """Return the rows of a problem that are not zero; None where all of them act."""
     idle_contacts, idle_ties = problem.idle_rows()
     if not (idle_contacts.any() or idle_ties.any()):
         return None
@@ -250,7 +250,7 @@ def _spread(count: int, members: NDArray[np.intp], values: Any, others: Vector |
 
 
 def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
-    """Every normal and friction force (m,) in its measure; one on a row of zeros meets no other and measures one."""
+    """Return the measures of normal and friction forces, (m,) each; a force on a row of zeros measures one."""
     F, m = forces_that_meet(problem, answer), problem.contacts
     zero = np.diff(problem.normal.indptr) == 0
     push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
@@ -268,7 +268,7 @@ VERIFIED, MOST_VERIFIED = 1e-10, 100
 
 
 def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
-    """The ties that depend on others, and on which; found once for the rows of a problem.
+    """Return the ties that depend on others, and on which; they are found once for the rows of a problem.
 
     They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
     """
@@ -285,7 +285,7 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
 
 
 def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[np.intp]], ...]:
-    """The same where ties are many, by sparse factors of their Gram matrix; MOST_VERIFIED of them are looked at."""
+    """Return `dependent_ties` where ties are many, by sparse factors of their Gram matrix; at most MOST_VERIFIED."""
     if problem._computed.dependent_ties is None:
         length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
         rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie)

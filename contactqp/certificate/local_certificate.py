@@ -126,7 +126,7 @@ LEAST_GLOBAL_SCALE = float(np.sqrt(np.finfo(float).eps))
 @checked
 @own_floating_point
 def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
-    """|n| / max(|q|, |r|, |u|) with u = W r + q: Siconos's `fc3d_compute_error`, and its like in the plane.
+    """Return |n| / max(|q|, |r|, |u|), u = W r + q: Siconos's `fc3d_compute_error`, and the same in the plane.
 
     The division is left out where the scale is no larger than machine precision.
 
@@ -155,7 +155,7 @@ def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: Ar
 @checked
 @own_floating_point
 def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
-    """|n| / |q|: the error of the comparison of solvers by Acary, Bremond and Huber (2018).
+    """Return |n| / |q|, the error in the comparison of solvers by Acary, Bremond and Huber (2018).
 
     Raises
     ------
@@ -171,7 +171,7 @@ def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_for
 @checked
 @own_floating_point
 def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
-    """|n| / (1 + sqrt(|q|)) + |V'r + R l + s| / (1 + |s|): FCLIB's `fclib_merit_local` with MERIT_1.
+    """Return |n| / (1 + sqrt(|q|)) + |V'r + R l + s| / (1 + |s|), FCLIB's `fclib_merit_local` with MERIT_1.
 
     The root is FCLIB's own: it takes that of a norm. There is no such merit in the plane.
 
@@ -196,7 +196,7 @@ def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLik
 def siconos_global_error(
     problem: ContactProblem, displacement: ArrayLike, normal_force: ArrayLike, friction_force: ArrayLike
 ) -> float:
-    """|q + H r - M v| / max(|q|, |M v|, |H r|) + |n| / max(|u|, |r|): Siconos's `gfc3d_compute_error`.
+    """Return |q + H r - M v| / max(|q|, |M v|, |H r|) + |n| / max(|u|, |r|), Siconos's `gfc3d_compute_error`.
 
     M is the stiffness, q the load, v the displacement, H r = -E_N'l_N - E_T'l_T and u = (gap, slip). Neither part is
     divided by a scale of sqrt(machine precision) or less.
@@ -237,7 +237,7 @@ def _scaled(error: Any, *scales: Any) -> float:
 def _local(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """r, |n| and u."""
+    """Return r, |n| and u of the local form."""
     r = _shaped("force", force, (problem.contacts, problem.dimension))
     velocity = velocity_of(problem, r, _joints(problem, joint_force))
     return r, float(np.linalg.norm(natural_map(r, velocity, problem.friction))), velocity
@@ -294,7 +294,7 @@ def certify_local(
 def judged(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
 ) -> LocalCertificate:
-    """`certify_local` without a word on other answers, which costs more than the rest."""
+    """Return `certify_local` without looking for other answers, which would cost more than the rest."""
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {tolerance!r}")
@@ -324,13 +324,13 @@ def judged(
 
 
 def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> dict[str, Vector]:
-    """(m,) each figure of `LocalCertificate` for every contact, the joints left out; of finite forces."""
+    """Return each figure of `LocalCertificate` for every contact (m,), without joints; forces must be finite."""
     measured = _Measured(problem, *_read(problem, force, joint_force))
     return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
 
 
 def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> float:
-    """The largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
+    """Return the largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
     Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own
     unit changes them. With no offset and no load at all it is relative to the velocities that meet.
@@ -344,7 +344,7 @@ def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_
 
 
 def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
-    """|W||r| + |V||l| + |q| (d m,): the velocities that meet."""
+    """Return the velocities that meet, |W||r| + |V||l| + |q| (d m,)."""
     pushed = abs(problem.delassus) @ abs(force).ravel()
     if problem.joints:
         pushed = pushed + abs(problem.bilateral) @ abs(joint_force)
@@ -352,7 +352,7 @@ def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vec
 
 
 def _size(problem: LocalProblem, met: NDArray[np.float64]) -> float:
-    """The largest scaled velocity that drives or answers: the problem's `drive`, and what forces make of contacts."""
+    """Return the largest scaled velocity: of the problem's `drive`, and of the response to the forces."""
     answers = np.maximum(met - abs(problem.offset).reshape(met.shape), 0.0) * problem.contact_scale[:, None]
     return max(problem.drive, float(np.max(answers, initial=0.0)))
 
@@ -390,7 +390,7 @@ class _Measured:
         self.joints = np.divide(left, meeting, out=np.zeros_like(left), where=meeting > 0)
 
     def _measure(self, force: Vector, kind: int) -> Vector:
-        """(m,) normal (0) or tangential (1) forces by what they do to the velocities that meet in their own direction.
+        """Return the measure of normal (0) or tangential (1) forces (m,) by their effect on the velocities that meet.
 
         Where they do nothing there, the largest entry of the block and the larger of both velocities are the measure.
         """
@@ -401,7 +401,7 @@ class _Measured:
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
     def state(self, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
-        """(m,) which are closed, which of them stick, and (m, d) along what those that slip push."""
+        """Return which contacts are closed and which stick, (m,) each, and along what the slipping ones push (m, d)."""
         closed = (self.push > tolerance) | (self.gap <= tolerance)
         stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
         rubs = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
@@ -415,12 +415,12 @@ class _Measured:
 
 
 def _part(size: Vector, whole: Vector) -> Vector:
-    """size / whole with 0/0 = 0, also where the reciprocal of the whole is no double."""
+    """Return size / whole with 0/0 = 0, also where the reciprocal of the whole is no double."""
     return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
 def _own_blocks(problem: LocalProblem) -> NDArray[np.float64]:
-    """(2, m) the largest |entry| of each contact's own block of W along its normal, and along its tangents."""
+    """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
     entries, d = problem.delassus.tocoo(), problem.dimension
     kind = np.minimum(entries.row % d, 1)
     own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))

@@ -61,7 +61,7 @@ SWEEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """What is known of an answer; all in square roots of energy."""
+    """Bounds on the distances of an answer from the solution [square root of energy]."""
 
     displacement: float  # >= |u - u*|_K
     force: float  # >= |l - l*|_W
@@ -72,7 +72,7 @@ class Distances:
 
 
 class Unrepaired(Exception):
-    """Why the candidate could not be moved to a displacement that penetrates nowhere."""
+    """The candidate could not be moved to a displacement without penetration, for the reason stated."""
 
 
 class Forces(Protocol):
@@ -89,7 +89,7 @@ class Forces(Protocol):
 
 
 def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distances:
-    """The bounds of an answer.
+    """Bound the distance of an answer from the solution.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distanc
 
 
 def _forces(problem: Limits, answer: Forces, given: Vector, way: ContactIteration) -> tuple[Vector, Vector]:
-    """Contact forces without tension, zero on ties, and all forces: in balance with the load where a body floats."""
+    """Return contact forces without tension, zero on ties, and all forces, which balance floating bodies."""
     contact = np.arange(len(given)) < len(answer.normal_force)
     forces = np.where(contact, np.maximum(given, 0.0), given)
     residual = problem.load - way.product(answer.displacement) - way.forces(forces)
@@ -133,7 +133,7 @@ def _energy_norm(way: ContactIteration, v: Vector) -> float:
 
 
 def _responses(way: ContactIteration, r: Vector, change: Vector) -> tuple[float, float, bool]:
-    """sqrt(r'K^-1 r) of two forces from above, and whether that is an estimate."""
+    """Bound sqrt(r'K^-1 r) of two forces from above; return both and whether they are estimates."""
     if way.factorised:
         response, shifted = refined_norm(way, r), refined_norm(way, change)
         if response is not None and shifted is not None:
@@ -142,7 +142,7 @@ def _responses(way: ContactIteration, r: Vector, change: Vector) -> tuple[float,
 
 
 def refined_norm(way: ContactIteration, force: Vector) -> float | None:
-    """sqrt(r'K^-1 r) from above, where M is the inverse of K but for rounding; None where refinement does not show so.
+    """Bound sqrt(r'K^-1 r) from above where M is the inverse of K up to rounding; None where refinement denies that.
 
     e = M r, then M (r - K e), and so on: as each is at most CONTRACTION of the one before, all that would follow is no
     larger than the last.
@@ -163,7 +163,7 @@ def refined_norm(way: ContactIteration, force: Vector) -> float | None:
 
 
 def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> float:
-    """An estimate from above of sqrt(r'K^-1 r), square root of energy.
+    """Estimate sqrt(r'K^-1 r) from above [square root of energy].
 
     Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
     of earlier runs serve too, which saves steps.
@@ -184,7 +184,7 @@ def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> fl
 
 
 def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIteration) -> float:
-    """What rounding may be of r, both in the norm of D^-1."""
+    """Return the rounding of r relative to r, both in the norm of D^-1."""
     scale = 1 / np.sqrt(way.diagonal)
     size = way.norm(scale * r)
     meeting = way.product_sizes(v) + abs(problem.load) + abs(forces)
@@ -192,7 +192,7 @@ def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIt
 
 
 def force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
-    """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
+    """Return l'E v / |v|_K for v = M E'l that moves no tie, a lower bound of |l|_W."""
     if not way.any(push != 0):
         return 0.0
     load = way.deflated(way.forces(push))
@@ -204,7 +204,7 @@ def force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
 
 
 def _repaired(problem: Limits, answer: Forces, push: Vector, way: ContactIteration) -> tuple[Vector, Vector, float]:
-    """v - u, the gaps g - E v (m + k,), zero where closed, and the rounding of those [square root of energy]."""
+    """Return v - u, the gaps g - E v (m + k,), zero where closed, and their rounding [square root of energy]."""
     m = len(problem.gap)
     limit = np.concatenate([problem.gap, problem.tie_value])
     u = answer.displacement
@@ -228,7 +228,7 @@ def _repaired(problem: Limits, answer: Forces, push: Vector, way: ContactIterati
 
 
 def _closed_onto(way: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
-    """u moved onto some rows, and the gaps of all rows there."""
+    """Return u moved onto the limits of some rows, and the gaps of all rows there."""
     held = way.held(rows, limit[rows])
     v = u.copy()
     for _ in range(2):  # the second time takes out the rounding of the first

@@ -47,7 +47,7 @@ STIFFNESSES = {"penalty": "contacts", "perturbation": "contacts", "tangential_pe
 
 @dataclass(frozen=True, eq=False)
 class NearOne:
-    """A problem, the same in units in which its numbers are near one, and the way there."""
+    """A problem, the same problem in units in which its numbers are near one, and the exponents of these units."""
 
     whole: ContactProblem
     problem: ContactProblem
@@ -58,15 +58,15 @@ class NearOne:
     length: int  # that of l
 
     def answer(self, answer: Answer) -> Answer:
-        """An answer of the problem in these units."""
+        """Return an answer of the problem in these units."""
         return Answer(**self._scaled(answer))
 
     def whole_answer(self, answer: Answer) -> Answer:
-        """An answer in these units as one of the problem; InvalidProblem where it is beyond doubles."""
+        """Return an answer in these units as one of the problem; InvalidProblem where it exceeds doubles."""
         return Answer(**self.parts(answer), friction_force=self.friction(answer.friction_force))
 
     def start(self, solution: Any) -> Any:
-        """A solution to start from in these units."""
+        """Return a starting solution in these units."""
         return replace(solution, problem=self.problem, **self._scaled(solution))
 
     def _scaled(self, answer: Any) -> dict[str, Any]:
@@ -79,12 +79,12 @@ class NearOne:
         )
 
     def options(self, options: dict[str, Any]) -> dict[str, Any]:
-        """The options of a method in these units: contact stiffnesses by contact, all others as they are."""
+        """Return the options of a method in these units: contact stiffnesses are scaled, all others stay."""
         known = {name: getattr(self, rows) for name, rows in STIFFNESSES.items() if options.get(name) is not None}
         return options | {name: np.ldexp(np.asarray(options[name], float), 2 * row) for name, row in known.items()}
 
     def parts(self, found: Any) -> dict[str, Any]:
-        """Displacement, normal and tie forces of an answer in these units, as those of the problem.
+        """Return displacement, normal and tie forces of an answer in these units as those of the problem.
 
         Raises
         ------
@@ -104,29 +104,29 @@ class NearOne:
         return changed
 
     def displacement(self, displacement: Vector) -> Vector:
-        """A displacement of the problem in these units."""
+        """Return a displacement of the problem in these units."""
         return np.asarray(np.ldexp(displacement, -self.unknowns - self.length))
 
     def coefficients(self, coefficients: Vector) -> Vector:
-        """Coefficients of friction in these units as those of the problem."""
+        """Return coefficients of friction in these units as those of the problem."""
         return np.asarray(np.ldexp(coefficients, self.contacts - self.tangents))
 
     def friction(self, force: Any) -> Any:
-        """Friction forces (m, d-1) in these units as those of the problem; None where there are none."""
+        """Return friction forces (m, d-1) in these units as those of the problem; None where there are none."""
         return None if force is None else np.ldexp(force, self.length - self.tangents[:, None])
 
     def motions(self, found: tuple[FreeMotion, ...]) -> tuple[FreeMotion, ...]:
-        """Free motions as those of the problem, their largest component one."""
+        """Return free motions as those of the problem, with a largest component of one."""
         return tuple(replace(one, direction=self._largest_one(one.direction)[0]) for one in found)
 
     def _largest_one(self, motion: Vector) -> tuple[Vector, int]:
-        """A motion as one of the problem, its largest component one, and the exponent of its unit."""
+        """Return a motion as one of the problem, with a largest component of one, and the exponent of its unit."""
         exponent = int(np.max(_exponent(motion) + self.unknowns))
         moved = np.ldexp(motion, self.unknowns - exponent)
         return np.asarray(moved / np.max(abs(moved))), exponent
 
     def refuse_far_gap(self, solution: Any = None) -> None:
-        """Raise where a gap that is beyond what these units hold is closed by an answer, or may be by one not found."""
+        """Raise InvalidProblem where an answer closes a gap that these units cannot hold, or might if none is given."""
         far = (self.problem.gap >= FAR_AWAY) & (self.problem.gap < np.inf)
         if solution is not None:
             far &= self.problem.normal @ solution.displacement > FAR_AWAY / 2
@@ -138,7 +138,7 @@ class NearOne:
             )
 
     def violations(self, found: Violations) -> Violations:
-        """Figures that have units, as those of the problem."""
+        """Return figures that have units in the units of the problem."""
         force, normal, slip = self.length - self.unknowns, self.length + self.contacts, self.length + self.tangents
         few = found.nothing
         width = len(few.tangent) // len(slip) if len(slip) else 1
@@ -161,7 +161,7 @@ class NearOne:
         )
 
     def bounds(self, known: Bounds) -> Bounds:
-        """Bounds that have units, as those of the problem."""
+        """Return bounds that have units in the units of the problem."""
         changed: dict[str, Any] = {}
         for name, scale in (("energy_error", known.energy_scale), ("force_error", known.force_scale)):
             value = getattr(known, name)
@@ -175,7 +175,7 @@ class NearOne:
         return replace(known, solution=None, **changed)
 
     def no_equilibrium(self, error: NoEquilibrium) -> NoEquilibrium:
-        """A claim in these units, with its proof in those of the problem."""
+        """Return an error raised in these units with its proof in the units of the problem."""
         text = f"{error} (figures in this message are in units that bring the numbers of the problem near one)"
         return NoEquilibrium(text, self._proof(error.proof))
 
@@ -218,7 +218,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
 
 
 def refuse_far_from_one(who: str, problem: ContactProblem) -> None:
-    """Raise InvalidProblem where what follows would leave the range of doubles."""
+    """Raise InvalidProblem where the problem's numbers are so far from one that results would exceed doubles."""
     if near_one(problem) is not None and not (_matrices_are_near_one(problem) and _vectors_are_near_one(problem)):
         raise InvalidProblem(
             f"{who}: expected stiffnesses, rows, loads and lengths whose sizes are from {2.0**-FARTHEST:.0e} to "
@@ -227,13 +227,13 @@ def refuse_far_from_one(who: str, problem: ContactProblem) -> None:
 
 
 def _exponent(values: Any) -> Index:
-    """The binary exponent of each number; far below that of any double where it is zero."""
+    """Return the binary exponent of each number; of zero one far below that of any double."""
     values = np.asarray(values, dtype=float)
     return np.where(values == 0, NONE, np.frexp(values)[1]).astype(np.int64)
 
 
 def _near(values: Array) -> bool:
-    """Whether the exponents of all numbers but zeros are within the range."""
+    """Return whether the exponents of all nonzero numbers are within the range."""
     size = abs(values[values != 0])
     return not size.size or bool(size.min() >= LEAST_NEAR and size.max() < 2.0**FARTHEST)
 
@@ -248,7 +248,7 @@ def _matrices_are_near_one(problem: ContactProblem) -> bool:
 
 
 def _largest_without_stiffness(problem: ContactProblem, matrices: list[Any]) -> Vector:
-    """(n,) the largest entry of the rows at each unknown without stiffness, whose unit rows alone say; zeros else."""
+    """Return the largest entry of the rows at each unknown without stiffness (n,); zero at the others."""
     largest = np.zeros(problem.dimension)
     if problem.diagonal.all():
         return largest
@@ -262,7 +262,7 @@ def _matrices(problem: ContactProblem) -> list[Any]:
 
 
 def _vectors_are_near_one(problem: ContactProblem) -> bool:
-    """Whether the largest of load, gaps, ties and slip origins are within the range, and not all far below it."""
+    """Return whether the largest of load, gaps, ties and slip origins are in range and not all far below it."""
     parts = [problem.load, problem.gap[np.isfinite(problem.gap)], problem.tie_value]
     if problem.slip_origin is not None:
         parts.append(problem.slip_origin)
@@ -271,15 +271,15 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
 
 
 def _units_are_own(problem: ContactProblem) -> bool:
-    """Whether every unknown has a stiffness, which relates forces to lengths; else whether they are near each other.
+    """Return whether all unknowns have stiffness, which relates forces to lengths, or forces and lengths are similar.
 
-    Without one, what is found among many right answers would depend on the units of length and force.
+    Otherwise the answer chosen among many right ones would depend on the units of length and force.
     """
     return bool(problem.diagonal.all()) or _uniform_unit(problem) == 0
 
 
 def _largest(rows: Any) -> Vector:
-    """(rows,) the largest entry of each row of a CSR matrix."""
+    """Return the largest entry of each row of a CSR matrix."""
     largest = np.zeros(rows.shape[0])
     filled = np.flatnonzero(np.diff(rows.indptr))
     if filled.size:
@@ -288,7 +288,7 @@ def _largest(rows: Any) -> Vector:
 
 
 def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
-    """The exponents of D and of all rows where one unit of length and one of force bring the matrices near one.
+    """Return exponents of D and of all rows if one unit of length and one of force bring the matrices near one.
 
     Rows stay as they are then, and what depends on the sizes of unknowns beside each other, such as the motion of least
     norm of a body that nothing holds, is the same in all units of length and force. None where units of single unknowns
@@ -303,7 +303,7 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
 
 
 def _uniform_unit(problem: ContactProblem) -> int:
-    """The exponent of D that makes the largest stiffness about one; without any, loads as large as lengths."""
+    """Return the exponent of D that brings the largest stiffness near one; without stiffness, loads near lengths."""
     stiffest = np.max(problem.diagonal, initial=0.0)
     if stiffest > 0:
         return -(int(_exponent(stiffest)) // 2)
@@ -312,7 +312,7 @@ def _uniform_unit(problem: ContactProblem) -> int:
 
 
 def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:
-    """The exponents of the largest load and of the largest finite gap, tie or slip origin."""
+    """Return the exponents of the largest load and of the largest finite gap, tie or slip origin."""
     lengths = [_exponent(problem.gap[np.isfinite(problem.gap)]), _exponent(problem.tie_value)]
     if problem.slip_origin is not None:
         lengths.append(_exponent(problem.slip_origin).ravel())
@@ -322,7 +322,7 @@ def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:
 def _rescaled(
     problem: ContactProblem, units: tuple[Index, Index]
 ) -> tuple[ContactProblem, tuple[Index, Index, Index, Index]]:
-    """The matrices of a problem in units, and the exponents of D and of normal, tangential and tie rows."""
+    """Return the matrices in units, with the exponents of D and of normal, tangential and tie rows."""
     m, k = problem.contacts, problem.ties
     unknowns, sizes = units
     normal, tie = sizes[:m], sizes[m : m + k]
@@ -345,7 +345,7 @@ def _rescaled(
 
 
 def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
-    """The exponents of D (n,), and of the rows of normals, ties and tangents.
+    """Return the exponents of D (n,), and of the rows of normals, ties and tangents.
 
     Unknowns with stiffness make that one; those without have the unit in which the largest of their entries is that of
     its row.
@@ -375,13 +375,13 @@ def _times(rows: Any, of_rows: Index, of_unknowns: Index) -> Any:
 
 
 def _motions(motions: Array, unknowns: Index) -> Array:
-    """Motions in these units, each with its largest component near one."""
+    """Return motions in these units, each with a largest component near one."""
     largest = np.max(_exponent(motions) - unknowns[:, None], axis=0)
     return np.asarray(np.ldexp(motions, -unknowns[:, None] - largest))
 
 
 def _under_load(problem: ContactProblem, twin: ContactProblem, units: tuple[Index, Index, Index, Index]) -> NearOne:
-    """The problem with its own load, gaps, ties and friction in units near one."""
+    """Return the problem with its own load, gaps, ties and friction in units near one."""
     unknowns, normal, across, tie = units
     length = _length(problem, units)
     gap = np.minimum(np.ldexp(problem.gap, -normal - length), FAR_AWAY)
@@ -401,7 +401,7 @@ def _under_load(problem: ContactProblem, twin: ContactProblem, units: tuple[Inde
 
 
 def _length(problem: ContactProblem, units: tuple[Index, Index, Index, Index]) -> int:
-    """The exponent of l: that of the largest load, overlap, tie or slip origin, else of the least gap."""
+    """Return the exponent of l: of the largest load, overlap, tie or slip origin, or else of the least gap."""
     unknowns, normal, across, tie = units
     sizes = [
         _exponent(problem.load) + unknowns,
@@ -418,7 +418,7 @@ def _length(problem: ContactProblem, units: tuple[Index, Index, Index, Index]) -
 
 
 def _coefficients(problem: ContactProblem, given: Vector, exponents: Index) -> Vector:
-    """Coulomb's coefficients where normal and tangential rows have units of their own."""
+    """Return Coulomb's coefficients for normal and tangential rows in units of their own."""
     found = np.asarray(np.ldexp(given, exponents))
     lost = (found > ABSURD) & (given <= ABSURD)
     if np.any(lost):
@@ -431,7 +431,7 @@ def _coefficients(problem: ContactProblem, given: Vector, exponents: Index) -> V
 
 
 def absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
-    """Return every part of an answer with an entry beyond all that a problem could ask for: its name, the place.
+    """Yield the name of each part of an answer with an entry that no problem could cause, and that entry's place.
 
     The answer is one to a problem whose numbers are near one.
     """

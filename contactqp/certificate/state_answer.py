@@ -84,7 +84,7 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class StateVerdict:
-    """What the comparison says of an answer."""
+    """The verdict of the comparison, with its basis, distance and messages."""
 
     basis: str
     distance: float | None = None  # the largest of the three, relative; None where there is nothing to compare with
@@ -97,7 +97,7 @@ class StateVerdict:
 
 @dataclass(frozen=True, eq=False)
 class _Distance:
-    """From an answer to that of a combination: each with what it is measured against [square root of energy]."""
+    """The distances of an answer from that of a combination, each with its scale [square root of energy]."""
 
     displacement: tuple[float, float]
     force: tuple[float, float]
@@ -107,9 +107,9 @@ class _Distance:
     forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
 
     def relative(self, nothing: float) -> dict[str, float]:
-        """Each of the three over its measure, signs that fail included; where that is nothing, so is what is as small.
+        """Return the three distances over their scales, failing signs included; distances up to `nothing` are zero.
 
-        What doubles cannot hold better is forgiven.
+        Rounding of the answer to doubles is subtracted.
         """
         moved, pushed = self.forgiven
         return {
@@ -174,7 +174,7 @@ def state_verdict(
 def remember_verdict(
     problem: ContactProblem, answer: Answer, tolerances: tuple[float, float], verdict: StateVerdict
 ) -> None:
-    """Keep the verdict of an answer for candidate contacts, which is judged again as part of that with all contacts."""
+    """Keep the verdict of an answer on candidate contacts for the certificate of the whole problem."""
     problem._computed.judged_state = _numbers(problem, answer, tolerances), verdict
 
 
@@ -187,14 +187,14 @@ def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[floa
 
 
 def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> Array:
-    """All numbers that a verdict depends on, beside the stiffness and the rows."""
+    """Return all numbers that a verdict depends on, besides the stiffness and the rows, as one vector."""
     parts = [problem.load, problem.load_size, problem.gap, problem.tie_value, problem.friction, problem.slip_origin]
     parts += [answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force]
     return np.concatenate([*(part.ravel() for part in parts if part is not None), tolerances])
 
 
 def figures_alone(reason: str) -> StateVerdict:
-    """The verdict where there is no combination to compare with."""
+    """Return the verdict where there is no combination to compare with."""
     return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
 
 
@@ -215,7 +215,19 @@ def _with_friction_held(
     nothing: float,
     reason: str,
 ) -> StateVerdict:
-    """The bounds of the minimisation that has the answer's friction as a load."""
+    """Judge by the bounds of the minimisation with the answer's friction as a load.
+
+    Parameters
+    ----------
+    condensation : Condensation or None
+        None where the bodies are not condensed.
+    tolerance : float
+        The largest relative error that passes.
+    nothing : float
+        The error that counts as none [square root of energy].
+    reason : str
+        Why there is no combination to compare with.
+    """
     if problem.tangent is None or answer.friction_force is None:
         return figures_alone(reason)
     load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
@@ -235,7 +247,7 @@ def _with_friction_held(
 
 
 class _Comparison:
-    """One answer beside the answers of combinations of states."""
+    """The comparison of one answer with the answers of combinations of states."""
 
     def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, bodies: Bodies) -> None:
         self._problem, self._answer, self._found = problem, answer, found
@@ -250,7 +262,7 @@ class _Comparison:
         self.compared: Compared | None = None
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
-        """The distance to the first combination that holds, or None; or the reason why none could be looked at.
+        """Return the distance to the first combination whose signs hold, or None, or the reason for having none.
 
         Contacts at their friction's bound that hardly move stick first; where that leads far away they slip.
         """
@@ -269,12 +281,12 @@ class _Comparison:
         return found, reason
 
     def _at_bound(self) -> Mask:
-        """(m,) contacts that push and have all the friction that they can have."""
+        """Return the contacts that push and whose friction is at its bound (m,)."""
         most = self.coefficient * np.maximum(self._answer.normal_force, 0.0)
         return np.asarray((most > 0) & (lengths(self.friction) >= (1 - AT_BOUND) * most))
 
     def _nearest_from(self, status: Status, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
-        """`nearest` from one combination, which failing signs change."""
+        """Return `nearest` from one combination, which failing signs change."""
         seen: set[bytes] = set()
         for _ in range(COMBINATIONS):
             seen.add(status.tobytes())
@@ -303,13 +315,16 @@ class _Comparison:
         return Compared(refined, status, self._rubs, moved, pushed, last, strain, size)
 
     def _last_correction(self, refined: RefinedState) -> float:
-        """In the root of an energy."""
+        """Return the size of the last correction of the refinement [square root of energy]."""
         moved, rubbed = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
         assert rubbed is not None
         return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, rubbed)))
 
     def _believed(self) -> Status:
-        """(m,) what gaps, forces and slips say: the larger of the two that exclude each other, as lengths."""
+        """Return the states (m,): closed where the force as a length exceeds the gap, slipping where slip exceeds room.
+
+        Room is the difference of friction from its bound, as a length.
+        """
         force, gap = self._answer.normal_force, self._found.gap
         slip, friction = self.slip(extend(self._answer.displacement)), self.friction
         room = self.coefficient * np.maximum(force, 0.0) - lengths(friction)
@@ -320,7 +335,7 @@ class _Comparison:
         return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
 
     def _sliding(self, slip: Array, friction: Array) -> Status:
-        """Slip the way that it moves, or that its friction would drive it; in space one word says both."""
+        """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
         if self._width > 1:
             return np.full(len(slip), SLIP_ON, dtype=np.int8)
         way = np.where(lengths(slip) > self.still(), slip[:, 0], friction[:, 0])
@@ -328,7 +343,7 @@ class _Comparison:
 
     @property
     def coefficient(self) -> Vector:
-        """(m,) of friction, 0 where a contact cannot slide."""
+        """The coefficients of friction (m,), 0 where a contact cannot slide."""
         assert self._problem.friction is not None
         return np.where(self._rubs, self._problem.friction, 0.0)
 
@@ -338,11 +353,11 @@ class _Comparison:
         return np.zeros((self._problem.contacts, self._width)) if given is None else given
 
     def still(self) -> Vector:
-        """(m,) slips up to which there is none."""
+        """Return the slips (m,) up to which there is none."""
         return lengths(self._found.nothing.tangent.reshape(-1, self._width))
 
     def slip(self, displacement: object) -> Array:
-        """(m, d-1) E_T u - slip_origin."""
+        """Return the slips E_T u - slip_origin (m, d-1)."""
         origin = self._problem.slip_origin
         assert origin is not None
         moved = extended_rows(self._problem).slip(extend(displacement)) - extend(origin.ravel())
@@ -377,7 +392,7 @@ class _Comparison:
         )
 
     def _rounding(self) -> float:
-        """The energy norm that rounding the displacement to doubles has."""
+        """Return the energy norm of rounding the displacement to doubles."""
         size = abs(self._answer.displacement)
         held = HELD_BY_DOUBLES * np.sqrt(size @ (self._problem.stiffness_sizes @ size))
         return max(float(held), self._bodies.rounding(self._answer.displacement))
@@ -389,7 +404,7 @@ class _Comparison:
 
 
 class _Signs:
-    """The signs of the answer of a combination, and what those that fail would change."""
+    """The signs of the answer of a combination, and how much mending the failing ones would change."""
 
     def __init__(self, of: _Comparison, refined: RefinedState, status: Status) -> None:
         problem, nothing = of._problem, of._found.nothing
@@ -412,7 +427,7 @@ class _Signs:
         self.failing = float(np.hypot(np.linalg.norm(self._lengths), pushed))
 
     def changed(self, status: Status) -> Status:
-        """Contacts that are penetrated close and stick, those in tension open, others slip on, or stick."""
+        """Return the states after mending: penetrated contacts stick, pulling ones open, others slip on or stick."""
         way = np.where(self._friction[:, 0] < 0, SLIP_BACK, SLIP_ON) if self._friction.shape[1] == 1 else SLIP_ON
         changed = np.where(self._penetrated > 0, STICK, status)
         changed = np.where(self._beyond > 0, way, changed)
@@ -421,14 +436,14 @@ class _Signs:
 
 
 def _own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
-    """|E_i D|^2 of normal and tangential rows, (m,) each; that of the bodies where a row touches nothing stiff."""
+    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
     normal = row_sizes(problem, problem.normal).compliance
     tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
     return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
 
 
 def _squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
-    """(m,) |E_i|^2 of rows, the largest of those of a contact."""
+    """Return the largest |E_i|^2 of the rows of each contact (m,)."""
     squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
     return np.asarray(np.max(squared, axis=1, initial=0.0))
 

@@ -36,7 +36,7 @@ MOST_STEPS = 200
 
 
 class Bodies(Protocol):
-    """What combinations of states are solved on."""
+    """The bodies on which combinations of states are solved."""
 
     along: Vector  # (m,) the response of a contact to its own force
     across: Vector  # (m,) the same of friction
@@ -45,13 +45,13 @@ class Bodies(Protocol):
     floats: bool
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
+        """Return the answer of a combination, refined from a start."""
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
 
     def rounding(self, displacement: Vector) -> float:
-        """The energy norm that the rounding of a rigid displacement has."""
+        """Return the energy norm of the rounding of a rigid displacement."""
 
 
 class CondensedBodies:
@@ -70,13 +70,13 @@ class CondensedBodies:
         self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
+        """Return the answer of a combination, refined from a start."""
         from contactqp.linalg.friction_states import refined_in
 
         return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True)
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
         way = self._condensation
         load = normal @ way.normal + self._outward @ friction.ravel()
         saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
@@ -84,7 +84,7 @@ class CondensedBodies:
         return float(np.sqrt(max(float(load @ x), 0.0)))
 
     def rounding(self, displacement: Vector) -> float:
-        """The energy norm that the rounding of a rigid displacement has."""
+        """Return the energy norm of the rounding of a rigid displacement."""
         return rigid_rounding(self._problem, self._condensation, displacement)
 
 
@@ -101,19 +101,19 @@ class SparseBodies:
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, refined from a start."""
+        """Return the answer of a combination, refined from a start."""
         from contactqp.linalg.sparse_states import refined_sparse
 
         return refined_sparse(self._problem, status, start)
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, 1)."""
+        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, 1)."""
         assert self._problem.tangent is not None
         load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
         return self._rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
 
     def rounding(self, displacement: Vector) -> float:
-        """Nothing floats."""
+        """Return 0, since no body floats."""
         del displacement
         return 0.0
 
@@ -139,7 +139,7 @@ class IteratedBodies:
         self.across = np.max(self.across.reshape(problem.contacts, -1), axis=1, initial=0.0)
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
-        """The answer of a combination, by GMRES from a start; in space the directions of slip turn with it."""
+        """Solve a combination by GMRES from a start; in space the slip directions turn with the answer."""
         from contactqp.linalg.friction_states import RefinedState
 
         assert start.friction_force is not None
@@ -174,7 +174,7 @@ class IteratedBodies:
         )
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
-        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1), to a few per cent."""
+        """Return the energy norm of the response of the tied bodies to contact forces, to a few per cent."""
         way, rows = self._iteration, self._rows
         ties = np.arange(rows.m, rows.plain)
         load = way.forces(np.concatenate([normal, np.zeros(len(ties)), friction.ravel()]))
@@ -187,11 +187,11 @@ class IteratedBodies:
         return float(np.sqrt(run.gained + run.square()))
 
     def rounding(self, displacement: Vector) -> float:
-        """Nothing floats."""
+        """Return 0, since no body floats."""
         del displacement
         return 0.0
 
 
 def _rubbing(rows: ScaledRows) -> Mask:
-    """(m,) contacts that friction acts on."""
+    """Return the contacts that friction acts on (m,)."""
     return np.asarray(rows.slides & (rows.coefficient > 0))

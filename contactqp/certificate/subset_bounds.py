@@ -36,10 +36,11 @@ LAYERS, LAYERS_OF_FRICTION = 3, 1
 TOUCHING = 1e-6
 # Candidates of a certificate are widened so often before it says that it has no bound.
 WIDENINGS = 5
+TOO_WIDE = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
 
 
 def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
-    """The contacts nearest to closing, gaps measured in energy, or those of the last load; None: all are few enough."""
+    """Return the contacts nearest to closing in energy, or those of the last load; None where all are few enough."""
     if not contacts_are_many(problem):
         return None
     if problem._computed.subset is not None:
@@ -51,20 +52,23 @@ def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
 
 
 def candidates_around(problem: ContactProblem, closed: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Contacts that are closed, or the nearest, those near them, and what the problem was condensed onto before."""
+    """Return the closed contacts, or the nearest ones, with their neighbours and the candidates of before."""
     closed = closed if closed.size else _nearest(problem)
-    before = closed if problem._computed.subset is None else problem._computed.subset[0]
-    return np.union1d(before, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION))).astype(np.intp)
+    return _with_former(problem, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION)))
 
 
 def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
-    """The contacts that an answer closes, or the nearest, and the candidates of before."""
+    """Return the contacts that an answer closes, or the nearest ones, and the candidates of before."""
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
-    closed = closed if closed.size else _nearest(problem)
-    before = closed if problem._computed.subset is None else problem._computed.subset[0]
-    return np.union1d(before, closed).astype(np.intp)
+    return _with_former(problem, closed if closed.size else _nearest(problem))
+
+
+def _with_former(problem: ContactProblem, contacts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return contacts together with those that the problem was condensed onto before."""
+    before = contacts if problem._computed.subset is None else problem._computed.subset[0]
+    return np.union1d(before, contacts).astype(np.intp)
 
 
 def _nearest(problem: ContactProblem) -> NDArray[np.intp]:
@@ -72,24 +76,24 @@ def _nearest(problem: ContactProblem) -> NDArray[np.intp]:
 
 
 def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
-    """The contacts that a problem, once solved, was condensed onto; None: all of them."""
+    """Return the contacts that a solved problem was condensed onto; None where these are all."""
     return None if problem._computed.subset is None else np.asarray(problem._computed.subset[0])
 
 
 def take_all(problem: ContactProblem) -> None:
-    """Have every contact of a problem condensed onto, however many there are."""
+    """Condense a problem onto every contact from now on, however many there are."""
     problem._computed.subset, problem._computed.all_contacts[problem.frictional] = None, True
 
 
 def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
-    """The problem with some of its contacts; kept, with its condensation, for the loads that follow."""
+    """Return the problem with some of its contacts; it is kept with its condensation for the loads that follow."""
     computed = problem._computed
     computed.subset = _with_contacts(problem, candidates, computed.subset)
     return _under_its_load(problem, candidates, computed.subset[1])
 
 
 def _judged_among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
-    """`among` for a certificate, whose contacts are kept apart: what is solved shall not grow by them."""
+    """Return `among` for a certificate, whose candidates are kept apart from those that are solved."""
     computed = problem._computed
     if computed.subset is not None and np.array_equal(computed.subset[0], candidates):
         return _under_its_load(problem, candidates, computed.subset[1])
@@ -129,7 +133,7 @@ def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subse
 
 
 def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, u: Vector) -> NDArray[np.intp] | None:
-    """The candidates, the others that gaps (m,) of a displacement show as closed, and what lies near; None if none."""
+    """Return the candidates with those that gaps (m,) of a displacement close and their neighbours; None if none."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
     if not closed.size:
@@ -138,7 +142,7 @@ def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, 
 
 
 def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int) -> NDArray[np.intp]:
-    """The contacts within so many layers of unknowns around some of them."""
+    """Return the contacts within so many layers of unknowns around some of them."""
     rows, K = abs(problem.normal), problem.stiffness_rows
     near = np.zeros(problem.dimension, dtype=bool)
     near[rows[contacts].indices] = True
@@ -150,7 +154,7 @@ def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int) -> N
 def bounds_among(
     problem: ContactProblem, answer: Answer, left: Residuals, candidates: NDArray[np.intp]
 ) -> tuple[Bounds, RigidMotions]:
-    """The bounds of an answer, from the problem with its candidates alone, and the rigid motions of the bodies.
+    """Return the bounds of an answer from the problem with its candidates alone, and the bodies' rigid motions.
 
     They are bounds of the whole problem, since what they call the solution, to its last digits, opens all other
     contacts; these have no force then, and a bound of it by (1) of `bounds`.
@@ -169,14 +173,13 @@ def bounds_among(
         if wider is None:
             return _of_all(problem, candidates, known, gap), condensation.rigid
         candidates = wider
-    reason = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
-    return no_bounds(reason), condensation.rigid
+    return no_bounds(TOO_WIDE), condensation.rigid
 
 
 def state_among(
     problem: ContactProblem, answer: Answer, candidates: NDArray[np.intp], tolerances: tuple[float, float]
 ) -> tuple[StateVerdict, RigidMotions]:
-    """The verdict of a frictional answer's own combination of states, all but the candidates being open in it.
+    """Return the verdict on a frictional answer by its own combination, in which all other contacts are open.
 
     `tolerances` are those of `state_verdict`. The combination is one of the whole problem where its displacement
     penetrates no other contact.
@@ -195,12 +198,11 @@ def state_among(
         if wider is None:
             return verdict, condensation.rigid
         candidates = wider
-    reason = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
-    return figures_alone(reason), condensation.rigid
+    return figures_alone(TOO_WIDE), condensation.rigid
 
 
 def _of_all(problem: ContactProblem, candidates: NDArray[np.intp], known: Bounds, gap: Vector) -> Bounds:
-    """The bounds with an entry for every contact."""
+    """Return the bounds with an entry for every contact."""
     if known.force_bound is None or known.energy_error is None:
         return known
     distance = known.energy_error * (known.energy_scale or 1.0)

@@ -54,7 +54,7 @@ SAME = 1e-6
 
 
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
-    """Whether more than one answer is found, or a family of them; found once for all answers to one problem.
+    """Return whether more than one answer exists, or a family of them; it is computed once for a problem.
 
     None where too many systems leave something free, or where their signs are beyond the range of doubles.
     """
@@ -97,7 +97,7 @@ def _several_answers(problem: ContactProblem, condensation: Condensation) -> boo
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
-    """The least solution that fits best, and the directions (k, q) that change nothing."""
+    """Return the least-squares solution of least norm, and the directions (k, q) of the null space."""
     left, values, rotation = np.linalg.svd(matrix)
     kept = values > SINGULAR_SYSTEM * values[0]
     return rotation[kept].T @ ((left.T @ right)[kept] / values[kept]), rotation[~kept]
@@ -124,7 +124,7 @@ class _Systems:
         self._felt = self._slope[self._rubs]
 
     def assembled(self, status: NDArray[np.int8]) -> tuple[Array, Array]:
-        """(c, q, q) and (c, q)."""
+        """Return the matrices (c, q, q) and right-hand sides (c, q) of combinations (c, m)."""
         m, joints = len(self.mu), len(self._J)
         matrices = np.zeros((len(status), 2 * m + joints, 2 * m + joints))
         right = np.zeros(matrices.shape[:2])
@@ -137,7 +137,7 @@ class _Systems:
         return matrices, right
 
     def holds(self, status: NDArray[np.int8], y: Array) -> NDArray[np.bool_]:
-        """Which solutions (c, q) have the signs of their combination (c, m)."""
+        """Return which solutions (c, q) have the signs of their combination (c, m)."""
         m = len(self.mu)
         force = y[:, : 2 * m].reshape(len(y), m, 2)
         room = self._room - (y @ self._slope.T).reshape(force.shape)
@@ -151,7 +151,7 @@ class _Systems:
         return np.asarray(np.all(right, axis=1))
 
     def _allowed(self, y: Array) -> tuple[Array, Array]:
-        """(c, m, 2) by how much lengths and forces of solutions (c, q) may fail their signs by rounding."""
+        """Return how far lengths and forces of solutions (c, q) may miss their signs by rounding, (c, m, 2) each."""
         meeting = self._given + self.nothing / DOUBTFUL + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
         largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
         compliance = np.broadcast_to(self._compliance, meeting.shape)
@@ -172,7 +172,7 @@ class _Systems:
         return np.concatenate([length[opened, 0], pushed[closed, 0], rubbed, rubbed, length[sliding, 1]])
 
     def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
-        """Room and its slope in y: the signs hold where room + slope y >= 0."""
+        """Return room and its slope in y: the signs hold where room + slope y >= 0."""
         m, unit = len(self.mu), np.eye(self._slope.shape[1])
         opened, closed, stuck, sliding = self._by_state(status)
         sign, bound = status[sliding].astype(float), self.mu[stuck, None] * unit[2 * stuck]
@@ -183,13 +183,13 @@ class _Systems:
         return room, np.vstack(rows) if m else np.zeros((0, len(unit)))
 
     def differ(self, one: Vector, other: Vector) -> bool:
-        """Whether forces and joints of two answers move any contact differently."""
+        """Return whether forces and joints of two answers move any contact differently."""
         sizes = abs(self._felt) @ np.maximum(abs(one), abs(other))
         doubtful = 10 * (DOUBTFUL * self._given.ravel()[self._rubs] + self.nothing)
         return bool(np.any(abs(self._felt @ (one - other)) > SAME * sizes + doubtful))
 
     def moving(self, free: Array) -> Array:
-        """What free directions (k, q) make of the contacts: rows (r, k) that they move at all."""
+        """Return how free directions (k, q) move the contacts: rows (r, k) that are not zero."""
         change = self._felt @ free.T
         return np.asarray(change[np.any(abs(change) > np.sqrt(SINGULAR_SYSTEM), axis=1)])
 
@@ -205,7 +205,7 @@ class _Signs:
 
     @property
     def may_hold(self) -> bool:
-        """Whether all signs that no c changes hold."""
+        """Return whether all signs that no c changes hold."""
         return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
 
     def extremes(self) -> list[Vector] | None:
@@ -256,7 +256,7 @@ SHARE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Uniqueness:
-    """What is known of other answers to the same problem."""
+    """Findings on whether other answers to the same problem exist."""
 
     findings: tuple[str, ...] = ()  # none: with friction, this is the only answer
     notes: tuple[str, ...] = ()
@@ -266,7 +266,7 @@ class Uniqueness:
 def uniqueness(
     problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation | None, tolerance: float
 ) -> Uniqueness:
-    """Say whether other equilibria may exist at this load. Empty without friction, where the energy has one minimum."""
+    """Say whether other equilibria may exist at this load; without friction the energy has one minimum."""
     if not problem.frictional or not problem.contacts:
         return Uniqueness()
     reason = "the bodies are not condensed onto their contacts"
@@ -347,7 +347,7 @@ def _forces(problem: ContactProblem, state: _State, condensation: Condensation) 
 
 
 def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Condensation) -> NDArray[np.intp]:
-    """Closed contacts whose forces may change without moving anything."""
+    """Return the closed contacts whose forces may change without moving anything."""
     if condensation.tangent is None or problem.friction is None or _never_dependent(problem, condensation):
         return np.zeros(0, dtype=np.intp)
     scale, m = condensation.scale, problem.contacts
@@ -372,7 +372,7 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
 
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:
-    """Whether the rows of all contacts and ties are independent, whatever is closed; found out once."""
+    """Return whether the rows of all contacts and ties are independent, whatever is closed; it is computed once."""
     if problem._computed.independent_rows is None:
         tangent = np.zeros((0, len(condensation.scale)))
         if condensation.tangent is not None:
@@ -384,7 +384,7 @@ def _never_dependent(problem: ContactProblem, condensation: Condensation) -> boo
 
 
 def _independent(rows: Array) -> bool:
-    """Whether unit rows are independent beyond doubt; if not, they may be all the same."""
+    """Return whether unit rows are proven independent; False leaves the question open."""
     if len(rows) > rows.shape[1]:
         return False
     try:
@@ -395,7 +395,7 @@ def _independent(rows: Array) -> bool:
 
 
 def _contraction(problem: ContactProblem, state: _State, condensation: Condensation) -> float | None:
-    """Spectral radius of bounds mu l_N -> mu l_N of the next Tresca problem, linearised at the answer.
+    """Return the spectral radius of the map mu l_N -> mu l_N of one Tresca step, linearised at the answer.
 
     Closed contacts stay closed, those that stick stick; where one slips, l_T = theta d, d = s/|s|, changes with theta
     and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None where more than 100 contacts are closed, or
