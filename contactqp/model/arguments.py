@@ -98,14 +98,14 @@ def _stated_types(function: Callable[..., Any], signature: inspect.Signature) ->
 
 
 class _Names(dict[str, Any]):
-    """Names as a module knows them; one that is imported for type checkers alone stands for classes of that name."""
+    """The names that a module knows; one imported for type checkers alone stands for classes of that name."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, None) or type(name, (_ByName,), {})
 
 
 class _ByName:
-    """A class that is known by its name; one of that name need not be imported where there are no objects of it."""
+    """A class that is known by its name alone and need not be imported where it has no objects."""
 
 
 def _accepted(place: str, value: Any, stated: Any) -> Any:
@@ -140,7 +140,7 @@ def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
 
 
 def _is_of(value: Any, stated: Any) -> bool:
-    """Whether a value is of a type that is neither a union nor a sequence nor a mapping."""
+    """Return whether a value is of a type that is neither a union nor a sequence nor a mapping."""
     kind = get_origin(stated) or stated
     if kind is Any:
         return True
@@ -166,7 +166,7 @@ def _is_of(value: Any, stated: Any) -> bool:
 
 
 def _is_real(value: Any) -> bool:
-    """Whether a value is one real number that is a float, in an array without axes too; truth values are none."""
+    """Return whether a value is one real number, in an array without axes too; truth values are not."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.ndim == 0 and value.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray)
     if isinstance(value, bool) or not isinstance(value, (numbers.Real, Decimal)):

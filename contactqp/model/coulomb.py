@@ -21,7 +21,7 @@ from contactqp.model.problem import ContactProblem
 
 
 class ContactState(IntEnum):
-    """What a contact does; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
+    """The state of a contact; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
 
     The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
     friction, where sticking and slipping are not told apart.
@@ -53,7 +53,7 @@ def all_combinations(friction: Iterable[Any]) -> Iterator[tuple[int, ...]]:
 
 
 def status_names(status: Status) -> NDArray[np.str_]:
-    """(m,) of open, stick, slip."""
+    """Return the names "open", "stick" and "slip" of states (m,)."""
     return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")
 
 
@@ -61,18 +61,18 @@ Vectors = NDArray[np.float64]  # (m, d)
 
 
 def lengths(vectors: Vectors) -> Vector:
-    """|v| of every row, infinite where an entry is, and right where squares are no doubles."""
+    """Return |v| of every row, infinite where an entry is, and correct where squares exceed doubles."""
     return np.asarray(np.hypot.reduce(vectors, axis=1, initial=0.0))
 
 
 def directions(vectors: Vectors) -> Vectors:
-    """v/|v| of every row, zero where v is."""
+    """Return v/|v| of every row, and zero where v is zero."""
     size = lengths(vectors)[:, None]
     return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 def onto_cone(vectors: Vectors, friction: Vector) -> Vectors:
-    """The nearest points of the cones K of coefficients (m,)."""
+    """Return the nearest points (m, d) of the cones K with coefficients `friction` (m,)."""
     normal, tangent = vectors[:, 0], vectors[:, 1:]
     size = lengths(tangent)
     factor = (friction * size + normal) / (1.0 + friction**2)
@@ -82,7 +82,7 @@ def onto_cone(vectors: Vectors, friction: Vector) -> Vectors:
 
 
 def onto_discs(vectors: Vectors, radius: Vector) -> Vectors:
-    """The nearest points (m, d-1) of discs around zero."""
+    """Return the nearest points (m, d-1) of discs around zero with these radii (m,)."""
     size = lengths(vectors)
     return np.where((size <= radius)[:, None], vectors, radius[:, None] * directions(vectors))
 
@@ -127,7 +127,7 @@ def resisting_rows(problem: ContactProblem) -> Any:
 
 
 def around(width: int) -> Array:
-    """Directions t (k, d-1) with max_t t's >= |s| for every slip s, as little more as the polygon allows."""
+    """Return directions t (k, d-1) with max_t t's >= |s| for every slip s: the sides of a circumscribed polygon."""
     if width == 1:
         return np.array([[1.0], [-1.0]])
     angle = 2 * np.pi * np.arange(SIDES) / SIDES

@@ -15,7 +15,7 @@ from contactqp.errors import InvalidProblem, shown
 
 @dataclass(frozen=True)
 class Engine:
-    """What solves elsewhere than in this process: each of its functions as ``module:function``."""
+    """A solver outside of this process; each of its functions is named as ``module:function``."""
 
     solve: str  # (problem, method, *, warm_start, **options) -> Solution
     build: str  # (scene) -> a model that answers what `contactqp.scene.body_model.BodyModel` does

@@ -36,7 +36,7 @@ from contactqp.model.problem_data import (
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class GlobalProblem(ReadOnly):
-    """What a file in FCLIB's global form says, nothing symmetrised.
+    """A problem in FCLIB's global form as its file states it; nothing is symmetrised.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class GlobalProblem(ReadOnly):
     @classmethod
     @checked
     def of(cls, problem: ContactProblem) -> GlobalProblem:
-        """A ContactProblem in global form, bit for bit.
+        """Return a ContactProblem in global form, bit for bit.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class GlobalProblem(ReadOnly):
         )
 
     def contact_problem(self) -> ContactProblem:
-        """The same as a ContactProblem.
+        """Return the problem as a ContactProblem.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class GlobalProblem(ReadOnly):
 
     @property
     def symmetric(self) -> bool:
-        """Whether M is symmetric to what a ContactProblem forgives."""
+        """Whether M is symmetric within the tolerance of a ContactProblem."""
         return self.asymmetry <= SYMMETRY_TOLERANCE
 
     @property

@@ -172,7 +172,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def contact_scale(self) -> Vector:
-        """(m,) factors s_i of the contacts' rows by which the mean diagonal of every contact's own block is one.
+        """The factors s_i of the contacts' rows (m,) that give every contact's own block a mean diagonal of one.
 
         s_i u_i and r_i / s_i are roots of energies. A contact without a compliance of its own is given a row of V, or
         else an offset, as large as the other contacts have.
@@ -193,7 +193,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def scaled_delassus(self) -> Any:
-        """(d m, d m) CSR matrix s_i W_ij s_j, s the `contact_scale`."""
+        """The CSR matrix s_i W_ij s_j (d m, d m), s being the `contact_scale`."""
         scale, W = np.repeat(self.contact_scale, self.dimension), self.delassus
         row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
         data = (scale[row] * W.data) * scale[W.indices]
@@ -206,7 +206,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def joint_scale(self) -> Vector:
-        """(p,) factors by which the columns of V, scaled by `contact_scale`, have unit length."""
+        """The factors (p,) that give the columns of V, scaled by `contact_scale`, unit length."""
         scaled = self.bilateral.toarray() * np.repeat(self.contact_scale, self.dimension)[:, None]
         size = np.linalg.norm(scaled, axis=0)
         return read_only(np.asarray(1.0 / np.where(size > 0, size, 1.0)))
@@ -240,7 +240,7 @@ class LocalProblem(ReadOnly):
 
 
 def _mean_size(parts: NDArray[np.float64]) -> float:
-    """The root of the mean square, of sizes whose squares need not be doubles."""
+    """Return the root mean square of sizes whose squares may exceed doubles."""
     size = float(np.max(abs(parts), initial=0.0))
     return size * float(np.sqrt(np.mean((parts / size) ** 2))) if size > 0 else 0.0
 
@@ -281,7 +281,7 @@ class LocalSolution(ReadOnly, Printed):
 
 
 def local_status(problem: LocalProblem, certificate: LocalCertificate) -> NDArray[np.str_]:
-    """(m,) of open, stick, slip, and closed without friction: each contact in the certificate's own measures."""
+    """Return "open", "stick", "slip", or "closed" without friction (m,), by the measures of the certificate."""
     push, tolerance = certificate.force_measure, certificate.tolerance
     sliding = np.where(certificate.slip_measure > tolerance, "slip", "stick")
     closed = np.where(problem.friction > 0, sliding, "closed")

@@ -300,7 +300,7 @@ class ContactProblem:
 
     @cached_property
     def diagonal(self) -> Vector:
-        """(n,) the K_jj, looked up once for a stiffness."""
+        """The diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
             of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
@@ -309,7 +309,7 @@ class ContactProblem:
 
     @cached_property
     def own_scale(self) -> Vector:
-        """(n,) D: 1/sqrt(K_jj), and 1 where that is zero, looked up once for a stiffness."""
+        """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
             of_stiffness.own_scale = inverse_root(self.diagonal)
@@ -350,7 +350,7 @@ class ContactProblem:
 
     @cached_property
     def load_size(self) -> Vector:
-        """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
+        """The sizes of the forces that add up to `load` (n,); where forces cancel, as in condensing, they exceed |load|."""
         if self.load_sum is not None:
             return self.load_sum
         size = abs(self.load)
@@ -363,7 +363,7 @@ class ContactProblem:
         return self.friction is not None and bool(np.any(self.friction > 0))
 
     def replace(self, **changes: Any) -> ContactProblem:
-        """The same problem with other data; K and the rows are kept, and with them their factorisation.
+        """Return the problem with other data; K and the rows are kept, and with them their factorisation.
 
         Other ties have the names that are given with them, or none.
 
@@ -400,15 +400,15 @@ class ContactProblem:
         return ContactProblem._of_checked(checked, self._computed)
 
     def afresh(self) -> ContactProblem:
-        """The same problem, without what has been computed from it."""
+        """Return the same problem without anything that has been computed from it."""
         return ContactProblem._of_checked(self._values(), Computed())
 
     def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
-        """The same problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
+        """Return the problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
     def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
-        """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""
+        """Return the problem with some of its contacts only; what depends on K alone is not computed again."""
         kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
@@ -421,12 +421,12 @@ class ContactProblem:
 
     @cached_property
     def has_idle_rows(self) -> bool:
-        """Whether a contact or a tie constrains nothing: a row of zeros, or a gap of infinity."""
+        """Return whether a contact or a tie constrains nothing: its row is zero, or its gap infinite."""
         contacts, ties = self.idle_rows()
         return bool(np.any(contacts) or np.any(ties))
 
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
+        """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
         if self._computed.idle_rows is None:
             zero = np.diff(self.normal.indptr) == 0, np.diff(self.tie.indptr) == 0
             for rows in zero:
@@ -437,7 +437,7 @@ class ContactProblem:
 
     @property
     def finite_gap(self) -> Vector:
-        """(m,) the gaps, for what has no number for infinity.
+        """Return the gaps (m,) with a finite number in place of infinity, for solvers without one.
 
         Raises
         ------
@@ -450,7 +450,7 @@ class ContactProblem:
         return self.gap
 
     def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
-        """The same problem with some of its ties only, which keep their names."""
+        """Return the problem with some of its ties only, which keep their names."""
         ties = read_places("ties", ties, self.ties)
         kept = self._values() | dict(tie_names=tuple(map(self.tie_name, ties.tolist())))
         kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
@@ -465,7 +465,7 @@ class ContactProblem:
         return self._computed.locks.setdefault(os.getpid(), threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: the problem, without what was computed from it."""
+        """Return the problem for copies and pickles, without anything that was computed from it."""
         return self._values()
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -108,7 +108,7 @@ def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, 
 
 
 def is_number(value: Any) -> bool:
-    """Whether this is one real number; truth values are none, nor are durations, which NumPy counts as integers."""
+    """Return whether a value is one real number; truth values are not, nor are NumPy's durations."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, (bool, np.timedelta64))
 
 
@@ -122,7 +122,7 @@ def refuse_not_positive(name: str, value: Any) -> None:
 
 
 def is_whole(value: Any) -> TypeGuard[int]:
-    """Whether this is one whole number; truth values and durations are none."""
+    """Return whether a value is one whole number; truth values and durations are not."""
     return is_number(value) and isinstance(value, (int, np.integer))
 
 
@@ -188,7 +188,7 @@ def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
 
 
 def _sparse(name: str, value: Any) -> Any:
-    """A canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
+    """Return a canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
     if sp.issparse(value):
         if value.ndim != 2:
             raise InvalidProblem(f"{name}: expected a matrix, got {shown(value)}")
@@ -250,7 +250,7 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
 
 
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
-    """K, how far from symmetric it was, and how much of it was rounding of digits along rigid motions."""
+    """A stiffness K with its asymmetry and the part of it that was rounding of digits along rigid motions."""
     dense = not sp.issparse(value)
     if dense and (definite := _definite(value)) is not None:
         read_motions("near_null_space", motions, len(definite))
@@ -308,7 +308,7 @@ def _definite(value: Any) -> NDArray[np.float64] | None:
 
 
 def _symmetric(K: Any) -> bool:
-    """To the last digit, K in canonical CSR."""
+    """Return whether K, in canonical CSR, is symmetric to the last digit."""
     if K.shape[0] <= DEFINITENESS_CHECK_SIZE:
         dense = K.toarray()
         return np.array_equal(dense, dense.T)
@@ -318,7 +318,7 @@ def _symmetric(K: Any) -> bool:
 
 
 def _resists_every_motion(K: NDArray[np.float64]) -> bool:
-    """Whether K is definite, and no motion is so soft that lost digits might be all that resists it.
+    """Return whether K is definite and resists every motion by more than lost digits could.
 
     `clear_of_printing` scales by the powers of two nearest to 1/sqrt(K_jj): its eigenvalues are at least half of these.
     """
@@ -344,7 +344,7 @@ def _refuse_indefinite(K: NDArray[np.float64]) -> None:
 
 
 def _curved(K: NDArray[np.float64], direction: NDArray[np.float64]) -> str:
-    """What a direction of negative curvature is, once its curvature is negative in rationals."""
+    """Return a direction of negative curvature in words, if its curvature is negative in rational numbers."""
     z = direction / np.max(abs(direction))
     parts = [(int(j), Fraction(float(z[j]))) for j in np.flatnonzero(z)]
     curvature = sum(a * b * Fraction(float(K[i, j])) for i, a in parts for j, b in parts)
@@ -355,7 +355,7 @@ def _curved(K: NDArray[np.float64], direction: NDArray[np.float64]) -> str:
 
 
 def _of_lost_digits(eigenvalue: float) -> str:
-    """What may be done about an eigenvalue that lost digits may have made."""
+    """Return advice for an eigenvalue that lost digits may have caused, or an empty string."""
     if eigenvalue < -SYMMETRY_TOLERANCE * 10:
         return ""
     return "; if it was printed with few digits, print more, or state the rigid motions as near_null_space"
@@ -391,7 +391,7 @@ def read_friction(
 
 
 def read_coefficient(friction: ArrayLike, m: int) -> Vector:
-    """Coulomb's coefficient of every contact, from one for all or one for each."""
+    """Return Coulomb's coefficient of every contact (m,), from one for all or one for each."""
     coefficient = read_array("friction", friction)
     if np.asarray(friction).dtype == bool:
         raise InvalidProblem(f"friction: expected a coefficient, got {shown(friction)}")
@@ -405,7 +405,7 @@ def read_coefficient(friction: ArrayLike, m: int) -> Vector:
 
 
 def read_matrix(name: str, value: Any) -> Any:
-    """A finite matrix in CSR form, duplicates summed."""
+    """Return a finite matrix in CSR form, duplicates summed."""
     return _sparse(name, value)
 
 

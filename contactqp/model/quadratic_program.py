@@ -125,7 +125,7 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
 
 
 def _matrix(name: str, rows: Any) -> Any:
-    """Rows of real numbers of any kind as a CSR matrix; one row may come as a vector."""
+    """Return rows of real numbers of any kind as a CSR matrix; one row may come as a vector."""
     if sp.issparse(rows):
         found = sp.csr_matrix(rows) if rows.ndim == 2 else sp.csr_matrix(rows.toarray()[None, :])
         return sp.csr_matrix((read_array(name, found.data), found.indices, found.indptr), shape=found.shape)
@@ -136,7 +136,7 @@ def _matrix(name: str, rows: Any) -> Any:
 
 
 def _sides(lower: str, least: Any, upper: str, most: Any, count: int) -> tuple[Vector, Vector]:
-    """Lower and upper sides (count,), infinite where none came."""
+    """Return lower and upper sides (count,), infinite where none was given."""
     sides = []
     for name, values, none in ((lower, least, -np.inf), (upper, most, np.inf)):
         read = np.full(count, none) if values is None else read_array(name, values).ravel()
@@ -267,7 +267,7 @@ def answer_of_program(
 
 
 def _fixed_at_the_end(problem: Any) -> list[int]:
-    """The unknowns of the ties at the end that hold one unknown each, as bounds with lb = ub do."""
+    """Return the unknowns of trailing ties that fix one unknown each, as bounds with lb = ub do."""
     rows, found = problem.tie, []
     for k in range(problem.ties - 1, -1, -1):
         start, end = rows.indptr[k], rows.indptr[k + 1]
@@ -278,7 +278,7 @@ def _fixed_at_the_end(problem: Any) -> list[int]:
 
 
 def _bounds_of(problem: Any) -> dict[int, tuple[str, int]]:
-    """The contacts that stand for bounds, by their names and rows: the side and the unknown of each."""
+    """Return side and unknown of each contact that stands for a bound, recognised by its name and row."""
     found = {}
     rows = problem.normal
     for i, name in enumerate(problem.contact_names or ()):

@@ -50,7 +50,7 @@ def all_finite(*parts: Array | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Answer(ReadOnly):
-    """Somebody's displacement and forces, of the right shapes."""
+    """A displacement with its forces, in the shapes of a problem."""
 
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,)
@@ -218,7 +218,7 @@ class LocalCertificate(ReadOnly, Printed):
 
     @property
     def basis(self) -> str:
-        """What the verdict rests on: the figures alone."""
+        """The basis of the verdict, always "figures"."""
         return "figures"
 
     def __str__(self) -> str:
@@ -247,13 +247,13 @@ class Candidate:
 
     @property
     def finite(self) -> bool:
-        """Whether every number of it is one."""
+        """Whether all numbers of the candidate are finite."""
         return all_finite(self.displacement, self.normal_force, self.tie_force, self.friction_force)
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a solution cost."""
+    """The work that a solution took."""
 
     factorisations: int = 0  # of the stiffness
     back_substitutions: int = 0  # right-hand sides solved with them
@@ -265,7 +265,7 @@ class Work:
     routes: tuple[str, ...] = ()  # where the first answer was refused: what was tried, one after another, and what came
 
     def after(self, earlier: Work) -> Work:
-        """This work and what was spent on it before."""
+        """Return the sum of this work and earlier work."""
         counts = ("factorisations", "back_substitutions", "polish_corrections", "krylov_iterations")
         sums: dict[str, Any] = {name: getattr(self, name) + getattr(earlier, name) for name in counts}
         known = self.iterations is not None and earlier.iterations is not None
@@ -274,7 +274,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Raw(ReadOnly):
-    """A method's answer before polish, and what the certificate says of it, found out when it is asked for."""
+    """A method's answer before polishing, with a certificate that is computed on first access."""
 
     problem: ContactProblem = field(repr=False)
     displacement: Vector
@@ -287,7 +287,7 @@ class Raw(ReadOnly):
 
     @cached_property
     def certificate(self) -> Certificate:
-        """The certificate of this answer."""
+        """The certificate of the unpolished answer."""
         return self.judge(self.problem, self.displacement, self.normal_force, self.friction_force, self.tie_force)
 
 

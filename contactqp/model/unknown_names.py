@@ -31,19 +31,21 @@ SPELLINGS = {
 
 
 def axis_called(name: str) -> str | None:
-    """One of `AXES` by any of its names: x, 1, ux, U1, d1, rotz, UR3, ..."""
+    """Return one of `AXES` by any of its names, such as x, 1, ux, U1, d1, rotz or UR3; None for other names."""
     return SPELLINGS.get(name.strip().lower())
 
 
 def plain_name(name: str) -> str | None:
-    """node.axis with the axis as in `AXES`; None where a name does not end in a direction."""
+    """Return node.axis with the axis as in `AXES`; None where a name does not end in a direction."""
     node, _, axis = name.rpartition(".")
     known = axis_called(axis)
     return f"{node}.{known}" if node and known is not None else None
 
 
 def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterable[str]) -> dict[str, list[str]]:
-    """Which of the given names mean a wanted one under another spelling; more than one, or one for two, is ambiguous.
+    """Return, for each wanted name, the given names that mean it under another spelling.
+
+    More than one, or one for two wanted names, is ambiguous.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
 
 
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
-    """A motion in words: the unknowns that move, and how far relative to the largest."""
+    """Describe a motion in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
     together = _moving_together((problem.dof_name(int(j)) for j in moving), motion[moving])
     if together:
@@ -76,7 +78,7 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
 
 
 def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
-    """Translations of bodies in words: ``"block along x by +1 (node 0 and 152 more)"``; none where nodes move apart."""
+    """Describe translations of bodies as ``"block along x by +1 (node 0 and 152 more)"``; empty if nodes move apart."""
     moved: dict[tuple[str, str], list[str]] = {}
     step_of: dict[tuple[str, str], float] = {}
     for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
@@ -92,7 +94,7 @@ def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
 
 
 def listed(names: list[str], count: int | None = None) -> str:
-    """The first names of a list, and how many more there are of `count`, or of the list."""
+    """Return the first names of a list and the number of those left out, of `count` or of the list."""
     shown = names[:NAMES_IN_A_MESSAGE]
     more = (len(names) if count is None else count) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")

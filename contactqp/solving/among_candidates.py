@@ -29,9 +29,9 @@ def solve_among(
     solve: Callable[[ContactProblem, Solution | None], Solution],
     without_friction: WithoutFriction,
 ) -> Solution | None:
-    """The solution of the whole problem by `solve(problem of the candidates, where to start)`, certified as a whole.
+    """Solve a problem by `solve(problem of the candidates, start)`, and certify the answer with all contacts.
 
-    None where all contacts are few enough, or no candidates are found. Where the candidates alone cannot hold the
+    Returns None where all contacts are few enough, or no candidates are found. Where the candidates cannot hold the
     bodies, all contacts are taken at once. `without_friction` returns normal forces (m,) and what they have cost.
     """
     started = time.perf_counter()
@@ -61,7 +61,7 @@ def solve_among(
 def _first(
     problem: ContactProblem, start: Solution | None, without_friction: WithoutFriction
 ) -> tuple[NDArray[np.intp] | None, Work]:
-    """The contacts to begin with, None for all of them, and what it took to find them.
+    """Return the first candidates, None for all contacts, and the work of finding them.
 
     With friction they are those of the last load, or near those that close at the start, else without friction.
     """
@@ -77,7 +77,7 @@ def _first(
 
 
 def _spent_on(few: ContactProblem) -> Work:
-    """What a problem that came to no answer has cost."""
+    """Return the work spent on a problem that came to no answer."""
     way = condense(few)
     return Work(factorisations=way.factorisations, back_substitutions=way.back_substitutions)
 
@@ -96,7 +96,7 @@ def _restricted(start: Solution | None, few: ContactProblem, candidates: NDArray
 def _of_all(
     problem: ContactProblem, candidates: NDArray[np.intp], solution: Solution, spent: Work, started: float
 ) -> Solution:
-    """The solution with all contacts, certified with all of them."""
+    """Return the solution with all contacts, certified with all of them."""
 
     def spread(force: Array) -> Array:
         everywhere = np.zeros((problem.contacts, *force.shape[1:]))

@@ -43,7 +43,7 @@ def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
 @checked
 @own_floating_point
 def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
-    """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
+    """Return all states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
 
     Above a critical coefficient of friction a problem may have none, several, or a continuum of which some members are
     returned. All combinations of open, stick and slip are tried (`contactqp.solving.friction.enumeration`).
@@ -99,7 +99,7 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
 
 @dataclass(frozen=True, eq=False)
 class AssociatedDifference(ReadOnly):
-    """Both answers, and associated less Coulomb."""
+    """The answers of Coulomb's law and of its associated relaxation, and their differences, associated less Coulomb."""
 
     coulomb: Solution
     associated: Solution
@@ -192,11 +192,11 @@ def _friction(solution: Solution) -> NDArray[np.float64]:
 @checked
 @own_floating_point
 def existence_margin(problem: ContactProblem | LocalProblem) -> float:
-    """The test of Acary, Cadoux, Lemarechal and Malick (2011): positive where a solution surely exists.
+    """Return the margin of the existence test of Acary, Cadoux, Lemarechal and Malick (2011).
 
-    The largest x <= 1 such that some velocity u = W y + V l + q has u_N - x >= mu |u_T| at every contact, in a scale in
-    which contacts have a compliance of one and q entries of size one. Where it is positive there are forces that
-    satisfy the law, whatever the coefficients of friction; the test is sufficient, not necessary.
+    It is the largest x <= 1 for which some velocity u = W y + V l + q has u_N - x >= mu |u_T| at every contact, in a
+        scale in which contacts have a compliance of one and q entries of size one. Where it is positive, forces that
+        satisfy the law exist; where it is not, they may exist all the same.
 
     Raises
     ------

@@ -46,7 +46,7 @@ from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, des
 
 
 def solve_associated(problem: ContactProblem, method: Method, settings: Settings) -> tuple[Answer, str]:
-    """The relaxation's answer and what to call it: in the plane by `method`, in space by Clarabel.
+    """Solve the associated relaxation, in the plane by `method` and in space by Clarabel; return its answer and name.
 
     Raises
     ------
@@ -82,7 +82,7 @@ NOISE = 1e-15
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
-    """An orthonormal basis (n, q) of the rigid motions along which no contact that pushes moves and no tie."""
+    """Return an orthonormal basis (n, q) of the rigid motions that move no pushing contact and no tie."""
     basis = condensation.rigid.basis
     if not basis.shape[1] or problem.tangent is None or problem.friction is None:
         return basis
@@ -102,9 +102,9 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
 
 
 def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer, free: Array) -> Answer:
-    """The answer of least norm along its free motions, where contacts that do not push leave room for it.
+    """Return the answer moved to its least norm along free motions, where contacts that do not push leave room.
 
-    What is taken away leaves its rounding behind, which is refined away.
+    Removing a motion leaves its rounding behind, which refinement removes.
     """
     if not free.shape[1]:
         return answer
@@ -118,8 +118,10 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
 
 
 def _combination(problem: ContactProblem, answer: Answer) -> Status:
-    """(m,) open where nothing pushes; sticking where the slip is no more than rounding of the displacement, or where
-    friction drives it: such a slip is what the answer left over of none."""
+    """Return the states of an answer (m,): open without a force, sticking where the slip is rounding, else sliding.
+
+    A slip that friction drives is the remainder of none and counts as sticking.
+    """
     assert problem.tangent is not None
     assert problem.slip_origin is not None
     assert answer.friction_force is not None
@@ -133,7 +135,7 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
 
 
 def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
-    """The answer without contact forces that are beneath the rounding of the stiffness, where it holds without them."""
+    """Return the answer without contact forces beneath the rounding of the stiffness, if it holds without them."""
     force = answer.normal_force
     heard = force_measure(problem.normal, force, forces_that_meet(problem, answer)) > NOISE
     if np.all(heard | (force == 0)) or answer.friction_force is None:
@@ -187,7 +189,7 @@ class FrictionRun(Run):
         )
 
     def final(self) -> Final:
-        """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
+        """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         condensation = condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_noise(self.problem, at_rest(self.problem, condensation, self._answer, free))
@@ -200,7 +202,7 @@ class FrictionRun(Run):
         )
 
     def refuse_conflict(self) -> None:
-        """Constraints that conflict get no answer this far."""
+        """Do nothing: conflicting constraints were refused before an answer was found."""
 
 
 class SparseFrictionRun(FrictionRun):
@@ -219,13 +221,13 @@ class SparseFrictionRun(FrictionRun):
         self._found = found
 
     def final(self) -> Final:
-        """The answer as it was found: no body floats, and what is noise has been left out."""
+        """Return the answer as it was found: no body floats, and noise has been removed."""
         answer = self._found.answer
         forces = answer.normal_force, answer.tie_force
         return Final(answer.displacement, *forces, friction_force=answer.friction_force)
 
     def work(self, corrections: int) -> Work:
-        """What it has cost: combinations that differ in few contacts share a factorisation."""
+        """Return what the answer has cost; combinations that differ in few contacts share a factorisation."""
         return Work(
             factorisations=self._found.factorisations,
             back_substitutions=self._found.back_substitutions,
@@ -265,7 +267,7 @@ class IteratedFrictionRun(RunByIteration):
 
 
 def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
-    """The answer that a warm start is, if it has friction."""
+    """Return a warm start as an answer, or None if it has no friction forces."""
     if known is None or known.friction_force is None or not known.finite:
         return None
     friction = known.friction_force.reshape(problem.contacts, -1)
@@ -279,7 +281,7 @@ STEPS_BEFORE_LISTING = 20
 
 
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
-    """An answer by `algorithm`. None is, on bodies that are iterated on, Tresca's fixed point and Newton's method by
+    """Find an answer by `algorithm`. None stands, on bodies that are iterated on, for Tresca's and Newton's method by
     iteration; else, in the plane, Newton's method in sparse systems where contacts are many, else
     from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
     enumeration where contacts are few; in space the algorithms of the local form, by steps of `method` where that is
@@ -378,14 +380,27 @@ def run_on_combination(
     combinations: int,
     meter: Meter,
 ) -> FrictionRun:
-    """The answer of a combination that was found on the contact unknowns, refined; nobody has seen its signs."""
+    """Refine the answer of a combination that was found on the contact unknowns; its signs are not judged.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    system, lengths : ForceSystem, Lengths
+        The linear systems of combinations, and the lengths of this load.
+    found : CombinationAnswer
+        Forces and states on the contact unknowns.
+    combinations : int
+        The number of combinations that were tried, which becomes the count of iterations.
+    meter : Meter
+        The counter of what the answer costs.
+    """
     with meter.running():
         answer = refined(problem, condense(problem), system, lengths, found)
     return FrictionRun(problem, answer, "newton", meter, iterations=combinations)
 
 
 def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
-    """Every equilibrium of a small problem.
+    """Find every equilibrium of a small problem by enumeration.
 
     Raises
     ------
@@ -403,7 +418,7 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
 
 
 def _listed(problem: ContactProblem) -> tuple[FrictionRun, ...]:
-    """Every equilibrium of a small problem, at least one."""
+    """Return every equilibrium of a small problem; raise where there is none."""
     found = found_by_enumeration(problem)
     if not found:
         refuse_conflict(problem, condense(problem))

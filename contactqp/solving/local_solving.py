@@ -50,7 +50,7 @@ def solve_local(
     algorithm: str | None = None,
     **options: Any,
 ) -> LocalSolution:
-    """Forces and velocities of a frictional problem in local form; see `contactqp.solve` for the arguments.
+    """Solve a frictional problem in local form for forces and velocities; arguments are those of `contactqp.solve`.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def solve_local(
 
 
 def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[LocalSolution, ...]:
-    """Every answer of a local problem in the plane with at most eight contacts, one for each velocity; it may be none.
+    """Return every answer of a local problem in the plane with at most eight contacts, one for each velocity.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[Lo
 
 
 def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSolution:
-    """The only answer, or the first of them where nobody asked for enumeration."""
+    """Return the answer found by enumeration; with `only`, raise where there are several, else take the first."""
     found = local_equilibria(problem, tolerance)
     if not found:
         none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
@@ -162,7 +162,7 @@ def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any])
 
 
 def _floor(outcome: Outcome) -> str:
-    """What convex steps by themselves cannot do better than, beyond what the name says."""
+    """Return the message on the asymmetric part of delassus, which convex steps do not see, or an empty string."""
     if outcome.steps is None or not outcome.steps.asymmetry:
         return ""
     part = outcome.steps.asymmetry
@@ -196,7 +196,7 @@ SAME = 1e-8
 
 
 def enumerated(form: LocalForm) -> Iterator[Iterate]:
-    """Forces of combinations whose signs may hold, finished by Newton's method; velocities come but once.
+    """Yield the answers of all combinations whose signs may hold, refined by Newton's method, each velocity once.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def enumerated(form: LocalForm) -> Iterator[Iterate]:
 
 
 def not_enumerated(form: LocalForm) -> str | None:
-    """Why the combinations of a problem are not listed, or None."""
+    """Return the reason why the combinations of a problem are not listed, or None."""
     if form.d > 2:
         return "enumeration: the problem is in space; slip directions in space cannot be listed"
     return refuse_many(form.m)

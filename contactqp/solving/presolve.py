@@ -46,14 +46,14 @@ class Parallel:
     factors: tuple[Fraction, ...]  # c_i, the first of them one
 
     def tightest(self, limit: Vector) -> tuple[Indices, list[Fraction]]:
-        """The contacts with the least g_i / c_i, which close together, and their factors."""
+        """Return the contacts with the least g_i / c_i, which close together, and their factors."""
         reached = [Fraction(float(limit[i])) / c for i, c in zip(self.rows, self.factors, strict=True)]
         least = min(reached)
         at = [place for place, value in enumerate(reached) if value == least]
         return self.rows[at], [self.factors[place] for place in at]
 
     def same(self, limit: Vector) -> tuple[Indices, list[Fraction]]:
-        """The ties that are met wherever the first is, and their factors."""
+        """Return the ties that are met wherever the first is, and their factors."""
         first = Fraction(float(limit[self.rows[0]]))
         pairs = enumerate(zip(self.rows, self.factors, strict=True))
         at = [place for place, (i, c) in pairs if Fraction(float(limit[i])) == c * first]
@@ -61,7 +61,7 @@ class Parallel:
 
 
 def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
-    """The parallel rows of a CSR matrix, of one sense where they are signed, as contacts are; ties may be turned."""
+    """Return the parallel rows of a CSR matrix; signed rows, as contacts are, must point the same way."""
     lengths = np.diff(rows.indptr)
     filled = np.flatnonzero(lengths)
     if not filled.size:
@@ -94,7 +94,7 @@ def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
 
 
 def _factor(values: Vector, others: Vector) -> Fraction | None:
-    """c with others = c * values, in rational numbers; None where there is none."""
+    """Return the rational c with others = c * values, or None where there is none."""
     if np.array_equal(values, others):
         return Fraction(1)
     factor = Fraction(float(others[0])) / Fraction(float(values[0]))
@@ -133,20 +133,20 @@ def _bounds(problem: ContactProblem) -> tuple[Vector, Vector]:
 
 @dataclass(frozen=True)
 class Shares:
-    """How rows that are set aside take part in what others carry: force = matrix @ (forces of the kept rows)."""
+    """The shares of removed rows in the forces of kept ones: force = matrix @ (forces of the kept rows)."""
 
     kept: Indices
     matrix: Any  # (all, kept) CSR
 
     def restricted(self, force: Vector) -> Vector:
-        """The forces of the kept rows that do what all forces do where those that share close."""
+        """Return the forces of the kept rows that have the resultant of the forces of all rows."""
         weight = np.asarray(self.matrix.multiply(self.matrix).sum(axis=0)).ravel()
         return np.asarray(self.matrix.T @ force / weight)
 
 
 @dataclass(frozen=True, eq=False)
 class Presolved:
-    """A problem with the rows that a method is shown, and the way back to all of them."""
+    """A problem with the rows that a method is shown, and the shares that give all rows their forces."""
 
     problem: ContactProblem
     contacts: Shares
@@ -154,20 +154,20 @@ class Presolved:
     notes: tuple[str, ...]
 
     def restricted(self, start: Candidate | None) -> Candidate | None:
-        """A place to start from, of all rows, as one of the rows that are left."""
+        """Return a start on all rows as one on the kept rows."""
         if start is None:
             return None
         normal, tie = self.contacts.restricted(start.normal_force), self.ties.restricted(start.tie_force)
         return replace(start, normal_force=normal, tie_force=tie)
 
     def spread(self, found: Candidate | Final) -> Any:
-        """An answer on the rows that are left as one on all of them."""
+        """Return an answer on the kept rows as one on all rows."""
         normal, tie = self.contacts.matrix @ found.normal_force, self.ties.matrix @ found.tie_force
         return replace(found, normal_force=normal, tie_force=tie)
 
 
 def presolved(problem: ContactProblem) -> Presolved | None:
-    """The problem without friction and without rows that it can do without; None where all count."""
+    """Return the frictionless problem without idle and parallel rows; None where there are none of these."""
     groups = problem._computed.parallel_rows
     if groups is None:
         groups = parallel_rows(problem.normal, True), parallel_rows(problem.tie, False)
@@ -201,7 +201,7 @@ def _more(count: int, said: str) -> str:
 
 
 def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], idle: Indices) -> Shares:
-    """Return which of `count` rows are kept, and how the others take part in what these carry.
+    """Return which of `count` rows are kept, and the shares of the others in their forces.
 
     Of each group (all rows, those that act together, their factors) the first that acts is kept, of idle rows none.
     """
@@ -222,7 +222,7 @@ def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], i
 
 
 def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactProblem:
-    """The problem with these rows alone; what is computed of them is kept for other loads and gaps."""
+    """Return the problem with these rows alone; what is computed for them is kept for other loads and gaps."""
     known = problem._computed.presolved
     if known is None or not (np.array_equal(known[0], contacts) and np.array_equal(known[1], ties)):
         known = problem._computed.presolved = (contacts, ties, problem.with_contacts(contacts).with_ties(ties))
@@ -233,12 +233,12 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
 
 
 class PresolvedRun(Run):
-    """A run on the rows that are left, its answer that of all rows.
+    """A run on the kept rows whose answer is one on all rows.
 
     Raises
     ------
     NoEquilibrium, NotConverged, BackendFailed, Unsupported
-        As the run on the rows that are left.
+        As the run on the kept rows.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class PresolvedRun(Run):
 
     @contextmanager
     def _proofs_of_all_rows(self) -> Iterator[None]:
-        """Weights of constraints that conflict are those of all rows, zero where these are set aside."""
+        """Extend the proof of a conflict, raised inside the block, to all rows by weights of zero."""
         try:
             yield
         except NoEquilibrium as error:
@@ -271,19 +271,19 @@ class PresolvedRun(Run):
 
     @property
     def start(self) -> Candidate:
-        """What another load may start from."""
+        """The start for another load."""
         whole: Candidate = self._fewer.spread(self._run.start)
         return whole
 
     def final(self) -> Final:
-        """The answer that is to be certified, with a force for every row."""
+        """Return the answer that is to be certified, with a force for every row."""
         self._run.polish = self.polish
         with self._run.meter.running():
             whole: Final = self._fewer.spread(self._run.final())
         return whole
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far, the certificate of all rows apart."""
+        """Return what the answer has cost so far, without the certificate of all rows."""
         return self._run.work(corrections)
 
     def refuse_conflict(self) -> None:

@@ -145,7 +145,7 @@ class Run(ABC):
             return time.perf_counter() - started
 
     def _accepted(self, solution: Solution, polished: bool) -> Solution:
-        """The solution, unless its method did not converge or the certificate refuses what should be exact."""
+        """Return the solution; raise where the method did not converge or the certificate refuses an exact method."""
         candidate, name = self.candidate, self.name
         if not polished and not candidate.claimed:
             self.refuse_conflict()
@@ -161,7 +161,7 @@ class Run(ABC):
         return solution
 
     def _certified(self, started: float) -> tuple[Solution, bool]:
-        """The solution, and whether it is polished."""
+        """Return the certified solution, and whether it is polished."""
         problem, candidate = self.problem, self.candidate
         with self.meter.running():
             final = self.final()
@@ -208,7 +208,7 @@ class Run(ABC):
 
 
 def _unmet(problem: ContactProblem, solution: Solution) -> bool:
-    """Whether an answer leaves gaps closed or ties unmet by more than rounding of the lengths that meet."""
+    """Return whether an answer penetrates or misses ties by more than rounding of the lengths that meet."""
     u = solution.displacement
     for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
         if not limit.size:
@@ -265,7 +265,7 @@ class CondensedRun(Run):
 
     @cached_property
     def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem: back-substitution that polishing can do without."""
+        """The candidate in the unknowns of the problem, by a back-substitution that polishing does without."""
         if self._whole:
             return self.candidate
         _, inner = self._condensation.reduce_load(self.problem.load)
@@ -277,14 +277,14 @@ class CondensedRun(Run):
         return self.candidate if self._whole else self._condensation.spread_candidate(self.candidate)
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far; a method that was shown all unknowns saw them all, unless it condenses by itself."""
+        """Return what the answer has cost so far, and how many unknowns the method was shown."""
         spent = super().work(corrections)
         if self._whole and self.method.kind != CONDENSES_ITSELF:
             return replace(spent, retained=self.problem.dimension)
         return spent
 
     def _run(self, settings: Settings, wanted: bool | str) -> tuple[bool, Candidate]:
-        """Whether the method was shown all unknowns, and its candidate."""
+        """Run the method; return whether it was shown all unknowns, and its candidate."""
         problem, way, method = self.problem, self._condensation, self.method
         # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing
         # lies inside.
@@ -302,7 +302,7 @@ class CondensedRun(Run):
         return False, _run_scaled(way.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:
-        """The refined answer on the candidate's contact set, or None where its signs do not hold."""
+        """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
         problem, way = self.problem, self._condensation
         if self._closed is None:
             return None
@@ -313,7 +313,7 @@ class CondensedRun(Run):
         return Final(*without_noise(problem, way, answer), described(self.problem, free), corrections, polished=True)
 
     def _as_it_came(self) -> Final:
-        """The candidate, its free motions put to rest as far as they are free."""
+        """Return the candidate as the method found it, with its free motions put to rest."""
         candidate = self.expanded
         u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
         if not candidate.finite:
@@ -323,7 +323,7 @@ class CondensedRun(Run):
 
 
 def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
-    """The columns of a basis (n, q) as motions whose largest unknown moves by one, in words."""
+    """Return the columns of a basis (n, q) as motions, described in words, whose largest component is one."""
     directions = (direction / direction[np.argmax(abs(direction))] for direction in free.T)
     return tuple(FreeMotion(direction, describe_motion(problem, direction)) for direction in directions)
 
@@ -341,7 +341,7 @@ def _condensed(problem: ContactProblem) -> Condensation:
 
 
 def _linear(way: Condensation, load: Vector) -> Candidate:
-    """Without contacts and ties there is one linear system and nothing to choose."""
+    """Solve the linear system that remains without contacts and ties."""
     none = np.zeros(0)
     x, _, _ = saddle_point(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
     return Candidate(x, none, none, status="a linear system")
@@ -391,19 +391,19 @@ class EnforcedRun(Run):
                 raise
 
     def final(self) -> Final:
-        """The answer that is to be certified: the candidate, without what its refinement has left of zeros."""
+        """Return the answer that is to be certified: the candidate with zeros in place of its rounding."""
         u, normal, friction, tie = _without_noise(self.problem, self.candidate)
         # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
         status = None if self.method.exact else self.candidate.contact_status
         return Final(u, normal, tie, friction_force=friction[:, None], contact_status=status)
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
+        """Return what the answer has cost so far."""
         return replace(super().work(corrections), retained=self.problem.dimension)
 
 
 def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, Vector, Vector, Vector]:
-    """Displacement, normal, friction and tie forces, zero where they are no more than what refinement leaves of it.
+    """Return displacement, normal, friction and tie forces, zero where they are the rounding that refinement leaves.
 
     All are compared as square roots of energy: forces by the rows that they act along.
     """
@@ -424,7 +424,7 @@ _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip inst
 
 
 class RunByIteration(Run):
-    """A run on a body too large to factorise: what it has cost are steps of its iteration.
+    """A run on a body too large to factorise, whose cost is counted in steps of its iteration.
 
     Raises
     ------
@@ -442,7 +442,7 @@ class RunByIteration(Run):
         self._before = self.iteration.krylov_iterations
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
+        """Return what the answer has cost so far."""
         return Work(
             iterations=self.candidate.iterations,
             retained=self.problem.dimension,
@@ -452,7 +452,7 @@ class RunByIteration(Run):
         )
 
     def refuse_conflict(self) -> None:
-        """Does nothing: constraints that conflict are not told from others without a factorisation."""
+        """Do nothing: without a factorisation a conflict of constraints is not recognised."""
 
 
 class IteratedRun(RunByIteration):
@@ -474,5 +474,5 @@ class IteratedRun(RunByIteration):
             self.candidate = solve_by_iteration(problem, self.iteration, settings.now)
 
     def final(self) -> Final:
-        """The answer that is to be certified: the candidate."""
+        """Return the candidate, which is the answer that is to be certified."""
         return Final(self.candidate.displacement, self.candidate.normal_force, self.candidate.tie_force)

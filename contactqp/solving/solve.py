@@ -91,7 +91,7 @@ def solve(
     progress: Callable[[str], object] | None = None,
     **options: Any,
 ) -> Solution | LocalSolution:
-    """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate.
+    """Minimise 1/2 u'Ku - f'u over E_N u <= g, A u = b; return the answer with its forces and a certificate.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def _solve_any(
 def _solve(
     problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
 ) -> Solution:
-    """`solve` by the first of its ways that applies."""
+    """Solve by the first entry of the table of ways that applies."""
     condense, algorithm = same["condense"], same["algorithm"]
     problem.refuse_exchanged_arrays()
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
@@ -250,12 +250,12 @@ def _solve(
 
 
 def _works_with_factors(method: Method, condense: bool | str, algorithm: str | None) -> bool:
-    """Whether a method, or an algorithm of friction, is shown the condensed problem however large the bodies are."""
+    """Return whether a method or an algorithm of friction needs the condensed problem, however large the bodies are."""
     return method.kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
 
 
 def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
-    """The normal forces (m,) of a problem as if nothing rubbed, uncertified where that costs less, and their work."""
+    """Return the normal forces (m,) of a problem without its friction, and their work; they may be uncertified."""
     slippery = problem.replace(friction=np.zeros(problem.contacts))
     if contacts_are_many(slippery):
         found = solve(slippery)
@@ -265,7 +265,7 @@ def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
 
 
 def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
-    """The routes in their order, each with the arguments of `begin` that take it."""
+    """Return the routes in their order, each with the arguments of `begin` that select it."""
     if problem.slip_origin is not None and problem.frictional:
         from contactqp.solving.friction_runs import FEW_CONTACTS
 
@@ -285,14 +285,14 @@ CERTIFIED = "its answer is certified"
 
 
 def _after(error: NotCertified | NotConverged, found: Solution, route: str) -> Solution:
-    """A solution that was found where another way had not converged."""
+    """Return a solution found by another route with the message on the route that failed."""
     first = error.solution
     spent = first.work if isinstance(first, Solution) else Work()
     return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{route}: {CERTIFIED}")))
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
-    """The answer of the first of the other exact routes that is certified; `Work.routes` says what was tried.
+    """Return the first certified answer of the other exact routes; `Work.routes` says what was tried.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
 
 
 def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: Any) -> Solution:
-    """The solution of a problem by that of the problem without the rows that constrain nothing."""
+    """Solve a problem without its rows of zeros and return the solution with all rows."""
     rows.refuse_conflict()
     warm_candidate(rows.whole, warm_start)
     start = None if warm_start is None else rows.start(warm_start)
@@ -337,7 +337,7 @@ def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: A
 
 
 def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) -> Solution:
-    """The solution of a problem by that of the same problem in units in which its numbers are near one."""
+    """Solve a problem in units in which its numbers are near one, and return the solution in its own units."""
     warm_candidate(near.whole, warm_start)
     start = None if warm_start is None else near.start(warm_start)
     try:
@@ -353,7 +353,7 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
 
 
 def of_problem(near: NearOne, found: Solution) -> Solution:
-    """A solution in units near one as that of the problem, certified there.
+    """Return a solution in units near one as one of the problem, certified in the problem's units.
 
     Raises
     ------
@@ -387,7 +387,7 @@ def begin(
     algorithm: str | None = None,
     **options: Any,
 ) -> Run:
-    """Run a method; polish and certificate, which need all unknowns, wait until `Run.finish` is called.
+    """Run a method; refinement and certificate, which need all unknowns, wait until `Run.finish` is called.
 
     Parameters are those of `solve`, but for `start`: a candidate where that takes a solution.
 
@@ -409,7 +409,7 @@ def _begun(
     polish: bool,
     algorithm: str | None,
 ) -> Run:
-    """`begin` with arguments that are checked."""
+    """Run a method with checked arguments, in the first of the ways that applies."""
     started = time.perf_counter()
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):

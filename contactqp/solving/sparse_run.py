@@ -67,9 +67,9 @@ class SparseRun(Run):
                 self.candidate = method.solve(problem, settings.now)
 
     def _identified(self, settings: Settings) -> Candidate:
-        """The answer of the first backend whose closed contacts lead to a solution in the last digits.
+        """Return the answer of the first backend whose closed contacts lead to a solution in the last digits.
 
-        Where none does, that of the backend whose solution leaves least.
+        Where none does, it is that of the backend with the least residuals.
         """
         tried: list[str] = []
         if not self.problem.contacts:
@@ -91,7 +91,7 @@ class SparseRun(Run):
         return best
 
     def _candidates(self, settings: Settings, tried: list[str]) -> Iterator[Candidate]:
-        """A start, if one is given, and the answers of backends, as long as they are asked for."""
+        """Yield the start, if one is given, and the answers of backends, one after the other."""
         if settings.warm_start is not None:
             yield replace(settings.warm_start, iterations=0)
         elif (found := _by_iteration(self.problem, settings)) is not None:
@@ -113,7 +113,7 @@ class SparseRun(Run):
                 tried.append(str(error))
 
     def _linear(self) -> Candidate:
-        """Without contacts there is one linear system and nothing to identify."""
+        """Solve the linear system that remains without contacts."""
         u, normal, tie = (np.zeros(size) for size in (self.problem.dimension, 0, self.problem.ties))
         state = solved_from(self._twin, Answer(u, normal, None, tie), self._effort)
         if not state.holds:
@@ -123,7 +123,7 @@ class SparseRun(Run):
         return self._scaling.unscale(_candidate(state, "a linear system"))
 
     def _settle(self, candidate: Candidate) -> ClosedState:
-        """What a candidate leads to, which is kept if it is a solution."""
+        """Return the state that a candidate's closed contacts lead to; it is kept if it solves the problem."""
         tell("sparse systems settle the closed contacts")
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
@@ -132,7 +132,7 @@ class SparseRun(Run):
         return state
 
     def final(self) -> Final:
-        """The answer that is to be certified: settled, or as a backend left it."""
+        """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
         if self._state is None and self.polish and self.method.polish and self.candidate.finite:
             self._settle(self.candidate)
         if self._state is None:
@@ -142,7 +142,7 @@ class SparseRun(Run):
         return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
 
     def _at_rest(self, final: Final) -> Final:
-        """The answer with its free motions at rest and listed, where the certificate condenses and so knows them."""
+        """Return the answer with its free motions at rest and listed, where the certificate condenses the problem."""
         problem = self.problem
         if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
             return final
@@ -153,7 +153,7 @@ class SparseRun(Run):
         return replace(final, displacement=u + shift, free_motions=described(problem, free)) if free.shape[1] else final
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far: factorisations of saddle points, those of the backend apart."""
+        """Return what the answer has cost so far, factorisations inside the backend not counted."""
         return Work(
             factorisations=self._effort.factorisations,
             back_substitutions=self._effort.back_substitutions,
@@ -172,14 +172,14 @@ class SparseRun(Run):
 
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
-    """The answer of the inexact active set, where a hierarchy of K is of use: bodies that are held, and membranes."""
+    """Return the answer of the inexact active set, where a multigrid hierarchy suits K: held bodies and membranes."""
     if problem.dimension < LARGE or not held_by_hierarchy(problem):
         return None
     return identified_by_iteration(problem, iteration(problem), settings)
 
 
 def _candidate(state: ClosedState, status: str = "") -> Candidate:
-    """The settled answer in doubles; forces that rounding has left of zero are zero."""
+    """Return the answer of a state in doubles, with zeros in place of forces that are rounding."""
     answer = state.answer.double()
     force = answer.normal_force.clip(min=0.0)
     return Candidate(answer.displacement, force, answer.tie_force, status=status)

@@ -107,7 +107,7 @@ def of_same_letters(name: Any, known: Iterable[str]) -> str | None:
 
 
 def find(name: str) -> Method:
-    """The installed method of that name.
+    """Return the installed method of that name.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any
 
 
 def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None:
-    """A solution of a problem with the same contacts as a place to start from."""
+    """Return the candidate to start from that a solution of a problem with the same contacts gives."""
     if warm_start is None:
         return None
     if not isinstance(warm_start, Solution):
