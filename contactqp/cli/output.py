@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from contactqp.distributed.ranks import Ranks
 
-# Width of tables that are printed to a file or a pipe [columns].
-WIDE = 200
+# Width of what is printed to a file or a pipe, unless COLUMNS says otherwise [columns].
+NARROW = 80
 # Environment variables with the number of a process under launchers of MPI: OpenMPI, MPICH and Slurm.
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
@@ -44,13 +44,20 @@ def console(heard: bool = True, terminal: bool | None = None) -> Console:
     from rich.console import Console
 
     if terminal is not None:
-        return Console(file=io.StringIO(), width=WIDE, highlight=False, force_terminal=terminal)
+        return Console(file=io.StringIO(), width=_width(terminal), highlight=False, force_terminal=terminal)
     if not heard:
-        return Console(file=io.StringIO(), width=WIDE)
+        return Console(file=io.StringIO(), width=NARROW)
     if launched_rank() is not None:  # the launcher passes it on, whatever stands at its own end
-        return Console(width=WIDE, highlight=False, force_terminal=False)
-    # Into a pipe or a file there is no width to wrap at.
-    return Console(width=None if sys.stdout.isatty() else WIDE, highlight=False)
+        return Console(width=_width(False), highlight=False, force_terminal=False)
+    return Console(width=None if sys.stdout.isatty() else _width(False), highlight=False)
+
+
+def _width(terminal: bool) -> int:
+    """Return the width of a terminal, or of what goes to none [columns]; COLUMNS comes first."""
+    stated = os.environ.get("COLUMNS", "")
+    if terminal or (stated.isdigit() and int(stated)):
+        return shutil.get_terminal_size((NARROW, 24)).columns
+    return NARROW
 
 
 def launched_rank() -> int | None:

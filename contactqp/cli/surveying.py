@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:
     """Print the problems of the gallery as a table."""
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    for title in ("name", "difficulty", "unknowns", "contacts", "ties", "forces", "problem"):
-        table.add_column(title, no_wrap=title == "name", justify="right" if title.endswith("s") else "left")
+    from contactqp.scene.tables import print_noted
+
+    rows, notes = [], []
     for problem in problems:
         data = problem.data
         sizes = [str(size) for size in (data.unknowns, data.contacts, len(data.tie))]
-        forces = "unique" if problem.unique_forces else "not unique"
-        table.add_row(problem.name, problem.difficulty, *sizes, forces, escape(problem.description))
-    console.print(table)
+        rows.append([problem.name, problem.difficulty, *sizes, "unique" if problem.unique_forces else "not unique"])
+        notes.append([problem.description])
+    header = ["name", "difficulty", "unknowns", "contacts", "ties", "forces", "problem"]
+    print_noted(console, header, rows, notes)
 
 
 # Limit for one cell of a report [s].

@@ -30,6 +30,8 @@ from contactqp.scene.unknowns import is_rotation
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 # Rows of a table that are printed where not all are asked for.
 FEW_ROWS = 8
+# Columns from which on a table has room for the method and its settings beside what is claimed of it.
+WIDE_ENOUGH = 120
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement], verbose: bool = True) -> None:
@@ -233,17 +235,37 @@ def _unproven(certificate: Certificate) -> str:
 def _print_comparisons(
     console: Console, judgements: Sequence[Judgement], before: list[str], unmet_alone: bool = False
 ) -> None:
-    """Print two tables, with the columns `before` where there is more than one method."""
+    """Print two tables, with the columns `before` where there is more than one method; narrow ones method by method."""
 
-    def kept(rows: Sequence[Comparison]) -> list[Comparison]:
-        return [row for row in rows if not (unmet_alone and row.ok)]
+    def kept(rows: Sequence[Comparison]) -> list[list[str | Text]]:
+        return [_comparison(row) for row in rows if not (unmet_alone and row.ok)]
 
-    header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
-    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in kept(j.expectations)]
-    print_table(console, header, rows)
-    header = [*before, "printed in the source", "value", "ours", "unit", "difference", "half digit", "verdict"]
-    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in kept(j.published)]
-    print_table(console, header, rows)
+    header = ["expected", "value", "got", "unit", "error", "allowed", ""]
+    _print_by_trial(console, before, header, [(one, kept(one.expectations)) for one in judgements])
+    header = ["printed in the source", "value", "ours", "unit", "difference", "half digit", "verdict"]
+    _print_by_trial(console, before, header, [(one, kept(one.published)) for one in judgements])
+
+
+def _print_by_trial(
+    console: Console,
+    before: list[str],
+    header: list[str],
+    found: Sequence[tuple[Judgement, list[list[str | Text]]]],
+) -> None:
+    """Print rows of several methods as one table with the columns `before`, or each method's where that is too wide."""
+    if not before or console.width >= WIDE_ENOUGH:
+        rows = [[*_trial(one)[: len(before)], *row] for one, mine in found for row in mine]
+        print_table(console, [*before, *header], rows)
+        return
+    room = MOST_ROWS
+    for one, mine in found:
+        if mine and room > 0:
+            name, verdict = _trial(one)
+            console.print(f"by {escape(name)}: certificate {verdict}")
+            print_table(console, header, mine[:room])
+        room -= len(mine)
+    if room < 0:
+        console.print(f"... and {-room} more rows (--json has all)")
 
 
 def _trial(judgement: Judgement) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -200,20 +201,61 @@ def _table(
     return table
 
 
+def print_noted(
+    console: Console, header: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[Sequence[str]]
+) -> None:
+    """Print a table whose last columns are sentences; where the terminal is narrow they stand below their rows.
+
+    Parameters
+    ----------
+    console : Console
+    header : sequence of str
+        The names of all columns.
+    rows : sequence of rows
+        Of each row the cells of the first columns, which are short.
+    notes : sequence of rows
+        Of each row the sentences of the other columns; empty ones are left out below a row.
+    """
+    whole = _table(header, [[*row, *note] for row, note in zip(rows, notes, strict=True)], ())
+    if console.measure(whole, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+        console.print(whole)
+        return
+    names = header[: len(rows[0])] if rows else ()
+    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    room = max(console.width - 1, 20)
+
+    def line(cells: Sequence[str]) -> str:
+        return "  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+    for row, note in zip([names, *rows], [header[len(names) :], *notes], strict=True):
+        console.print(Text(line(row), style="bold" if row is names else ""))
+        for text in textwrap.wrap("; ".join(filter(None, note)), room, initial_indent="    ", subsequent_indent="    "):
+            console.print(Text(text))
+
+
+def print_wrapped(console: Console, lines: Iterable[str]) -> None:
+    """Print lines of text without markup, folded between words where the terminal is narrow; paths stay whole."""
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 2)
+        folded = textwrap.wrap(
+            line,
+            max(console.width, 20),
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+            drop_whitespace=True,
+            replace_whitespace=False,
+        )
+        for part in folded or [""]:
+            console.print(Text(part), soft_wrap=True)
+
+
 def print_methods(console: Console, methods: Iterable[Method]) -> None:
     """Print every method, installed or how to install it, and what it can do."""
-    rows = [
-        [
-            m.name,
-            m.kind,
-            "yes" if m.installed else m.install,
-            "exact" if m.exact else "approximate",
-            _abilities(m),
-            m.note,
-        ]
-        for m in methods
-    ]
-    print_table(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
+    known = list(methods)
+    rows = [[m.name, m.kind, "exact" if m.exact else "approximate", "yes" if m.installed else "no"] for m in known]
+    notes = [[_abilities(m), m.note, "" if m.installed else m.install] for m in known]
+    print_noted(console, ["method", "kind", "answer", "installed", "can do", "note", "how to install"], rows, notes)
 
 
 def _abilities(method: Method) -> str:

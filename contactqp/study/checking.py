@@ -31,6 +31,7 @@ from contactqp.model.solution import LocalCertificate
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene
+from contactqp.scene.tables import ENDLESS, print_wrapped
 from contactqp.solving.solve import solve
 from contactqp.study.friction_files import MOST_CONTACTS, figures, vector_text
 from contactqp.study.rows import finite
@@ -339,30 +340,26 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
 def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> None:
     """Print the verdict and its reasons, the worst contacts with right values beside them, and what was read."""
     word = "[green]right[/green]" if verdict.passed else "[red]WRONG[/red]"
-    console.print(f"{escape(verdict.candidate_file)}: {word} (tolerance {verdict.certificate.tolerance:g})")
-    _print_lines(console, [f"  ignored: {line}" for line in verdict.ledgers[-1].ignored])
+    tolerance = f"(tolerance {verdict.certificate.tolerance:g})"
+    console.print(f"{escape(verdict.candidate_file)}: {word} {tolerance}", soft_wrap=True)
+    print_wrapped(console, [f"  ignored: {line}" for line in verdict.ledgers[-1].ignored])
     if isinstance(verdict, AnswerVerdict) and not verdict.passed:
-        _print_lines(console, [f"  {as_options(verdict.certificate.diagnosis)}"])
+        # In one line: its options can be pasted.
+        console.print(escape(f"  {as_options(verdict.certificate.diagnosis)}"), soft_wrap=True)
     for name, value in figures(verdict.certificate).items():
         console.print(f"  {name.replace('_', ' ')}: {value:.3g}")
-    _print_lines(console, [f"  wrong: {failure}" for failure in verdict.certificate.failures])
-    _print_lines(console, [f"  note: {note}" for note in (*verdict.notes, *verdict.certificate.notes)])
+    print_wrapped(console, [f"  wrong: {failure}" for failure in verdict.certificate.failures])
+    print_wrapped(console, [f"  note: {note}" for note in (*verdict.notes, *verdict.certificate.notes)])
     if isinstance(verdict, ForcesVerdict):
         _print_forces(console, verdict)
     elif not verdict.passed:
-        _print_lines(console, [verdict.certificate.table(MOST_CONTACTS)])
+        console.print(escape(verdict.certificate.table(MOST_CONTACTS)), soft_wrap=True)
     if verdict.why_not is not None:
-        _print_lines(console, [f"no right values to set beside: {verdict.why_not}"])
+        print_wrapped(console, [f"no right values to set beside: {verdict.why_not}"])
     for ledger in verdict.ledgers:
         last = ledger is verdict.ledgers[-1]  # of which it stands above what was ignored
         lines = [f"  {kind}: {line}" for kind, line in ledger if not (last and kind == "ignored")]
-        _print_lines(console, [ledger.source, *lines])
-
-
-def _print_lines(console: Console, lines: Sequence[str]) -> None:
-    """Print lines without markup and without line breaks."""
-    for line in lines:
-        console.print(escape(line), soft_wrap=True)
+        print_wrapped(console, [ledger.source, *lines])
 
 
 def _print_forces(console: Console, verdict: ForcesVerdict) -> None:
@@ -370,11 +367,8 @@ def _print_forces(console: Console, verdict: ForcesVerdict) -> None:
     header += ["right force", "right velocity"] if verdict.right is not None else []
     _print_table(console, header, [_forces_row(one) for one in verdict.worst])
     if verdict.right is not None:
-        console.print(
-            f"right values: one solution, by {verdict.right.method}; there are others where contacts are redundant or "
-            "friction is large",
-            soft_wrap=True,
-        )
+        told = f"right values: one solution, by {verdict.right.method}; there are others where contacts are redundant"
+        print_wrapped(console, [f"{told} or friction is large"])
 
 
 def _forces_row(one: WorstContact) -> list[str]:
@@ -384,11 +378,18 @@ def _forces_row(one: WorstContact) -> list[str]:
 
 
 def _print_table(console: Console, header: list[str], rows: list[list[str]]) -> None:
+    """Print a row for each contact, or, where that is too wide, each of its vectors in a line."""
     if not rows:
         return
     table = Table(*header, box=box.SIMPLE, pad_edge=False)
     for row in rows[:MOST_CONTACTS]:
         table.add_row(*row)
-    console.print(table)
+    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+        console.print(table)
+    else:
+        for name, wrong, size, *vectors in rows[:MOST_CONTACTS]:
+            console.print(f"{name}: {wrong} {size}")
+            for what, vector in zip(header[3:], vectors, strict=True):
+                console.print(f"    {what:16}{vector}")
     if len(rows) > MOST_CONTACTS:
         console.print(f"... and {len(rows) - MOST_CONTACTS} more contacts (--json has all)")

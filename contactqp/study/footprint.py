@@ -171,7 +171,7 @@ def print_footprint(console: Console, footprint: Footprint) -> None:
     """Print the outcome, the time of each stage, and the other figures line by line."""
     from rich.markup import escape
 
-    from contactqp.scene.tables import print_table
+    from contactqp.scene.tables import print_table, print_wrapped
 
     console.print(escape(f"solved by {footprint.method} in a fresh interpreter: {footprint_outcome(footprint)}"))
     if footprint.seconds is None:
@@ -181,8 +181,7 @@ def print_footprint(console: Console, footprint: Footprint) -> None:
         for stage in footprint.stages
     ]
     print_table(console, ["stage", "time [ms]", "share"], [*rows, ["total", f"{1e3 * footprint.seconds:.4g}", ""]])
-    for line in footprint_lines(footprint):
-        console.print(escape(line), soft_wrap=True)
+    print_wrapped(console, footprint_lines(footprint))
 
 
 def share_text(part: float) -> str:

@@ -44,6 +44,7 @@ from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
+from contactqp.scene.tables import ENDLESS, print_noted
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
 from contactqp.study.rows import finite
@@ -355,32 +356,44 @@ def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
         return
     header = ["file", "contacts", "", "algorithm", "state of contacts", *(n.replace("_", " ") for n in SHARED_FIGURES)]
     header += ["natural map", "siconos", "asymmetry", "seconds", "certificate"]
+    short = ["file", "contacts", "", "state of contacts", "seconds", "certificate"]
+    _print_rows(console, header, [_row(outcome) for outcome in outcomes], short)
+
+
+def _print_rows(
+    console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]], short: Sequence[str]
+) -> None:
+    """Print a table; where it is too wide, one of the `short` columns, and the others below each row."""
     table = Table(box=box.SIMPLE, pad_edge=False)
     for title in header:
         table.add_column(title, no_wrap=title == "file")
-    for outcome in outcomes:
-        table.add_row(*_row(outcome))
-    console.print(table)
+    for row in rows:
+        table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
+    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+        console.print(table)
+        return
+    named = [dict(zip(header, map(str, row), strict=True)) for row in rows]
+    notes = [[", ".join(f"{k} {v}" for k, v in one.items() if v and k not in short)] for one in named]
+    print_noted(console, [*short, ""], [[one[title] for title in short] for one in named], notes)
 
 
 def _print_energies(console: Console, outcomes: Sequence[FileOutcome]) -> None:
     header = ["file", "unknowns", "contacts", "ties", "method", "energy", "known to", "determined", "worst figure"]
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    for title in (*header, "seconds", "certificate"):
-        table.add_column(title, no_wrap=title == "file")
+    rows: list[list[str | Text]] = []
     for outcome in outcomes:
         problem, solution = outcome.problem, outcome.solution
-        sizes = escape(Path(outcome.file).name), f"{problem.unknowns}", f"{problem.contacts}", f"{problem.ties}"
+        sizes = Path(outcome.file).name, f"{problem.unknowns}", f"{problem.contacts}", f"{problem.ties}"
         found = ["", "", "", "", ""]
         if isinstance(solution, Solution):
             certificate, values = solution.certificate, figures(solution.certificate)
             worst = max(values, key=lambda name: values[name])
             known = "not proven" if certificate.energy_error is None else f"{certificate.energy_error:.1e}"
             about = f"{values[worst]:.1e} {worst.replace('_', ' ')}" if values[worst] > 0 else "0"
-            found = [escape(solution.method), f"{solution.energy:.12g}", known, certificate.determined or "", about]
+            found = [solution.method, f"{solution.energy:.12g}", known, certificate.determined or "", about]
         verdict = PASSED if outcome.passed else REFUSED
-        table.add_row(*sizes, *found, f"{outcome.seconds:.2f}", verdict)
-    console.print(table)
+        rows.append([*sizes, *found, f"{outcome.seconds:.2f}", verdict])
+    short = ["file", "unknowns", "contacts", "ties", "energy", "seconds", "certificate"]
+    _print_rows(console, [*header, "seconds", "certificate"], rows, short)
 
 
 def _row(outcome: FileOutcome) -> list[str | Text]:
@@ -390,10 +403,10 @@ def _row(outcome: FileOutcome) -> list[str | Text]:
     dimension = outcome.problem.dimension
     states = ", ".join(f"{number} {status}" for status, number in outcome.statuses.items())
     return [
-        escape(Path(outcome.file).name),
+        Path(outcome.file).name,
         f"{outcome.problem.contacts}",
         f"{dimension}D" if dimension > 1 else "",  # unknown without tangential rows
-        escape(solution.method) if solution is not None else "",
+        solution.method if solution is not None else "",
         states,
         *("" if value is None else f"{value:.1e}" for value in errors),
         f"{outcome.problem.asymmetry:.0e}",

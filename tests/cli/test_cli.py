@@ -48,7 +48,8 @@ def test_of_one_case_the_answer_stands_on_a_screen_and_all_claims_with_verbose(c
     out = run(capsys, "run", WALL, "--method", "lemke", "--method", "daqp")[1]
     assert "by daqp: 8 of 8 met" in out
     whole = run(capsys, "run", WALL, "--verbose")[1]
-    assert "wrong, as stated" in whole
+    assert "wrong, as stated" in " ".join(whole.split())
+    assert max(map(len, whole.splitlines())) <= 80
     assert len(whole.splitlines()) > 80
 
 
@@ -276,10 +277,23 @@ def test_explain_explains_what_has_no_answer(capsys, monkeypatch):
     code, out, _ = run(capsys, "explain", WALL)
     assert code == 0
     assert "left out" in out
-    assert out.endswith("no answer: the process died of SIGSEGV\n")
+    assert " ".join(out.split()).endswith("no answer: the process died of SIGSEGV")
     code, out, _ = run(capsys, "explain", WALL, "--json")
     assert json.loads(out)["footprint"] == json.loads(json.dumps(footprint.data()))
     assert json.loads(out)["unknowns"] == ["1.x"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["methods"], ["gallery", "--list"], ["explain", WALL], ["cases", "bar"], ["run", CASES / "truss_floor.toml"]],
+)
+def test_what_goes_into_a_pipe_is_80_columns_wide_unless_columns_says_otherwise(capsys, monkeypatch, arguments):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    widths = [max(map(len, run(capsys, *arguments)[1].splitlines()))]
+    monkeypatch.setenv("COLUMNS", "150")
+    widths.append(max(map(len, run(capsys, *arguments)[1].splitlines())))
+    assert widths[0] <= 80
+    assert 80 < widths[1] <= 150 or arguments[0] == "cases"
 
 
 def test_methods_are_listed(capsys):

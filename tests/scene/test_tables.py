@@ -72,8 +72,10 @@ def test_pictures_are_cut_with_their_rows():
 
 
 def shown(capsys, case, *options):
-    with pytest.raises(SystemExit) as exit_:
-        main(["run", str(CASES / f"{case}.toml"), "--method", "active-set", "--verbose", *options])
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setenv("COLUMNS", "200")
+        with pytest.raises(SystemExit) as exit_:
+            main(["run", str(CASES / f"{case}.toml"), "--method", "active-set", "--verbose", *options])
     assert exit_.value.code == 0
     return capsys.readouterr().out
 

@@ -81,6 +81,9 @@ def test_the_worst_contact_is_named_with_right_values_beside(capsys, tmp_path, p
     assert any("cone" in failure for failure in data["failures"])
     printed = run(capsys, "check", file, tmp_path / "wrong.npy")[1]
     assert "right force" in printed
+    assert max(len(line) for line in printed.splitlines() if "/" not in line) <= 80
+    for force in (wrong[touching], solution.force[touching]):
+        assert f"({', '.join(f'{x:.6g}' for x in force)})" in printed
     assert "right values: one solution" in printed
 
 
