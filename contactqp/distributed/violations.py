@@ -27,7 +27,15 @@ from contactqp.distributed.floating import without_rigid_part
 from contactqp.distributed.problem import Bodies, DistributedProblem
 from contactqp.distributed.rows import Rows
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.measures import HELD_BY_DOUBLES, RowSizes, force_measure, imposed, reciprocal, sizes_of
+from contactqp.linalg.measures import (
+    HELD_BY_DOUBLES,
+    RowSizes,
+    force_measure,
+    imposed,
+    reciprocal,
+    rows_and_limits,
+    sizes_of,
+)
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
@@ -80,10 +88,7 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
     u, ranks = answer.displacement, problem.ranks
     D = reciprocal(np.sqrt(problem.diagonal))
     sizes = [float(np.max(D * abs(problem.load), initial=0.0))]
-    limits = [(problem.normal, problem.gap), (problem.tie, problem.tie_value)]
-    if problem.tangent is not None and problem.slip_origin is not None:
-        limits.append((problem.tangent, problem.slip_origin.ravel()))
-    for rows, limit in limits:
+    for rows, limit in rows_and_limits(problem):
         moved = rows.lengths(u), rows.length_sizes(u), rows.length_sizes(elastic)
         sizes.append(float(np.max(imposed(limit, *moved, row_sizes(problem, rows).compliance), initial=0.0)))
     strain = ranks.dot(elastic, problem.product(elastic))

@@ -227,15 +227,20 @@ def paired(
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle)
-    columns = np.arange(x.size).reshape(x.shape) if unknowns is None else read_whole("unknowns", unknowns)
-    if columns.shape != x.shape:
-        raise InvalidProblem(
-            f"unknowns: expected whole numbers of shape {x.shape}, got {columns.dtype} {columns.shape}"
-        )
-    if columns.min(initial=0) < 0:
-        raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(columns.min())}")
-    n = count_unknowns(int(columns.max(initial=-1)), dimension)
+    columns, n = _numbers_of_unknowns(unknowns, x.shape, dimension)
     return _pair_points(x, columns, obstacle, n, np.arange(len(x)))
+
+
+def _numbers_of_unknowns(
+    unknowns: ArrayLike | None, shape: tuple[int, ...], dimension: int | None
+) -> tuple[NDArray[np.int64], int]:
+    """Return the numbers of the points' unknowns in this shape, by default in order, and the count of all unknowns."""
+    numbers = np.arange(np.prod(shape)).reshape(shape) if unknowns is None else read_whole("unknowns", unknowns)
+    if numbers.shape != shape:
+        raise InvalidProblem(f"unknowns: expected whole numbers of shape {shape}, got {numbers.dtype} {numbers.shape}")
+    if numbers.min(initial=0) < 0:
+        raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(numbers.min())}")
+    return numbers, count_unknowns(int(numbers.max(initial=-1)), dimension)
 
 
 def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | None, dimension: int | None) -> Pairing:
@@ -327,14 +332,7 @@ def pair_scalar(
     if wrong.size:
         i = int(wrong[0])
         raise InvalidProblem(f"obstacle_height: expected a number at node {i}, {x[i].tolist()}, got {height[i]}")
-    places = np.arange(len(x)) if unknowns is None else read_whole("unknowns", unknowns)
-    if places.shape != (len(x),):
-        raise InvalidProblem(
-            f"unknowns: expected whole numbers of shape ({len(x)},), got {places.dtype} {places.shape}"
-        )
-    if places.min(initial=0) < 0:
-        raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(places.min())}")
-    n = count_unknowns(int(places.max(initial=-1)), dimension)
+    places, n = _numbers_of_unknowns(unknowns, (len(x),), dimension)
     nodes = np.flatnonzero(np.isfinite(height))
     one = np.ones(len(nodes))
     normals = sign * one[:, np.newaxis]

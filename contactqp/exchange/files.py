@@ -196,6 +196,12 @@ class Ledger:
     assumed: list[str] = field(default_factory=list)  # what the source does not say
     ignored: list[str] = field(default_factory=list)  # what it says and no problem or answer has a place for
 
+    def note_rigid_change(self, part: float) -> None:
+        """Note the part of a stiffness, if any, that was taken for the rounding of printed digits."""
+        if part > 0:
+            digits = f"changed by {part:.1g} of its diagonal at most, the rounding of printed digits"
+            self.converted.append(f"stiffness: {digits}, so that rigid motions cost no energy")
+
     def __iter__(self) -> Iterator[tuple[str, str]]:
         """Kind and line, in the order of `KINDS`."""
         for kind in KINDS:

@@ -115,7 +115,6 @@ def _ledger(path: Path, problem: ContactProblem | LocalProblem | GlobalProblem, 
     if problem.asymmetry > 0:
         became = "symmetrised" if isinstance(problem, ContactProblem) else "it stays as it is"
         ledger.converted.append(f"asymmetric by {problem.asymmetry:.1g}: {became}")
-    if isinstance(problem, ContactProblem) and problem.rigid_change > 0:
-        digits = f"changed by {problem.rigid_change:.1g} of its diagonal at most, the rounding of printed digits"
-        ledger.converted.append(f"stiffness: {digits}, so that rigid motions cost no energy")
+    if isinstance(problem, ContactProblem):
+        ledger.note_rigid_change(problem.rigid_change)
     return ledger

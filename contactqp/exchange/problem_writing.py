@@ -89,9 +89,7 @@ def _vector(path: Path, name: str, value: Any) -> Any:
 def _say(problem: ContactProblem, given: Mapping[str, Any], ledger: Ledger, ties: Any) -> None:
     if problem.asymmetry > 0:
         ledger.converted.append(f"stiffness: symmetrised, it was asymmetric by {problem.asymmetry:.1g}")
-    if problem.rigid_change > 0:
-        digits = f"changed by {problem.rigid_change:.1g} of its diagonal at most, the rounding of printed digits"
-        ledger.converted.append(f"stiffness: {digits}, so that rigid motions cost no energy")
+    ledger.note_rigid_change(problem.rigid_change)
     if not problem.ties:
         if ties is None:
             ledger.assumed.append("no ties: supports are eliminated from the stiffness, or there are none")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import DenseCholesky
+from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 
@@ -75,8 +75,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     rows = np.concatenate([(condensation.normal * scale)[:, None], tangent.reshape(m, width, -1)], axis=1)
     tie = condensation.tie * scale
     tie = tie / _lengths(tie)[:, None]
-    motions = condensation.rigid.motions[condensation.retained] / scale[:, None]
-    Z = np.linalg.qr(motions)[0] if motions.shape[1] else motions
+    Z = orthonormal_motions(condensation)
     factor = None
     if len(scale):
         S = condensation.schur * np.outer(scale, scale)

@@ -233,13 +233,18 @@ class Condensed(Protocol):
         """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
 
 
+def orthonormal_motions(condensation: Condensed) -> Array:
+    """Return an orthonormal basis (p, r) of the rigid motions in the scaled unknowns that are retained."""
+    motions: Array = condensation.rigid.motions[condensation.retained] / condensation.scale[:, None]
+    return np.linalg.qr(motions)[0] if motions.shape[1] else motions
+
+
 class Delassus:
     """The Delassus operator W of normal contacts and ties of one condensation, and free responses to all its loads."""
 
     def __init__(self, condensation: Condensed) -> None:
         self.scale = condensation.scale
-        motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
-        self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
+        self.motions = orthonormal_motions(condensation)
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
         self._factor = self._factorised(condensation)
         # Of S with a diagonal of ones; beneath REGULAR its inverse has lost half of the digits.

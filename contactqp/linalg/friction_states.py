@@ -27,7 +27,7 @@ from typing import Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation
-from contactqp.linalg.dense import BALANCED, independent_rows
+from contactqp.linalg.dense import BALANCED, independent_rows, orthonormal_motions
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import (
     Extended,
@@ -107,8 +107,7 @@ class FrictionalRows:
         self.slides = np.any(of_contacts != 0, axis=1)
         self.tie, self.tie_length = _unit(condensation.tie * self.scale)
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
-        motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
-        self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
+        self.motions = orthonormal_motions(condensation)
 
     @cached_property
     def all_rows(self) -> Array:

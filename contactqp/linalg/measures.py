@@ -139,7 +139,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
-    for rows, limit in _rows(problem):
+    for rows, limit in rows_and_limits(problem):
         u, of_row = answer.displacement, row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         np.maximum.at(size, part[of_row.first], imposed(limit, *lengths, of_row.compliance)[of_row.touching])
@@ -157,7 +157,7 @@ def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_
     """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
-    for rows, limit in _rows(problem):
+    for rows, limit in rows_and_limits(problem):
         of_row = row_sizes(problem, rows)
         reached = limit[of_row.touching]
         moving = reached < 0 if rows is problem.normal else reached != 0
@@ -238,7 +238,8 @@ def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.stack([body[rows.indices], np.repeat(body[first], counts[counts > 0])])
 
 
-def _rows(problem: ContactProblem) -> list[tuple[Any, Vector]]:
+def rows_and_limits(problem: Any) -> list[tuple[Any, Vector]]:
+    """Return the rows of contacts, ties and tangents of a problem, or of one rank's part, each with its lengths."""
     rows = [(problem.normal, problem.gap), (problem.tie, problem.tie_value)]
     if problem.tangent is not None and problem.slip_origin is not None:
         rows.append((problem.tangent, problem.slip_origin.ravel()))

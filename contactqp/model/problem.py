@@ -350,7 +350,7 @@ class ContactProblem:
 
     @cached_property
     def load_size(self) -> Vector:
-        """The sizes of the forces that add up to `load` (n,); where forces cancel, as in condensing, they exceed |load|."""
+        """The sizes of the forces that add up to `load` (n,), which exceed |load| where forces cancel."""
         if self.load_sum is not None:
             return self.load_sum
         size = abs(self.load)

@@ -18,7 +18,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
-from contactqp.oracle.foreign.judging import right_answer
+from contactqp.oracle.foreign.judging import aligned, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 
@@ -224,8 +224,7 @@ def deviations_table(found: list[Deviation], force: str = "", length: str = "", 
         unit = units.get(one.what, force)
         numbers = [f"{value:.12g}{' ' + unit if unit else ''}" for value in (one.value, one.right)]
         lines.append([one.where, one.what, *numbers, f"{one.size:.2g}"])
-    widths = [max(len(line[j]) for line in lines) for j in range(5)]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    text = aligned(lines)
     return "\n".join(text + ([f"and {len(found) - limit} more"] if len(found) > limit else []))
 
 

@@ -12,6 +12,7 @@ from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS
 from contactqp.oracle.assertions import solution_fault
+from contactqp.oracle.foreign.judging import aligned
 from contactqp.oracle.gallery.gallery import problems as gallery_problems
 from contactqp.oracle.gallery.problem import GalleryProblem
 
@@ -52,10 +53,7 @@ class SolverReport:
         for one in self.verdicts:
             first = one.why.splitlines()[:2]
             lines.append([one.name, one.difficulty, one.verdict, f"{one.seconds:.3f}", " ".join(first)])
-        widths = [max(len(line[j]) for line in lines) for j in range(4)] + [0]
-        text = [
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines
-        ]
+        text = aligned(lines)
         counts = [f"{sum(one.verdict == verdict for one in self.verdicts)} {verdict}" for verdict in VERDICTS]
         return "\n".join([*text, ", ".join(counts)])
 

@@ -36,7 +36,14 @@ from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, 
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
-from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
+from contactqp.solving.friction.exact_enumeration import (
+    MOST_PROVEN,
+    MOST_UNKNOWNS,
+    NONE_AT_ALL,
+    NONE_IN_FLOATS,
+    SEVERAL,
+    exact_equilibria,
+)
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined
 from contactqp.solving.friction.on_contacts import solve_on_contacts
@@ -423,9 +430,7 @@ def _listed(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     if not found:
         refuse_conflict(problem, condense(problem))
         _refuse_unproven(problem)
-        raise NoEquilibrium(
-            "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
-        )
+        raise NoEquilibrium(NONE_AT_ALL)
     return found
 
 
@@ -433,23 +438,21 @@ def _only(problem: ContactProblem) -> FrictionRun:
     found = _listed(problem)
     if len(found) > 1:
         listed = "; ".join(_described(problem, one) for one in found)
-        raise SeveralEquilibria(
-            f"enumeration: {len(found)} equilibria, and nothing in the problem chooses ({listed}); "
-            "contactqp.equilibria(problem) returns them all"
-        )
+        raise SeveralEquilibria(SEVERAL.format(len(found), listed))
     return found[0]
 
 
 def _refuse_unproven(problem: ContactProblem) -> None:
     """Raise NotConverged unless no combination is an equilibrium in rational numbers either."""
-    none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
     if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
         raise NotConverged(
-            f"{none}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts and "
+            f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts and "
             f"{MOST_UNKNOWNS} unknowns"
         )
     if exact_equilibria(problem):
-        raise NotConverged(f"{none}, and in rational numbers there is one: contactqp.exact_equilibria lists them")
+        raise NotConverged(
+            f"{NONE_IN_FLOATS}, and in rational numbers there is one: contactqp.exact_equilibria lists them"
+        )
 
 
 def _described(problem: ContactProblem, run: FrictionRun) -> str:

@@ -23,7 +23,13 @@ from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any
 from contactqp.solving.friction.conic import refuse_unbalanced
 from contactqp.solving.friction.enumeration import Combinations, refuse_many
-from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, has_local_equilibrium
+from contactqp.solving.friction.exact_enumeration import (
+    MOST_PROVEN,
+    NONE_AT_ALL,
+    NONE_IN_FLOATS,
+    SEVERAL,
+    has_local_equilibrium,
+)
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, refuse_arguments
@@ -135,20 +141,16 @@ def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSol
     """Return the answer found by enumeration; with `only`, raise where there are several, else take the first."""
     found = local_equilibria(problem, tolerance)
     if not found:
-        none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
         if problem.contacts > MOST_PROVEN:
-            raise NotConverged(f"{none}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts")
+            raise NotConverged(
+                f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts"
+            )
         if has_local_equilibrium(problem):
-            raise NotConverged(f"{none}, and in rational numbers there is one")
-        raise NoEquilibrium(
-            "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
-        )
+            raise NotConverged(f"{NONE_IN_FLOATS}, and in rational numbers there is one")
+        raise NoEquilibrium(NONE_AT_ALL)
     if only and len(found) > 1:
         listed = "; ".join(", ".join(f"r_N = {force:.6g}" for force in one.force[:, 0].tolist()) for one in found)
-        raise SeveralEquilibria(
-            f"enumeration: {len(found)} equilibria, and nothing in the problem chooses ({listed}); "
-            "contactqp.equilibria(problem) returns them all"
-        )
+        raise SeveralEquilibria(SEVERAL.format(len(found), listed))
     return found[0]
 
 

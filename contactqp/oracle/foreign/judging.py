@@ -205,6 +205,12 @@ def _apart(answer: Answer, right: Solution) -> Vector:
     return np.where(relative > SAME, relative, 0.0)
 
 
+def aligned(lines: list[list[str]]) -> list[str]:
+    """Return the cells of lines as text in columns, each as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+
+
 def contacts_table(problem: ContactProblem, contacts: tuple[JudgedContact, ...], limit: int = 20) -> str:
     """Return a table of the contacts as text, `limit` of them at most."""
     if not contacts:
@@ -219,8 +225,7 @@ def contacts_table(problem: ContactProblem, contacts: tuple[JudgedContact, ...],
         line += [_number(value) for value in (one.normal_force, one.right_normal_force, one.gap, one.right_gap)]
         line += [_number(value) for value in (one.friction_force, one.right_friction_force)] if frictional else []
         lines.append(line)
-    widths = [max(len(line[j]) for line in lines) for j in range(len(header))]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    text = aligned(lines)
     if len(contacts) > limit:
         text.append(f"and {len(contacts) - limit} more")
     return "\n".join(text)

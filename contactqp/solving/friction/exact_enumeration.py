@@ -105,6 +105,12 @@ MOST_CONTACTS = 6
 MOST_UNKNOWNS = 60
 # Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
 MOST_PROVEN = 4
+NONE_IN_FLOATS = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
+NONE_AT_ALL = "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
+SEVERAL = (
+    "enumeration: {} equilibria, and nothing in the problem chooses ({}); "
+    "contactqp.equilibria(problem) returns them all"
+)
 
 
 @dataclass(frozen=True, eq=False)
