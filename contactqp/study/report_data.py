@@ -22,9 +22,10 @@ from contactqp.scene.scene import Scene
 from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.conclusion import MethodLine, conclude
 from contactqp.study.footprint import Footprint
 from contactqp.study.rows import COLUMNS, VERDICTS, Row, aligned, as_dicts
-from contactqp.study.statistics import MethodLine, Rates, conclude, method_rates, overview, overview_data
+from contactqp.study.statistics import Rates, method_rates, overview, overview_data
 from contactqp.study.truth import Truth
 
 

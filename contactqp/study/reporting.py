@@ -18,6 +18,7 @@ from contactqp.scene.judging import case_files
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.collecting import Collector, Rounds
+from contactqp.study.conclusion import conclude
 from contactqp.study.delivery import (
     busy,
     deliver,
@@ -39,7 +40,6 @@ from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
 from contactqp.study.settings import BRIEF_TOLERANCES, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
-from contactqp.study.statistics import conclude
 from contactqp.study.telling import examples_chart, telling_case, telling_cases, telling_chart
 
 # Rounds of timing, and the seconds after which those of one setting are enough, in full and in brief.
@@ -89,6 +89,8 @@ def report(
         print(f"contactqp: {note}", file=sys.stderr)
     found = conclude(result.rows)
     print(aligned(found.cells()))
+    if found.note:
+        print(textwrap.fill(found.note, WIDTH))
     print(f"\n{textwrap.fill(found.sentence, WIDTH)}\n")
     for text in result.summary.unmet_lines():
         print(f"not met: {text}")

@@ -16,9 +16,9 @@ from contactqp.study import report_data, rows
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.comparison import GENEROSITY, Timing, timed
+from contactqp.study.conclusion import HEADINGS, conclude
 from contactqp.study.rows import Row, readable
 from contactqp.study.running.runner import Running
-from contactqp.study.statistics import HEADINGS, conclude
 from tests.study.statistics_examples import gave_up, right, wrong
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -54,6 +54,15 @@ def test_each_method_counts_by_its_best_setting() -> None:
     # Of bodies alone: a case of two unknowns measures calls of Python.
     assert default.linear_solves == pytest.approx(2)
     assert backend.linear_solves == pytest.approx(3)
+
+
+def test_a_line_of_the_best_setting_says_of_how_many_and_a_note_that_it_is_known_only_afterwards() -> None:
+    found = conclude(_study())
+    named = {line.method: line.cells()[0] for line in found.lines}
+    assert named["penalty"] == "penalty, best of 3"
+    assert named["active-set"] == "active-set"
+    assert "which one that is shows only once the right answer is known" in found.note
+    assert conclude([row for row in _study() if row.method == "active-set"]).note == ""
 
 
 def test_the_sentence_says_what_the_lines_say() -> None:

@@ -14,6 +14,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from contactqp.scene.schema import PHYSICS
+from contactqp.study.conclusion import conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.delivery import busy
 from contactqp.study.page.case_view import (
@@ -30,7 +31,6 @@ from contactqp.study.page.case_view import (
 )
 from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
-from contactqp.study.statistics import conclude
 from contactqp.study.telling import left_out_lines
 
 
@@ -153,6 +153,7 @@ def render(
         [*first, *second, *shared, *(item for _, charts in views for item in charts)],
         data=data,
         sentence=found.sentence,
+        note=found.note,
         lines=plain_table("methods, the most right first", headings, lines),
         first=first,
         second=second,

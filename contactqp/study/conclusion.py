@@ -1,0 +1,217 @@
+"""The conclusion that a report draws from its rows: one sentence, and one line for each method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from contactqp.study import rows
+from contactqp.study.rows import Row
+from contactqp.study.statistics import ANSWERED, BODY, own_answers, solved
+
+# Added to multiples of a linear solve, and taken off their geometric mean again.
+MULTIPLE_SHIFT = 1.0
+# Half the distance from 1 to the next double: smaller errors are none.
+ROUNDING = 1.1e-16
+# What a line is called where several settings of a method were tried on a case, and what that costs.
+BEST_OF = (
+    "best of N: up to N settings were tried on each case, and the line is that of the fastest right one, else of the "
+    "most exact; which one that is shows only once the right answer is known, and the time is that of its run alone"
+)
+HEADINGS = ("method", "right", "raw: wrong of claimed", "time / linear solve", "error of the force")
+
+
+@dataclass(frozen=True)
+class MethodLine:
+    """What one method comes to: over the cases that it was tried on, by its best setting in each.
+
+    The best setting of a case is the fastest right one, else the most exact one, of all that were tried, `settings` of
+    them on the case that had most. Raw answers are counted apart.
+    """
+
+    method: str
+    exact: bool  # whether it promises the exact answer
+    cases: int  # tried
+    right: int  # of these, where an answer as `solve` returns it is right
+    claimed: int  # raw answers that the method itself called solved
+    wrong: int  # of these, that are wrong
+    linear_solves: float | None  # shifted geometric mean of its time over that of one linear solve
+    spread: float | None  # mean distance of the quartiles of these times over their median, where they were repeated
+    force_error: float | None  # the largest relative error of the contact forces
+    settings: int = 1  # tried on one case, at most
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the cells of `HEADINGS`."""
+        flags = f"{_percent(self.wrong, self.claimed)} of {self.claimed}" if self.claimed else "claims nothing"
+        times = "" if self.linear_solves is None else f"{self.linear_solves:.3g}"
+        times += "" if not times or self.spread is None else f" ± {100 * self.spread:.0f} %"
+        error = "" if self.force_error is None else f"{max(self.force_error, ROUNDING):.0e}"
+        name = self.method if self.settings == 1 else f"{self.method}, best of {self.settings}"
+        return name, f"{_percent(self.right, self.cases)} of {self.cases}", flags, times, error
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """The sentence of a report and the lines of its methods: those that are right most often first, then by time."""
+
+    sentence: str
+    lines: tuple[MethodLine, ...]
+
+    def cells(self) -> list[tuple[str, ...]]:
+        """Return the table, headings first."""
+        return [HEADINGS, *(line.cells() for line in self.lines)]
+
+    @property
+    def note(self) -> str:
+        """What the lines say of methods with several settings, where there are such; else empty."""
+        return BEST_OF if any(line.settings > 1 for line in self.lines) else ""
+
+    def data(self) -> dict[str, Any]:
+        """Return the conclusion as it stands in results.json."""
+        return dict(sentence=self.sentence, methods=[asdict(line) for line in self.lines])
+
+
+def conclude(all_rows: Sequence[Row]) -> Conclusion:
+    """Return the conclusion of the rows of a report; those whose times are not known yet count without them.
+
+    Cases whose answer is not known, as of motions, are left out: nobody is right or wrong there.
+    """
+    judged = {row.case for row in all_rows if row.error_judged is not None}
+    tried = [row for row in all_rows if row.verdict != rows.MISSING and row.case in judged]
+    timed = {row.case for row in tried if row.linear_solve_seconds and (row.unknowns or 0) >= BODY}
+    timed = timed or {row.case for row in tried if row.linear_solve_seconds}
+    names = dict.fromkeys(row.method for row in tried)
+    lines = [_line([row for row in tried if row.method == name], timed) for name in names]
+    lines.sort(key=lambda line: (-line.right / line.cases, line.linear_solves or math.inf))
+    return Conclusion(_sentence(lines, len({row.case for row in tried}), _smallest(tried, timed)), tuple(lines))
+
+
+def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
+    by_case = [[row for row in mine if row.case == case] for case in dict.fromkeys(row.case for row in mine)]
+    best = [_best(of_case) for of_case in by_case]
+    counted = [
+        row
+        for row in best
+        if row.case in timed and row.verdict in ANSWERED and row.seconds is not None and row.linear_solve_seconds
+    ]
+    ratios = [row.seconds / row.linear_solve_seconds for row in counted if row.seconds and row.linear_solve_seconds]
+    spreads = [row.seconds_spread for row in counted if row.seconds_spread is not None]
+    errors = [row.error_force for row in best if row.error_force is not None and row.error_measure == "relative"]
+    own = own_answers(mine)
+    return MethodLine(
+        method=mine[0].method,
+        exact=mine[0].promises_exact,
+        cases=len(best),
+        right=sum(map(solved, best)),
+        claimed=sum(row.claimed is True for row in own),
+        wrong=sum(row.flag_wrong is True for row in own),
+        linear_solves=float(np.exp(np.mean(np.log(np.array(ratios) + MULTIPLE_SHIFT))) - MULTIPLE_SHIFT)
+        if ratios
+        else None,
+        spread=float(np.mean(spreads)) if spreads else None,
+        force_error=max(errors, default=None),
+        settings=max(len(_as_solve_runs_it(of_case)) for of_case in by_case),
+    )
+
+
+def _best(of_case: Sequence[Row]) -> Row:
+    """Return the row of the best setting of one method on one case, as `solve` runs it on the contact unknowns."""
+    usual = _as_solve_runs_it(of_case)
+    right = [row for row in usual if solved(row)]
+    if right:
+        return min(right, key=lambda row: math.inf if row.seconds is None else row.seconds)
+    return min(usual, key=lambda row: math.inf if row.error_judged is None else row.error_judged)
+
+
+def _as_solve_runs_it(of_case: Sequence[Row]) -> Sequence[Row]:
+    """Return the rows of one method on one case as `solve` runs it, on the contact unknowns; all where none are."""
+    return [row for row in of_case if row.variant in ("", "polished") and row.condensed != rows.WHOLE] or of_case
+
+
+def _smallest(tried: Sequence[Row], timed: set[str]) -> int:
+    return min((row.unknowns or 0 for row in tried if row.case in timed), default=0)
+
+
+def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
+    if not lines:
+        return "No answer is known yet that others could be held against."
+    default = next((line for line in lines if line.method == "active-set"), None)
+    parts = []
+    if default is not None:
+        force = (
+            ""
+            if default.force_error is None
+            else f", its contact forces within {max(default.force_error, ROUNDING):.0e}"
+        )
+        parts.append(f"{_right_share(default)}{force}{_time(default, smallest)}.")
+    others = [line for line in lines if line is not default and line.exact and line.right == line.cases]
+    if others:
+        named = ", ".join(line.method for line in others)
+        parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default)}.")
+    if off := [
+        f"{line.method} is at most {_off(line.force_error)} off{_time(line)}"
+        for line in lines
+        if not line.exact and line.force_error is not None
+    ]:
+        parts.append(f"By the best setting in each case, which nobody knows before the answer, {', '.join(off)}.")
+    parts.append(_flags(lines))
+    return f"On {cases} case{'' if cases == 1 else 's'} with a known answer: {' '.join(filter(None, parts))}"
+
+
+def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str:
+    """Return which of the methods that are right in all is the fastest, where it is so beyond doubt."""
+    timed = [line for line in others if line.linear_solves is not None]
+    if not timed:
+        return ""
+    fastest = min(timed, key=lambda line: line.linear_solves or math.inf)
+    if default is None or default.linear_solves is None or default.right < default.cases:
+        return f"; the fastest is {fastest.method}{_time(fastest)}"
+    if default.linear_solves <= AS_FAST * (fastest.linear_solves or math.inf):
+        return "; none of them is faster by a tenth"
+    return f"; {fastest.method} is faster{_time(fastest)}"
+
+
+def _right_share(line: MethodLine) -> str:
+    all_of_them = line.right == line.cases
+    return f"{line.method}, the default, is right in {'all' if all_of_them else f'{line.right} of {line.cases}'}"
+
+
+def _time(line: MethodLine, smallest: int | None = None) -> str:
+    if line.linear_solves is None:
+        return ""
+    where = ""
+    if smallest is not None:
+        overhead = "" if smallest >= BODY else ", where nearly all of it is overhead"
+        where = f" on bodies of {smallest} unknowns and more{overhead}"
+    return f", in the time of {line.linear_solves:.2g} linear solves{where}"
+
+
+# Times that differ by less are those of equals: what a machine scatters by from one run to the next.
+AS_FAST = 1.1
+# What a flag is called wrong by (`contactqp.study.comparison.GENEROSITY`).
+BY_FAR = "more than 100 times the tolerance asked"
+
+
+def _flags(lines: Sequence[MethodLine]) -> str:
+    """Return how often methods called wrong raw answers solved."""
+    claimed, wrong = sum(line.claimed for line in lines), sum(line.wrong for line in lines)
+    if not claimed:
+        return ""
+    if not wrong:
+        return f"None of the {claimed} raw answers that methods called solved is wrong by {BY_FAR}."
+    named = ", ".join(f"{line.method} {line.wrong} of {line.claimed}" for line in lines if line.wrong)
+    return f"Of {claimed} raw answers that methods called solved, {wrong} are wrong by {BY_FAR}: {named}."
+
+
+def _off(error: float) -> str:
+    return f"{100 * error:.1g} %" if error >= 1e-4 else f"{error:.0e}"
+
+
+def _percent(part: int, whole: int) -> str:
+    """Return a part in per cent, rounded so that all is all and none is none."""
+    share = 100 * part / whole if whole else 0.0
+    return f"{min(max(round(share), 1 if part else 0), 100 if part == whole else 99)} %"
