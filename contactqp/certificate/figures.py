@@ -283,7 +283,7 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
     )
 
 
-def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
+def holds(problem: ContactProblem, answer: Answer) -> bool:
     """Return whether an answer satisfies equilibrium, contact and Coulomb's law by the certificate's measures.
 
     The rigid part of the displacement is left out, and what is nothing beside the intrinsic size is excused.
@@ -292,9 +292,9 @@ def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> 
         return False
     rigid = condense(problem).rigid
     found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
-    if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
+    if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
         return False
-    return balance(problem, answer, rigid) <= tolerance
+    return balance(problem, answer, rigid) <= HOLDS
 
 
 def holds_by_products(problem: ContactProblem, answer: Answer, tolerance: float) -> bool:

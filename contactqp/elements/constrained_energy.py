@@ -111,7 +111,7 @@ def read_form(part: str, given: Any) -> dict[str, float]:
     return form
 
 
-def read_number(what: str, value: Any, *, positive: bool = False, above: float | None = None) -> float:
+def read_number(what: str, value: Any, *, positive: bool = False) -> float:
     """Read a finite number.
 
     Parameters
@@ -122,19 +122,14 @@ def read_number(what: str, value: Any, *, positive: bool = False, above: float |
         The number as the user gave it.
     positive : bool
         Whether it must be above zero.
-    above : float, optional
-        A number that it must be above.
 
     Raises
     ------
     InvalidProblem
-        It is none, or not above what it must be above.
+        It is none, not finite, or not positive where it must be.
     """
-    least = 0.0 if positive else above
-    expected = "a finite number" if least is None else f"a finite number above {least:g}"
-    if not is_number(value) or not np.isfinite(value):
-        raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
-    if least is not None and not value > least:
+    expected = "a finite number above 0" if positive else "a finite number"
+    if not is_number(value) or not np.isfinite(value) or (positive and not value > 0):
         raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
     return float(value)
 

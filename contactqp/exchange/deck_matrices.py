@@ -45,17 +45,17 @@ def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) 
     return np.asarray(table, dtype=float)
 
 
-def whole_numbers(path: Path, place: str, values: Vector, least: int = 1) -> Integers:
-    """Return the values as integers.
+def whole_numbers(path: Path, place: str, values: Vector) -> Integers:
+    """Return the values as integers from 1 on.
 
     Raises
     ------
     InvalidProblem
-        One is no integer, or below `least`, or beyond what a float counts exactly.
+        One is no integer, or below 1, or beyond what a float counts exactly.
     """
-    bad = np.flatnonzero(~((values == np.floor(values)) & (values >= least) & (values < EXACT)))
+    bad = np.flatnonzero(~((values == np.floor(values)) & (values >= 1) & (values < EXACT)))
     if bad.size:
-        raise wrong(path, place, f"whole numbers from {least} on", f"{values[bad[0]]:g} in line {bad[0] + 1}")
+        raise wrong(path, place, "whole numbers from 1 on", f"{values[bad[0]]:g} in line {bad[0] + 1}")
     return np.asarray(values, dtype=np.int64)
 
 

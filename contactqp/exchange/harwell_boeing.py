@@ -40,7 +40,6 @@ class Format:
     letter: str
     repeat: int
     width: int
-    decimals: int
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,7 @@ def _format(path: Path, text: str, letters: str) -> Format:
     repeat, width = int(match[1][:6] or 1), int(match[3][:6])
     if not 0 < repeat <= LONGEST_LINE or not 0 < width <= LONGEST_LINE:
         raise wrong(path, "line 4", "a Fortran format with some columns", repr(text[:24]))
-    return Format(match[2], repeat, width, int((match[4] or "0")[:6]))
+    return Format(match[2], repeat, width)
 
 
 def _fields(path: Path, lines: list[str], first: int, header: Header, part: int, form: Format, count: int) -> list[str]:

@@ -398,11 +398,11 @@ def lengths_that_meet(
     return np.asarray(length)
 
 
-def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH) -> Vector:
+def tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
     """Return |L| (m,) of each contact's tangential rows [length]; a row at rest adds none where another one moves."""
     if problem.tangent is None or problem.slip_origin is None:
         return np.full(problem.contacts, np.inf)
-    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement, rounding)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement)
     return lengths_of_pairs(meeting.reshape(problem.slip_origin.shape))
 
 

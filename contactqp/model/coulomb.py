@@ -94,12 +94,12 @@ def de_saxce(velocity: Vectors, friction: Vector) -> Vectors:
     return shifted
 
 
-def natural_map(force: Vectors, velocity: Vectors, friction: Vector, rho: float | Vector = 1.0) -> Vectors:
-    """r - P_K(r - rho (u + mu |u_T| e_N)): zero exactly where the law holds.
+def natural_map(force: Vectors, velocity: Vectors, friction: Vector) -> Vectors:
+    """Return r - P_K(r - (u + mu |u_T| e_N)) (m, d), which is zero exactly where the law holds.
 
-    Where r - rho (...) lies in K the difference is rho (...), which is not lost beside a force that is very large.
+    Where r - (...) lies in K the difference is (...), which is not lost beside a force that is very large.
     """
-    step = np.broadcast_to(np.asarray(rho, dtype=float), friction.shape)[:, None] * de_saxce(velocity, friction)
+    step = de_saxce(velocity, friction)
     moved = force - step
     # Without friction the cone is a half line, and -0 is no side of it.
     inside = (lengths(moved[:, 1:]) <= friction * moved[:, 0]) & (moved[:, 0] >= 0)

@@ -216,16 +216,20 @@ def resultant_deviations(
     return found + _beyond("resultant", problem.dof_name, right + change, right, together, rtol)
 
 
-def deviations_table(found: list[Deviation], force: str = "", length: str = "", limit: int = 10) -> str:
-    """Return the deviations as text, the largest first."""
+# Deviations that a message lists.
+MOST_LISTED = 10
+
+
+def deviations_table(found: list[Deviation], force: str = "", length: str = "") -> str:
+    """Return the largest deviations as text, the largest first."""
     units = {"displacement": length}
     lines = [["where", "what", "given", "right", "relative"]]
-    for one in sorted(found, key=lambda one: -one.size if one.size == one.size else -np.inf)[:limit]:
+    for one in sorted(found, key=lambda one: -one.size if one.size == one.size else -np.inf)[:MOST_LISTED]:
         unit = units.get(one.what, force)
         numbers = [f"{value:.12g}{' ' + unit if unit else ''}" for value in (one.value, one.right)]
         lines.append([one.where, one.what, *numbers, f"{one.size:.2g}"])
     text = aligned(lines)
-    return "\n".join(text + ([f"and {len(found) - limit} more"] if len(found) > limit else []))
+    return "\n".join(text + ([f"and {len(found) - MOST_LISTED} more"] if len(found) > MOST_LISTED else []))
 
 
 def _relative(size: Vector, scale: float) -> Vector:

@@ -379,13 +379,13 @@ def _are_units(text: str, place: int) -> bool:
     return text[:place] in COMMON_UNITS and text[place:] in COMMON_UNITS
 
 
-def read_number(value: Any, *, roots: bool = False) -> Fraction:
+def read_number(value: Any) -> Fraction:
     """Read an exact number without a unit, from a number or a text such as ``"5/7"``.
 
     A float means the decimal digits it is printed with: 0.1 is 1/10.
     """
     if isinstance(value, str):
-        number, rest = split_number(value, roots=roots)
+        number, rest = split_number(value)
         if rest:
             raise NotANumber(f"{value!r}, which is a number with {rest!r} after it")
         return number

@@ -72,22 +72,15 @@ class Timing:
     warm: bool = True  # False: one call, which was its own warm-up
 
 
-def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repeats: int = 1) -> Row:
-    """Solve with one setting and time it, in this process.
+def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None) -> Row:
+    """Solve with one setting in this process, and time it by calls after the first unless that took seconds.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    setting : Setting
-    truth : Truth or None
-        The solution that errors are measured against; without one they are None.
-    repeats : int
-        Timed calls after the first, at most; none where that took seconds.
+    Errors are measured against `truth`; without one they are None.
     """
     row = answer(problem, setting, truth)
-    if row.seconds is None or row.seconds >= LONG or not repeats:
+    if row.seconds is None or row.seconds >= LONG:
         return row
-    return timed(row, [timing(problem, setting, row.seconds) for _ in range(repeats)])
+    return timed(row, [timing(problem, setting, row.seconds)])
 
 
 def answer(

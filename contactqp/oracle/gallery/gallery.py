@@ -171,11 +171,7 @@ PARTS = ("displacement", "normal_force", "friction_force", "tie_force", "gap")
 ABOUT = ("name", "kind", "difficulty", "unique_displacement", "unique_forces", "description", "formula", "source")
 
 
-def write_gallery(
-    folder: str | Path,
-    problems: Sequence[GalleryProblem],
-    progress: Callable[[GalleryProblem], None] | None = None,
-) -> Path:
+def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Path:
     """Write problems and their exact answers to a folder that is new or empty: all of them, or nothing.
 
     Returns
@@ -192,8 +188,6 @@ def write_gallery(
     def fill(root: Path) -> None:
         for known in problems:
             _write_one(root / known.name, known)
-            if progress is not None:
-                progress(known)
         index = {
             "format": FORMAT,
             "version": VERSION,

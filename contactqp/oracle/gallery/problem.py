@@ -421,13 +421,12 @@ def stated(
     unknowns: Sequence[str] | None = None,
     contacts: Sequence[str] | None = None,
     one_displacement: bool | None = None,
-    one_forces: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
     """Return a problem and its answer; `units` are those of length and force, one coefficient of friction holds for
     all.
 
-    `one_displacement` and `one_forces` are said where a proof is known that `gallery_uniqueness` does not find.
+    `one_displacement` is given where a proof of uniqueness is known that `gallery_uniqueness` does not find.
     """
     rough = bool(tangent)
     data = ExactProblem(
@@ -448,7 +447,7 @@ def stated(
         dof_names=None if unknowns is None else tuple(unknowns),
         contact_names=None if contacts is None else tuple(contacts),
     )
-    return with_uniqueness(data, answer, description, source, formula, names, one_displacement, one_forces, rounding)
+    return with_uniqueness(data, answer, description, source, formula, names, one_displacement, rounding)
 
 
 def with_uniqueness(
@@ -459,10 +458,9 @@ def with_uniqueness(
     formula: str,
     names: dict[str, Any],
     one_displacement: bool | None = None,
-    one_forces: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
     """Contents, with what exact ranks prove of the uniqueness of the answer where nothing else is known."""
     displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
-    forces = only_forces(data, answer, displacement) if one_forces is None else one_forces
+    forces = only_forces(data, answer, displacement)
     return Contents(data, answer, description, source, formula, displacement, forces, rounding, names)

@@ -182,11 +182,11 @@ def _filled(size: Vector, other: float) -> Vector:
     return np.where(size > 0, size, float(np.median(known)) if len(known) else other or 1.0)
 
 
-def refuse_many(contacts: int, who: str = "enumeration") -> str | None:
-    """Why a problem has too many combinations, or None."""
+def refuse_many(contacts: int) -> str | None:
+    """Return the reason why a problem has too many combinations, or None."""
     if contacts <= MOST_CONTACTS:
         return None
-    return f"{who}: {contacts} contacts; at most {MOST_CONTACTS} have few combinations enough"
+    return f"enumeration: {contacts} contacts; at most {MOST_CONTACTS} have few combinations enough"
 
 
 def _equilibrated(matrix: Array) -> tuple[Array, Array]:

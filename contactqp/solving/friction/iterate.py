@@ -25,11 +25,9 @@ class Iterate:
     history: tuple[float, ...] = ()
 
     @classmethod
-    def at(
-        cls, form: LocalForm, force: Array, joint: Vector, iterations: int = 0, history: tuple[float, ...] = ()
-    ) -> Iterate:
-        """An iterate, its error found."""
-        return cls(force, joint, form.error(force, joint), iterations, history)
+    def at(cls, form: LocalForm, force: Array, joint: Vector, iterations: int = 0) -> Iterate:
+        """Return an iterate with its error."""
+        return cls(force, joint, form.error(force, joint), iterations)
 
     @classmethod
     def nothing(cls, form: LocalForm) -> Iterate:
