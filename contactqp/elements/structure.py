@@ -6,7 +6,7 @@ Prescribed displacements go to the right-hand side of K u = f and, in contacts, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -297,7 +297,7 @@ class System:
         pairings = [pairings] if isinstance(pairings, Pairing) else pairings
         contacts = free_contacts(pairings, self.prescribed, friction=friction, names=names)
         unknowns = self.structure.unknown_names()
-        return ContactProblem(
+        problem = ContactProblem(
             stiffness=self.K,
             load=self.f,
             normal=contacts.normal,
@@ -310,6 +310,26 @@ class System:
             units=units,
             near_null_space=self.structure.rigid_motions()[self.free],
         )
+        problem._computed.assembly = Assembly(self, tuple(pairings))
+        if pairings:
+            problem._computed.contact_points = np.concatenate([one.points for one in pairings])[contacts.kept]
+        return problem
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """What a problem was made of, which pictures draw."""
+
+    system: System
+    pairings: tuple[Pairing, ...]
+
+    def under(self, load: Vector) -> System:
+        """Return the system with loads (f,) on its free unknowns as a problem of it states them [force]."""
+        if np.array_equal(load, self.system.f):
+            return self.system
+        free, whole = self.system.free, self.system.load.copy()
+        whole[free] = load + (self.system.structure.stiffness @ self.system.given)[free]
+        return replace(self.system, load=whole)
 
 
 @dataclass(frozen=True, eq=False)

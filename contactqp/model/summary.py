@@ -7,7 +7,7 @@ import html
 import io
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -39,6 +39,7 @@ class Table:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    note: str = ""  # a line below the rows
 
     def text(self) -> str:
         """Return the table in columns of equal width, the first one to the left."""
@@ -49,7 +50,8 @@ class Table:
                               for i, (cell, width) in enumerate(zip(row, widths, strict=True)))  # fmt: skip
             return "  " + "  ".join([first, *others]).rstrip()
 
-        return "\n".join([self.title, *map(line, (self.columns, *self.rows))])
+        note = [f"  {self.note}"] if self.note else []
+        return "\n".join([self.title, *map(line, (self.columns, *self.rows)), *note])
 
     def html(self) -> str:
         """Return the table as HTML."""
@@ -58,7 +60,8 @@ class Table:
             return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) + "</tr>"
 
         body = "".join(cells(row, "td") for row in self.rows)
-        return f"<p>{html.escape(self.title)}</p><table>{cells(self.columns, 'th')}{body}</table>"
+        note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
+        return f"<p>{html.escape(self.title)}</p><table>{cells(self.columns, 'th')}{body}</table>{note}"
 
 
 class Printed:
@@ -134,7 +137,22 @@ def _contacts(solution: Any, force: str, gap: str, slip: str) -> Table:
         (problem.contact_name(i), str(solution.contact_status[i]), *(number(part[i]) for part in parts)) for i in shown
     )
     title = _title_of_contacts(solution.contact_status, problem.frictional, len(shown))
-    return Table(title, tuple(columns), rows)
+    table = Table(title, tuple(columns), rows)
+    points = problem._computed.contact_points
+    if points is None or not len(points):
+        return table
+    placed = tuple((*row, _place(points[i])) for row, i in zip(rows, shown, strict=True))
+    largest = int(np.argmax(clean.normal_force))
+    where = f"{problem.contact_name(largest)} at {_place(points[largest])} {problem.units.length}".rstrip()
+    note = f"largest force: {where}" if clean.normal_force[largest] > 0 else ""
+    wide = Table(title, (*columns, _named("at", problem.units.length)), placed, note)
+    fits = max(map(len, wide.text().splitlines())) <= WIDTH
+    return wide if fits else replace(table, note=note)
+
+
+def _place(point: Vector) -> str:
+    """Return coordinates as text: ``(0.5, 0)``."""
+    return "(" + ", ".join(f"{x + 0.0:.4g}" for x in point.tolist()) + ")"
 
 
 def _most_telling(status: Any, force: Vector, gap: Vector | None = None) -> Sequence[int]:

@@ -153,11 +153,15 @@ def load_label(load: Array, axes: Sequence[str], units: Units) -> str:
     """Return the entry of nodal loads (N, d) in a legend, with their resultant.
 
     >>> load_label(np.array([[0.0, -2.0], [0.0, -1.0]]), ("x", "y"), Units(force="kN"))
-    'load, in all 0 and -3 kN along x and y'
+    'load, in all 0 and -3 kN along x and y, longest arrow 2 kN'
     """
+    longest = float(np.linalg.norm(load, axis=1).max(initial=0.0))
     largest = float(np.max(abs(load).sum(axis=0), initial=0.0))
     total = [0.0 if abs(part) <= 1e-12 * largest else part for part in load.sum(axis=0).tolist()]
-    return f"load, in all {' and '.join(map(number, total))} {force_unit(units)} along {' and '.join(axes)}"
+    unit, along = force_unit(units), " and ".join(axes)
+    return (
+        f"load, in all {' and '.join(map(number, total))} {unit} along {along}, longest arrow {number(longest)} {unit}"
+    )
 
 
 def headline(title: str, text: str) -> str:

@@ -14,7 +14,8 @@ import numpy as np
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.structure import System
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Assembly, System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.files import check_file, check_installed, write_whole
 from contactqp.model.arguments import checked
@@ -190,7 +191,9 @@ def draw(
     scale: float | None = None,
     time_unit: str = "",
 ) -> Figure:
-    """Draw an answer: on its geometry where that is given, a history over time or load, else forces and gaps as bars.
+    """Draw an answer: bodies and structures where their geometry is known, a history, else forces and gaps as bars.
+
+    A solution of ``system.problem(...)`` knows its bodies. A history is drawn over time or load.
 
     Parameters
     ----------
@@ -203,7 +206,7 @@ def draw(
         The scene that was run: draws what ``contactqp run CASE --plot FILE`` does.
     system, contacts : System and sequence of Pairing, optional
         ``structure.assemble(...)`` and the pairings of ``system.problem(contacts)``: draws the deformed bodies with the
-        pressure at their contacts.
+        pressure at their contacts, where the problem of the solution was made in another way or is a copy.
     title : str
         The title of the picture.
     scale : float, optional
@@ -271,7 +274,17 @@ def _drawn(
     if system is not None:
         _refuse_another("system", len(system.free), solution)
         return figure(contact_fields(system, contacts, solution), title=title, scale=scale)
-    return solution_figure(solution, title=title)
+    assembly = solution.problem._computed.assembly
+    if isinstance(assembly, Assembly) and all(isinstance(one, Body) for one in assembly.system.structure.bodies):
+        of_load = assembly.under(solution.problem.load)
+        return figure(contact_fields(of_load, assembly.pairings, solution), title=title, scale=scale)
+    drawn = solution_figure(solution, title=title)
+    if solution.problem.near_null_space is not None:
+        drawn.text(0.01, 0.005, HOW_BODIES, fontsize="x-small", color="0.3", gid="how bodies are drawn")
+    return drawn
+
+
+HOW_BODIES = "draw(solution, system=..., contacts=[...]) draws the bodies, scene=... those of a case file"
 
 
 def _refuse_another(what: str, unknowns: int, solution: Solution) -> None:

@@ -93,6 +93,32 @@ def test_what_is_rounding_beside_the_forces_that_meet_is_printed_as_zero() -> No
     assert floor_of(stuck)[5] == "0"
 
 
+def pressed_block(friction: float | None = None) -> cq.ContactProblem:
+    """Return a block of 1 by 0.5 whose top is pushed down by 0.02 onto a round punch below its middle."""
+    block = cq.Body(cq.rectangle(1.0, 0.5, (8, 4), "quad4"), cq.Material(1.0, 0.3), "plane-strain", name="block")
+    structure = cq.Structure([block])
+    system = structure.assemble([cq.Support("block", "top", 0), cq.Support("block", "top", 1, -0.02)])
+    punch = cq.pair(structure.surface("block", "bottom"), cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0))
+    return system.problem([punch], friction=friction, units={"length": "m", "force": "MN"})
+
+
+def test_contacts_of_bodies_are_printed_with_their_places_and_the_largest_force_with_its_own() -> None:
+    for friction in (None, 0.3):
+        solution = cq.solve(pressed_block(friction))
+        lines = str(solution).splitlines()
+        assert "  largest force: contact 4 at (0.5, 0) m" in lines
+        assert "largest force: contact 4 at (0.5, 0) m" in solution._repr_html_()
+        assert max(map(len, lines)) <= 80
+    lines = str(cq.solve(pressed_block())).splitlines()
+    assert any(line.endswith("at [m]") for line in lines)
+    assert any(line.split()[:2] == ["contact", "4"] and line.endswith("(0.5, 0)") for line in lines)
+    long = [f"a name of a contact that takes half of a line, {i}" for i in range(9)]
+    named = str(cq.solve(pressed_block(0.3).replace(contact_names=long)))
+    assert f"largest force: {long[4]} at (0.5, 0) m" in named
+    assert "at [m]" not in named
+    assert "largest force:" not in str(cq.solve(TRUSS))
+
+
 def test_a_small_force_far_from_large_ones_is_printed() -> None:
     """What meets at a contact's own unknowns decides, not the largest force of the problem."""
     apart = cq.ContactProblem(stiffness=np.eye(2), load=[1e9, 2e-9], normal=np.eye(2), gap=[0.0, 1e-9])

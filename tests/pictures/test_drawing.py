@@ -117,7 +117,7 @@ def test_the_picture_of_two_bodies():
         "undeformed",
         "rigid obstacle",
         "contact pressure, at most 3 N/mm²",
-        "load, in all 0 and -6 N along x and y",
+        "load, in all 0 and -6 N along x and y, longest arrow 2 N",
         "closed (9)",
     ]
     loads = drawn["loads"]

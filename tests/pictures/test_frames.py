@@ -92,7 +92,7 @@ def test_the_load_of_the_truss_is_an_arrow_that_ends_at_its_foot():
     np.testing.assert_allclose(arrow.get_offsets()[0] + [arrow.U[0], arrow.V[0]], foot)
     np.testing.assert_allclose([arrow.U[0], arrow.V[0]], 0.14 * 6 * np.array([0.6, -1.0]))  # 60 kN and -100 kN
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "load, in all 60 and -100 kN along x and z" in labels
+    assert "load, in all 60 and -100 kN along x and z, longest arrow 116.6 kN" in labels
 
 
 @pytest.mark.parametrize(("axis", "across"), [("x", 1), ("z", 0)])

@@ -7,11 +7,14 @@ import io
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import contactqp as cq
 from contactqp.scene.judging import Failure, Judgement, Trial, judge
 from contactqp.scene.scene import load_scene
 from contactqp.study.answer_pictures import answer_pictures
+from tests.model.test_summary import pressed_block
 
 pytest.importorskip("matplotlib")
 CASES = Path(__file__).parents[2] / "cases"
@@ -50,6 +53,26 @@ def test_few_arrows_keep_their_colour_beside_large_bodies() -> None:
     assert drawn.history is None  # one instant
     assert _farthest(_read(drawn.answer), ORANGE) < 25
     assert len(drawn.answer or b"") < 40_000
+
+
+def test_a_solution_of_bodies_is_drawn_on_them_also_under_another_load() -> None:
+    problem = pressed_block()
+    drawn = cq.draw(cq.solve(problem))
+    assert drawn.axes[0].get_xlabel() == "x [m]"
+    assert not any("load" in text.get_text() for text in drawn.legends[0].get_texts())
+    pushed = problem.replace(load=problem.load + np.where(np.arange(problem.dimension) == 0, -1e-4, 0.0))
+    loaded = cq.draw(cq.solve(pushed))
+    assert any("load, in all -0.0001 and 0 MN" in text.get_text() for text in loaded.legends[0].get_texts())
+
+
+def test_bodies_that_a_problem_does_not_know_are_no_picture_and_a_line_says_what_to_pass() -> None:
+    parts = ("stiffness", "load", "normal", "gap", "near_null_space")
+    problem = pressed_block()
+    bare = cq.ContactProblem(**{name: getattr(problem, name) for name in parts})
+    drawn = cq.draw(cq.solve(bare))
+    assert any("system=..., contacts=[...]" in text.get_text() for text in drawn.texts)
+    wall = cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0])
+    assert not any("system=" in text.get_text() for text in cq.draw(cq.solve(wall)).texts)
 
 
 def test_why_there_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
