@@ -166,7 +166,7 @@ def run_algorithm(
     accepted: Accepted,
     polish: bool = True,
 ) -> Outcome:
-    """Iterate until an iterate, or what Newton's method makes of one, is accepted; else the best there was.
+    """Iterate until an iterate, refined by Newton's method where that helps, is accepted; else return the best one.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def run_any(
     refuse_none: Callable[[], None] = lambda: None,
     attempts: int = len(ATTEMPTS),
 ) -> Outcome:
-    """Newton's method from a start; then from what other algorithms make of it, until one is accepted.
+    """Run Newton's method from a start, then from iterates of other algorithms, until an answer is accepted.
 
     `refuse_none` raises where there is no answer; it is asked behind the short attempts. `attempts` are so many of
     `ATTEMPTS`.

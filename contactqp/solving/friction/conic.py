@@ -49,7 +49,7 @@ class ConicProgram:
 
 
 def solve_conic(program: ConicProgram, solver: str, settings: Settings) -> tuple[Vector, Vector]:
-    """x and the multipliers z of the rows, P x + c + A'z = 0.
+    """Solve a conic program for x and the multipliers z of its rows, P x + c + A'z = 0.
 
     Raises
     ------
@@ -177,10 +177,7 @@ def _resisting(V: Array, mu: Vector) -> Array:
 
 
 def balancing_forces(form: LocalForm) -> Array | None:
-    """Forces (m, d) in their cones that balance the load along free motions best, V'r = -s; None where there is none.
-
-    Nothing is said of whether they balance it.
-    """
+    """Return forces (m, d) in their cones with the least |V'r + s|; None where there is no load s."""
     hard = np.flatnonzero(form.joint_signs < 0)
     V, s = form.V[:, hard], form.s[hard]
     if not np.any(s):
@@ -210,7 +207,7 @@ def balancing_forces(form: LocalForm) -> Array | None:
 
 
 def interior_margin(form: LocalForm) -> float:
-    """The largest x <= 1 with W y + V l + q - x e_N in K* for some y and l; positive: a solution exists.
+    """Return the largest x <= 1 with W y + V l + q - x e_N in K* for some y and l; where positive, a solution exists.
 
     Scaled: contacts have a compliance of one and q has entries of size one.
     """

@@ -47,7 +47,7 @@ BALANCED = 1e-12
 
 
 class ContactOperator:
-    """W, V and what leads from forces at contacts to displacements.
+    """The operators W and V of a problem's contacts, and the map from contact forces to displacements.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class ContactOperator:
         self._whole, self._uncertain = _whole_motions(condensation, rows, self.basis @ self.motions)
 
     def start(self, value: Vector) -> Vector:
-        """x0 (p,) of least norm.
+        """Return x0 (p,) of least norm.
 
         Raises
         ------
@@ -144,7 +144,7 @@ def _null_motions(rows: FrictionalRows, basis: Any) -> Array:
 
 
 class ContactForm:
-    """The local form of one contact problem, and the way back.
+    """The local form of one contact problem, and the map from its forces back to the bodies.
 
     Attributes
     ----------

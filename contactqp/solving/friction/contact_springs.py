@@ -32,7 +32,7 @@ NAME = "contact springs"
 def with_contact_springs(
     problem: ContactProblem, penalty: ArrayLike, tangential_penalty: ArrayLike | None = None
 ) -> ContactProblem:
-    """The problem whose exact answer is the penalised answer to this one.
+    """Return the problem whose exact answer is the penalised answer to this one.
 
     Parameters
     ----------

@@ -190,7 +190,7 @@ def refuse_many(contacts: int) -> str | None:
 
 
 def _equilibrated(matrix: Array) -> tuple[Array, Array]:
-    """Factors of rows and columns (b, q) that make their largest entries about one (Ruiz 2001).
+    """Return factors of rows and columns (b, q) that bring their largest entries near one (Ruiz 2001).
 
     Without them the compliance of a soft body, a thousand times that of a stiff one, makes what is left of the stiff
     one's system look singular.
@@ -219,7 +219,7 @@ class Equilibrium:
 
 
 def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple[Equilibrium, ...]:
-    """Every equilibrium that differs from the others in its displacement; none is an empty tuple.
+    """Return every equilibrium that differs from the others in its displacement; an empty tuple if there is none.
 
     Where contacts are redundant, many forces belong to one displacement: one of them is given.
 

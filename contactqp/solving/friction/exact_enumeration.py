@@ -136,7 +136,7 @@ class ExactEquilibrium(ReadOnly):
 @checked
 @own_floating_point
 def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquilibrium, ...]:
-    """All equilibria of a frictional problem in the plane in rational numbers, by all combinations of states.
+    """Return all equilibria of a frictional problem in the plane in rational numbers, by all combinations of states.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def _array(values: list[Fraction]) -> NDArray[Any]:
 
 
 def has_local_equilibrium(problem: LocalProblem) -> bool:
-    """Whether some forces (r, l) satisfy V'r + R l + s = 0 and, with u = W r + V l + q, Coulomb's law at every contact.
+    """Return whether forces (r, l) with V'r + R l + s = 0 satisfy Coulomb's law at every contact, u = W r + V l + q.
 
     Every combination of open, stick and slip either way is a linear system and a list of signs, decided exactly; the
     problem is in the plane, and there are at most 4^m of them.

@@ -119,7 +119,7 @@ class ForceSystem:
         return self._answer(status, lengths, y, left)
 
     def undetermined(self, status: Status) -> bool:
-        """Whether a combination leaves free where its closed contacts and its ties go.
+        """Return whether a combination leaves free where its closed contacts and its ties move.
 
         Forces of redundant contacts may be free, and rigid motions that take none of these along.
         """
@@ -134,7 +134,7 @@ class ForceSystem:
         return bool(np.any(abs(moved) > UNDETERMINED))
 
     def same(self, one: CombinationAnswer, other: CombinationAnswer, loaded: Mask, tolerance: float) -> bool:
-        """Whether two answers differ by no more than a rigid motion that takes no loaded contact along, nor any that
+        """Return whether two answers differ only by a rigid motion that moves no loaded contact, nor any that
         pushes in one of them; lengths up to the tolerance."""
         moved = np.concatenate([other.gap - one.gap, one.slip - other.slip])
         rigid = self.slope[: len(moved), len(self.slope) :] @ (one.motion - other.motion)

@@ -57,7 +57,7 @@ def solve_newton(
     max_iter: int | None = None,
     time_limit: float | None = None,
 ) -> NewtonAnswer:
-    """Coulomb's answer, from the combination of `start`, else from all contacts that touch stuck.
+    """Find Coulomb's answer from the combination of `start`, or from all touching contacts stuck.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def search(
     max_iter: int | None = None,
     until: float | None = None,
 ) -> tuple[CombinationAnswer, int]:
-    """The combination whose signs hold, and how many were solved; contacts `held_open` (m,) may overlap.
+    """Return the combination whose signs hold and the number of those solved; contacts `held_open` (m,) may overlap.
 
     Raises
     ------

@@ -47,7 +47,7 @@ class LocalAnswer:
 def solve_on_contacts(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, algorithm: str | None
 ) -> LocalAnswer:
-    """Coulomb's answer by `algorithm`, a name of `algorithms.ALGORITHMS`; None tries one after another.
+    """Find Coulomb's answer by `algorithm`, a name of `algorithms.ALGORITHMS`; None tries one after another.
 
     Raises
     ------

@@ -51,7 +51,7 @@ COMPLIANT = 30.0
 
 
 def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNewtonAnswer:
-    """Coulomb's answer in the plane, of bodies that are held.
+    """Find Coulomb's answer in the plane for bodies that are held.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _first(problem: ContactProblem, settings: Settings) -> Status:
 
 
 def _plain(rows: SparseFrictionalRows, status: Status) -> Status:
-    """A combination in which what has no friction slips on where it is closed: either way says the same."""
+    """Return a combination in which closed contacts without friction have one state, SLIP_ON."""
     return np.where((~rows.slides | (rows.coefficient <= 0)) & (status != OPEN), SLIP_ON, status).astype(np.int8)
 
 

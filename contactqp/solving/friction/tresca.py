@@ -63,7 +63,7 @@ class _Step:
 def solve_tresca(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
 ) -> TrescaAnswer:
-    """Coulomb's answer by steps of a convex method.
+    """Find Coulomb's answer by steps of a convex method with the friction bounds of the step before.
 
     `settings.max_iter` counts Tresca problems; `settings.time_limit` is for all of them. The first bound is that of
     `settings.warm_start`, else that of the answer without friction, else, where friction holds the bodies, of the
@@ -187,7 +187,7 @@ class _Run:
         return _Step(u, force, friction, tie[len(stuck) :])
 
     def _convex_answer(self, inner: ContactProblem, added: int) -> tuple[Vector, Vector, Vector]:
-        """Displacement, contact and tie forces by the convex method, in what is left of the time.
+        """Return displacement, contact and tie forces by the convex method, within the remaining time.
 
         The last `added` unknowns have no stiffness.
         """

@@ -67,7 +67,7 @@ def methods() -> tuple[Method, ...]:
 
 
 def register(method: Method) -> None:
-    """Add a method of one's own: `solve`, `compare` and `methods` know it by its name from then on.
+    """Add a method, which `solve`, `compare` and `methods` know by its name from then on.
 
     Raises
     ------

@@ -32,7 +32,7 @@ UNFELT = 1e-9
 
 
 def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
-    """The contact set of the solution, and the answer on it.
+    """Find the contact set of the solution, and the answer on it.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
 def solve_condensed(
     problem: ContactProblem, condensation: Condensation, settings: Settings, shown: ContactProblem | None = None
 ) -> Candidate:
-    """`solve_active_set` with the displacement of the unknowns that a condensation retains, which is not expanded.
+    """Run `solve_active_set` on a condensation; the displacement is that of the retained unknowns.
 
     Where no set is found Lemke's method is shown the condensed problem, or the one given as `shown`.
     """
@@ -154,7 +154,7 @@ def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
 
 
 def _closed_by(data: tuple[Array, Vector, NDArray[np.bool_], Vector], force: Vector, limit: int) -> tuple[Vector, int]:
-    """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back.
+    """Return scaled forces of the anchored problem by primal-dual steps, then by the finite method where these cycle.
 
     `data` are those of `Delassus.dual_data`.
     """

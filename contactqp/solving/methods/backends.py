@@ -214,7 +214,7 @@ DEVELOPERS_WARNINGS = (DeprecationWarning, PendingDeprecationWarning, FutureWarn
 
 
 def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings: Settings) -> Candidate:
-    """min 1/2 u'K u - f'u subject to E_N u <= g, A u = b, by one backend; l_N is its dual z, nu its dual y.
+    """Minimise 1/2 u'Ku - f'u over E_N u <= g, A u = b by one backend; l_N is its dual z, nu its dual y.
 
     `settings.tolerance` is passed to every tolerance the backend has: defaults are wrong by up to 4e-3 in the forces.
 

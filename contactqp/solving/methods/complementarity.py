@@ -41,7 +41,7 @@ Dense = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """Displacements and tie forces without contact and per unit contact force, and the rigid motions that remain.
+    """Return displacements and tie forces without contact and per unit contact force, and the remaining rigid motions.
 
     u = free - response l + motions a;   nu = tie_free - tie_response l;   motions'(f - E_N' l) = 0
     """
@@ -157,7 +157,7 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
 
 
 def _without_rounding(values: Dense, sizes: Dense) -> Dense:
-    """Values, zero where they are no more than what rounding makes of terms of these sizes.
+    """Return values, set to zero where they are within the rounding of terms of these sizes.
 
     Pivots follow signs: a contact on an unknown that a tie holds has neither a gap nor a compliance, and what rounding
     has made of them would lead nowhere. There nothing meets but rounding, and sizes are those of contacts elsewhere:

@@ -63,7 +63,7 @@ class Sets:
         return FloatingBodies(self.problem)
 
     def step(self, closed: Mask, preference: Indices) -> Step:
-        """The equality problem of a set.
+        """Solve the equality problem of a set.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class Sets:
         return self.enforce(closed, preference)
 
     def change_one(self, closed: Mask, wrong: Mask) -> Step:
-        """The step on the next set: the `wrong` contact of least index changes sides, with an exchange where it must.
+        """Return the step on the next set, in which the `wrong` contact of least index has changed sides.
 
         Parameters
         ----------

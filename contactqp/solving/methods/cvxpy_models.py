@@ -18,7 +18,7 @@ NAME = "cvxpy"
 
 
 def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
-    """min 1/2 u'K u - f'u subject to E_N u <= g and A u = b, as cvxpy sentences; the forces are their dual values.
+    """Minimise 1/2 u'Ku - f'u over E_N u <= g, A u = b, stated in cvxpy; the forces are the dual values.
 
     cvxpy's dual of E_N u <= g is l_N >= 0, and that of A u == b is nu, in the signs of K u + E_N' l_N + A' nu = f.
 

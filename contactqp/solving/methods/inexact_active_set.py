@@ -59,7 +59,7 @@ ENERGY, BOUND = 1e-7, 3e-7
 
 
 def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings, energy: float = ENERGY) -> Candidate:
-    """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found.
+    """Find displacement and forces on a set that their signs confirm; `claimed` is False where none was found.
 
     `energy` is the error in energy on that set, over the energy of the contact forces.
     """
@@ -149,7 +149,7 @@ class _Search:
             self.closed = self.way.supported(self.problem, self._following(), self.x)
 
     def _following(self) -> NDArray[np.bool_]:
-        """The set that the signs lead to; one that shrinks again and again does so by layers that double.
+        """Return the set that the signs lead to; a set that keeps shrinking does so by layers that double.
 
         From the first that goes too far on, half as many at most.
         """

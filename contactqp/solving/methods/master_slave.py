@@ -83,7 +83,7 @@ def _enforce_friction(problem: ContactProblem, status: Status, preference: Indic
 
 
 def choose_slaves(rows: Matrix) -> Indices:
-    """As many unknowns as there are rows, such that the square matrix C_s of their columns is well conditioned.
+    """Return as many slave unknowns as there are rows, such that the square matrix C_s is well conditioned.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def choose_slaves(rows: Matrix) -> Indices:
 
 
 def transformation(rows: Matrix, values: Vector, slaves: Indices) -> tuple[Matrix, Vector]:
-    """B and c of u = B u_m + c, the displacements that satisfy C u = q (the course chapter, eqs 2.17-2.19).
+    """Return B and c of u = B u_m + c, the displacements that satisfy C u = q (the course chapter, eqs 2.17-2.19).
 
     Parameters
     ----------

@@ -164,7 +164,7 @@ class _Loop:
         return None
 
     def _untried(self, status: Status, last: Mask) -> FrictionalStep | None:
-        """The system of a status, `last` the contacts that are left out first should rows be dependent.
+        """Return the system of a status; of dependent rows those of the contacts `last` are left out first.
 
         None where it has been tried or is singular.
         """

@@ -143,7 +143,7 @@ def frictional_springs(rows: StatusRows, beta: Vector) -> tuple[Matrix, Vector]:
 def spring_stiffnesses(
     name: str, problem: ContactProblem, settings: Settings, normal: Vector, *, zero: bool = False
 ) -> tuple[Vector, Vector]:
-    """Normal and tangential springs (m,) [force / length]; `tangential_penalty`, or as stiff as the normal ones.
+    """Return normal and tangential spring stiffnesses, (m,) each [force / length]; equal without `tangential_penalty`.
 
     Raises
     ------

@@ -32,7 +32,7 @@ class SingularSystem(NotConverged):
 def binding_rows(
     name: str, problem: ContactProblem, closed: Mask, preference: Indices
 ) -> tuple[Matrix, Vector, Indices, Indices]:
-    """The rows of the ties and of the closed contacts, without those that follow from others.
+    """Return the rows of the ties and of the closed contacts, without those that follow from others.
 
     Ties come first, then the closed contacts in the order of `preference`; a row that depends on those before it is
     left out, and its multiplier is zero.
@@ -60,7 +60,7 @@ def binding_rows(
 
 
 def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> None:
-    """Whether the ties that follow from the `kept` ones say the same as they do: b_i = c'b where A_i = c'A.
+    """Return whether the ties that follow from the `kept` ones agree with them: b_i = c'b where A_i = c'A.
 
     Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish.
 
@@ -110,7 +110,7 @@ def spread(values: Vector, where: Indices, size: int) -> Vector:
 
 
 def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: bool = False) -> Vector:
-    """A stiffness per contact (m,) from a number or an array of m numbers, positive (or not negative) and finite.
+    """Return a stiffness for each contact (m,) from one number or m numbers, positive (or nonnegative) and finite.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def _sparse_lu(matrix: Matrix) -> Solver | None:
 
 
 def _hopeless(matrix: Matrix, solve: Solver) -> bool:
-    """Whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, with the diagonal R and C that equilibrate M.
+    """Return whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, diagonal R and C equilibrating M.
 
     With them, stiffness beside penalty or beside multiplier rows is not mistaken for singularity. For a symmetric M
     they are the same.

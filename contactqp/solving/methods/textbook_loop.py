@@ -47,7 +47,7 @@ class Budget:
 def last_candidate(
     name: str, step: Step | FrictionalStep, reason: str, history: Sequence[float], together: int | None
 ) -> Candidate:
-    """The last step of a loop that ended for a reason, claimed where it left nothing wrong.
+    """Return the last step of a loop that ended for a reason; it is claimed where no contact is wrong.
 
     `together` is how many iterations changed all wrong contacts at once, None if all did.
     """
@@ -80,7 +80,7 @@ class Sizes:
         return cls(problem, bodies, abs(problem.stiffness))
 
     def forces(self, displacement: Vector, pushes: tuple[tuple[Any, Vector], ...]) -> Vector:
-        """F_j, the size of the forces that meet at unknown j (n,) [force].
+        """Return F_j, the size of the forces that meet at unknown j (n,) [force].
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Sizes:
         return np.asarray(meeting)
 
     def noise(self, displacement: Vector, forces: Vector, holds: tuple[Hold, ...]) -> Noise:
-        """What rounding makes of forces and lengths at this displacement (n,) where forces (n,) meet.
+        """Return the rounding of forces and lengths at this displacement (n,) where forces (n,) meet.
 
         The rounding of F_k moves unknown k by 16 eps F_k / K_kk, and its neighbours j feel |K_jk| times that. Rows that
         `holds` say are equations move their unknowns as well.
@@ -107,7 +107,7 @@ class Sizes:
         return Noise(np.abs(displacement), forces, shaken, moved, self.bodies)
 
     def _moved_by(self, rows: Any, limits: Vector, held: Mask, displacement: Vector) -> Vector:
-        """(n,) what rounding of E_i u = g_i moves: 16 eps (|E_i||u| + |g_i|) D_j^2 |E_ij| / |E_i D|^2 at unknown j.
+        """Return the displacement (n,) by rounding of E_i u = g_i: 16 eps (|E_i||u| + |g_i|) D_j^2 |E_ij| / |E_i D|^2.
 
         That is the least motion, in unknowns where the stiffness has a unit diagonal, which makes up for it. An unknown
         that should be zero may have no other size than this, where neither force nor stiffness is.
