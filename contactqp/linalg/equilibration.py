@@ -219,7 +219,7 @@ def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Ve
     of_row, of_column, found = np.zeros(len(sizes)), np.zeros(sizes.shape[1]), np.unique(group)
     in_group = group[None] == found[:, None]
     for _ in range(BALANCING_SWEEPS):
-        of_row = -_mean(logarithm + of_column, there, 1)
+        of_row = -_mean_of_rows(logarithm + of_column, there)
         each = np.sum(np.where(there, logarithm + of_row[:, None], 0.0), axis=0) @ in_group.T
         count = np.sum(there, axis=0) @ in_group.T
         of_column = -(each / np.maximum(count, 1)) @ in_group
@@ -227,12 +227,12 @@ def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Ve
     return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
 
 
-def _mean(values: Array, there: Any, axis: int) -> Vector:
-    return np.asarray(np.sum(np.where(there, values, 0.0), axis=axis) / np.maximum(np.sum(there, axis=axis), 1))
+def _mean_of_rows(values: Array, there: Any) -> Vector:
+    return np.asarray(np.sum(np.where(there, values, 0.0), axis=1) / np.maximum(np.sum(there, axis=1), 1))
 
 
 def unknown_scale(problem: ContactProblem) -> Array:
-    """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
+    """Return D (n,): 1/sqrt(K_jj), or without stiffness what makes the unknown's largest row entry like others'."""
     if problem._computed.unknown_scale is not None:
         return problem._computed.unknown_scale
     D = problem.own_scale.copy()

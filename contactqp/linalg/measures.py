@@ -380,18 +380,26 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
     return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
 
 
-def lengths_that_meet(
-    problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH
-) -> Vector:
+def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
-    It is zero where it is no more than `rounding` |E_i D| max_j |u_j / D_j| of the displacements of the bodies that the
-    row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
+    It is zero where it is no more than the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies
+    that the row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
     measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    rows : (r, n) CSR matrix
+        E, rows of the problem.
+    limit : (r,) array
+        g of these rows [length].
+    displacement : (n,) array
+        u, which may be without its rigid part.
     """
     sizes = row_sizes(problem, rows)
     length = sizes.lengths(abs(displacement)) + abs(limit)
-    least = rounding * np.sqrt(sizes.compliance)
+    least = ROUNDING_OF_LENGTH * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if np.any(length <= least * np.max(size, initial=0.0)):
         length = at_rest_infinite(rows, length, least, _largest_of_bodies(problem, size))

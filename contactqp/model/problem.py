@@ -159,7 +159,7 @@ class ContactProblem:
             dof_names=read_names("dof_names", dof_names, n),
             contact_names=read_names("contact_names", contact_names, m),
             tie_names=read_names("tie_names", tie_names, A.shape[0]),
-            near_null_space=read_motions("near_null_space", near_null_space, n),
+            near_null_space=read_motions(near_null_space, n),
             units=read_units(units),
         )
         self._keep(values, Computed())

@@ -253,7 +253,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     """A stiffness K with its asymmetry and the part of it that was rounding of digits along rigid motions."""
     dense = not sp.issparse(value)
     if dense and (definite := _definite(value)) is not None:
-        read_motions("near_null_space", motions, len(definite))
+        read_motions(motions, len(definite))
         return read_only(definite), 0.0, 0.0
     K = _sparse("stiffness", value)
     n = K.shape[0]
@@ -286,7 +286,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
                 f"of sqrt(K[{i}, {i}] K[{j}, {j}]) (at most {SYMMETRY_TOLERANCE:g} is symmetrised)"
             )
         K = sp.csr_array((K + K.T) / 2)
-    stated = read_motions("near_null_space", motions, n)
+    stated = read_motions(motions, n)
     if n <= DEFINITENESS_CHECK_SIZE and _resists_every_motion(K.toarray()):
         return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, 0.0
     cleared = clear_of_printing(K, stated)
@@ -409,13 +409,13 @@ def read_matrix(name: str, value: Any) -> Any:
     return _sparse(name, value)
 
 
-def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
+def read_motions(value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
     if value is None:
         return None
-    motions = read_array(name, value)
+    motions = read_array("near_null_space", value)
     if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
-        raise InvalidProblem(f"{name}: expected shape ({n}, q), one motion a column, got {motions.shape}")
-    _finite(name, motions)
+        raise InvalidProblem(f"near_null_space: expected shape ({n}, q), one motion a column, got {motions.shape}")
+    _finite("near_null_space", motions)
     return read_only(motions)
 
 

@@ -237,7 +237,7 @@ def _solve(
             if not (problem.frictional and may_be_factorised(problem)):
                 raise
             with factorised(problem):
-                return _after(error, solve(problem, method, warm_start=warm_start, **same), "factorised")
+                return _factorised_after(error, solve(problem, method, warm_start=warm_start, **same))
         if constraints_are_many(problem):
             if not problem.frictional:
                 raise  # the other routes condense
@@ -284,11 +284,11 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
 CERTIFIED = "its answer is certified"
 
 
-def _after(error: NotCertified | NotConverged, found: Solution, route: str) -> Solution:
-    """Return a solution found by another route with the message on the route that failed."""
+def _factorised_after(error: NotCertified | NotConverged, found: Solution) -> Solution:
+    """Return a solution found by factorising with the message and the work of the iteration that failed."""
     first = error.solution
     spent = first.work if isinstance(first, Solution) else Work()
-    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{route}: {CERTIFIED}")))
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"factorised: {CERTIFIED}")))
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
