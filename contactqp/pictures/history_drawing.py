@@ -223,7 +223,7 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
         if place < len(panels) - 1:
             drawn.tick_params(labelbottom=False)
     draw_labels(axes[0], found)
-    axes[len(panels) - 1].set_xlabel(time_label(fields, time_unit))
+    axes[len(panels) - 1].set_xlabel(time_label(fields, time_unit, history.time_label))
     if load is not None:
         _draw_load(axes[-1], load, fields)
     if remarks:

@@ -203,11 +203,11 @@ def time_panels(fields: HistoryFields, time_unit: str) -> list[Panel]:
     return [panel for panel in panels if panel.curves]
 
 
-def time_label(fields: HistoryFields, time_unit: str) -> str:
-    """Return the label below the panels of `time_panels`."""
+def time_label(fields: HistoryFields, time_unit: str, stated: str) -> str:
+    """Return the label below the panels of `time_panels`; of a motion without a unit what its history has `stated`."""
     if fields.moving:
-        return f"time [{time_unit}]" if time_unit else "time"
-    return "load factor" if fields.proportional else "pseudo-time"
+        return f"time [{time_unit}]" if time_unit else stated
+    return "load factor" if fields.proportional else "pseudo-time [legs]"
 
 
 def chosen_contacts(fields: HistoryFields) -> Index:
@@ -301,7 +301,8 @@ def load_panel(fields: HistoryFields) -> Panel | None:
 
     One load that grows and shrinks: its factor over the displacements of up to four loaded unknowns. Several loads on
     up to four unknowns: the force on each over its displacement. Loads on more unknowns: over their mean displacement
-    p'u / sum |p|, p the load; for several loads the force is that of each, sum |p|, so that the area is its work.
+    p'u / sum |p|, p the load; for several loads the force is that of each, sum |p|, so that the area is its work, and
+    each is called after the pseudo-time from which it grows: ``load 2, from 1 on``.
     """
     if fields.load is None or not np.any(fields.load):
         return None
@@ -315,8 +316,17 @@ def load_panel(fields: HistoryFields) -> Panel | None:
     x_label = f"mean displacement along the load [{style.length_unit(fields.problem.units)}]"
     if factor is not None:
         return Panel(_factor_label(fields), (Curve("all loaded", factor, ALL),), x=x, x_label=x_label)
-    curves = tuple(Curve(f"load {i + 1}", part.amount * part.size, i) for i, part in enumerate(parts))
+    curves = tuple(
+        Curve(f"load {i + 1}, from {_first_growth(fields, part):.4g} on", part.amount * part.size, i)
+        for i, part in enumerate(parts)
+    )
     return Panel(f"load [{style.force_unit(fields.problem.units)}]", curves, x=x, x_label=x_label)
+
+
+def _first_growth(fields: HistoryFields, part: Part) -> float:
+    """Return the last pseudo-time at which a part of the loads is still zero, before it first grows."""
+    acts = np.flatnonzero(abs(part.amount) > ROUNDING * np.max(abs(part.amount)))
+    return float(fields.times[max(int(acts[0]) - 1, 0)]) if len(acts) else 0.0
 
 
 def load_factor(fields: HistoryFields) -> Vector | None:

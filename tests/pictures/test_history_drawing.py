@@ -133,7 +133,7 @@ def test_the_loop_of_jenkins(jenkins):
         curve(panel(figure, "friction force"), "contact 0")[1][2:], np.array([1, 1, -1, -1, 1, 1]) * 0.3
     )
     assert curve(panel(figure, "energy"), "dissipated")[1][-1] == pytest.approx(0.525)
-    assert figure.axes[4].get_xlabel() == "pseudo-time"
+    assert figure.axes[4].get_xlabel() == "pseudo-time [legs]"
     # What does not vary but by rounding is no mountain range.
     low, high = panel(figure, "gap").get_ylim()
     assert high - low > 1e-3
@@ -306,12 +306,22 @@ def test_loads_on_many_unknowns_are_drawn_with_their_work():
     first, second = np.r_[1.0, 1, 1, 0, 0, 0], np.r_[0, 0, 0, 2.0, 2, 2]
     history = cq.follow_path(problem, [first, first + second], steps=4)
     axes = panel(history_figure(history), "load")
-    one, two = curve(axes, "load 1"), curve(axes, "load 2")
+    one, two = curve(axes, "load 1, from 0 on"), curve(axes, "load 2, from 1 on")
     np.testing.assert_allclose(one[:, -1], [1.0, 3.0])
     np.testing.assert_allclose(two[:, -1], [1.0, 6.0])
     np.testing.assert_allclose(two[:, :5], 0.0, atol=1e-14)
     work = sum(float(np.sum((y[1:] + y[:-1]) * np.diff(x)) / 2) for x, y in (one, two))
     assert work == pytest.approx(history.energies[-1].work)
+
+
+def test_times_of_a_motion_have_their_unit_or_say_what_they_are_stated_in():
+    drop = cq.ContactProblem(stiffness=[[0.0]], load=[-9.81], normal=[[-1.0]], gap=[1.0])
+    fall = cq.impact(drop, mass=[1.0], displacement=[0.0], velocity=[0.0], duration=0.1, time_step=1e-2)
+    labels = {axes.get_xlabel() for axes in history_figure(fall).axes}
+    assert "time [as time_step]" in labels
+    assert "time [s]" in {axes.get_xlabel() for axes in history_figure(fall, time_unit="s").axes}
+    assert "time [as time_step]" in str(fall)
+    assert "time [as time_step]" in fall.table().columns
 
 
 def test_loads_that_go_back_keep_their_events_in_order():
