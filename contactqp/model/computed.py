@@ -37,8 +37,8 @@ class Computed:
     """
 
     of_stiffness: OfStiffness = field(default_factory=OfStiffness)
-    assembly: Any = None  # elements.structure: the bodies and pairings that the problem was made of
-    contact_points: NDArray[np.float64] | None = None  # elements.structure: (m, d), where the contacts are at first
+    assembly: Any = None  # elements.structure, analysis.large: bodies and contacts that the problem was made of
+    contact_points: NDArray[np.float64] | None = None  # likewise: (m, d), where the contacts of that problem are
     locks: dict[int, Any] = field(default_factory=dict)  # by process
     idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
     acting: Any = None  # certificate.idle_rows: the problem without them

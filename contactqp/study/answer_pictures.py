@@ -26,6 +26,7 @@ from contactqp.pictures.contact_fields import HELD, ContactFields, contact_field
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
+from contactqp.pictures.large_fields import fields_of_solid
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
@@ -193,7 +194,8 @@ def draw(
 ) -> Figure:
     """Draw an answer: bodies and structures where their geometry is known, a history, else forces and gaps as bars.
 
-    A solution of ``system.problem(...)`` knows its bodies. A history is drawn over time or load.
+    A solution of ``system.problem(...)`` knows its bodies, and one of `large_deformation` its solid, which is drawn
+    true to scale. A history is drawn over time or load.
 
     Parameters
     ----------
@@ -278,6 +280,9 @@ def _drawn(
     if isinstance(assembly, Assembly) and all(isinstance(one, Body) for one in assembly.system.structure.bodies):
         of_load = assembly.under(solution.problem.load)
         return figure(contact_fields(of_load, assembly.pairings, solution), title=title, scale=scale)
+    solid = fields_of_solid(solution)
+    if solid is not None:
+        return figure(solid, title=title, scale=1.0 if scale is None else scale)
     drawn = solution_figure(solution, title=title)
     if solution.problem.near_null_space is not None:
         drawn.text(0.01, 0.005, HOW_BODIES, fontsize="x-small", color="0.3", gid="how bodies are drawn")

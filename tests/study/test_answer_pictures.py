@@ -65,6 +65,28 @@ def test_a_solution_of_bodies_is_drawn_on_them_also_under_another_load() -> None
     assert any("load, in all -0.0001 and 0 MN" in text.get_text() for text in loaded.legends[0].get_texts())
 
 
+@pytest.mark.parametrize("supported", [True, False])
+def test_a_solid_at_large_deformation_is_drawn_where_it_is(supported: bool) -> None:
+    """A block between a plane that comes down by a tenth and its supports, or ties, which hold its lower side."""
+    block = cq.Body(cq.rectangle(1.0, 2.0, (2, 4)), cq.Material(1.0, 0.3), "plane-strain", name="block")
+    low = np.flatnonzero(block.mesh.points[:, 1] == 0)
+    plane = cq.ObstacleContact(block.surface("top"), cq.Plane([0.0, 1.8], [0.0, -1.0]), dimension=block.size)
+    solid, held = cq.NonlinearSolid(block), np.concatenate([2 * low, 2 * low + 1])
+    if supported:
+        body = cq.Supported(solid, held)
+        found = cq.large_deformation(body, [np.zeros(body.dimension)], body.contact(plane), steps=1)
+    else:
+        found = cq.large_deformation(solid, [np.zeros(block.size)], plane, steps=1, tie=np.eye(block.size)[held])
+    axes = found[-1].plot().axes[0]
+    drawn = {artist.get_gid(): artist for artist in axes.collections if artist.get_gid()}
+    np.testing.assert_allclose(drawn["closed"].get_offsets()[:, 1], 1.8, atol=1e-12)
+    edges = np.concatenate([np.concatenate(a.get_segments()) for a in axes.collections if a.get_gid() == "deformed"])
+    assert edges[:, 1].max() == pytest.approx(1.8)
+    obstacle = np.concatenate(drawn["obstacle"].get_segments())
+    np.testing.assert_allclose(obstacle[:, 1], 1.8, atol=1e-12)
+    assert "largest force: contact" in str(found[-1])
+
+
 def test_bodies_that_a_problem_does_not_know_are_no_picture_and_a_line_says_what_to_pass() -> None:
     parts = ("stiffness", "load", "normal", "gap", "near_null_space")
     problem = pressed_block()

@@ -282,6 +282,7 @@ def large_solution(
         negative=negative_motions(loaded, balance),
         iterations=balance.iterations,
     )
+    problem._computed.assembly, problem._computed.contact_points = loaded, solution.position
     if settings.exact and not certificate.passed:
         failures = "; ".join(certificate.failures)
         raise NotCertified(f"the certificate refuses the last step: {failures}", solution)
