@@ -260,8 +260,14 @@ def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> l
     return handles
 
 
+# Above all that is drawn, which in space is given numbers as it is sorted by depth.
+NAMES_IN_FRONT = 1000
+
+
 def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) -> None:
-    """Write the names of the nodes, those of near nodes together."""
+    """Write the names of the nodes, those of near nodes together, in front of all lines and with a white edge."""
+    from matplotlib.patheffects import withStroke
+
     at: dict[tuple[int, ...], list[str]] = {}
     first: dict[tuple[int, ...], list[float]] = {}
     for name, place in zip(names, places.tolist(), strict=True):
@@ -269,7 +275,8 @@ def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) ->
         at.setdefault(cell, []).append(name)
         first.setdefault(cell, place)
     for cell, near in at.items():
-        axes.text(*first[cell], f"  {', '.join(near)}", fontsize="small", color="0.3", va="bottom")
+        look: dict[str, Any] = dict(zorder=NAMES_IN_FRONT, path_effects=[withStroke(linewidth=2.5, foreground="white")])
+        axes.text(*first[cell], f"    {', '.join(near)}", fontsize="small", color="0.2", va="bottom", **look)
 
 
 def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: float, size: float) -> list[Array]:

@@ -193,6 +193,14 @@ def test_three_dimensions():
     assert figure.axes[0].get_zlabel() == "z [m]"
 
 
+def test_names_of_nodes_in_space_stand_in_front_of_obstacles_and_arrows():
+    axes = structure_figure(fields("block_on_incline_sideways")).axes[0]
+    axes.figure.canvas.draw()  # which sorts what is in space by its depth
+    (name,) = (text for text in axes.texts if text.get_text().strip() == "block")
+    assert name.get_zorder() > max(artist.get_zorder() for artist in (*axes.lines, *axes.collections))
+    assert name.get_path_effects()
+
+
 def test_an_obstacle_far_away_is_left_to_the_legend():
     figure = structure_figure(fields(tripod("3 m")), scale=100.0)
     assert lines(figure, "obstacle") == []
