@@ -28,7 +28,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import Event
+from contactqp.analysis.history import SIMULTANEOUS, STEADY, Event
 from contactqp.certificate.figures import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
@@ -37,17 +37,14 @@ from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import plane_states
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
+from contactqp.model.unknown_names import NAMES_IN_A_MESSAGE
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 
 # Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
 STEADY_RATE = 1e-11
-# Two events nearer than this part of a leg are one: doubles cannot order them.
-SIMULTANEOUS = 1e-12
 # Gaps, forces and rooms below this part of the largest are zero.
 NOTHING = 1e-12
-# Rates below this part of the largest are zero.
-STEADY = 1e-12
 # Rates that fail by more than this part fail by more than rounding of the data: all do where absence is claimed.
 CLEARLY = 1e-8
 # Rates that leave this part of the load's rate unbalanced are none, however large they are: those of a system that is
@@ -61,7 +58,6 @@ ALL_TRIED = 256
 MOST_TRIED = 4096
 # Steps of the quick search.
 QUICK_STEPS = 40
-NAMES_IN_A_MESSAGE = 8
 WORDS: dict[int, str] = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 
 

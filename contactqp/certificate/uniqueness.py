@@ -289,7 +289,7 @@ def uniqueness(
 
 
 class _State:
-    """Which contacts are closed, stick and slip, by the certificate's measures."""
+    """The contacts that are closed, stick and slip by the certificate's measures."""
 
     def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, tolerance: float) -> None:
         if problem.friction is None or problem.tangent is None or problem.slip_origin is None:

@@ -1,6 +1,6 @@
 """Distribute a ContactProblem over ranks, so that few entries of K couple unknowns of different ranks.
 
-1. Each rank gets an equal share of consecutive rows of the problem (`equal_share`).
+1. Each rank gets an equal share of consecutive rows of the problem (`share_from_first_rank`).
 2. The graph of K is cut on these shares into parts of equal size with few edges between them (`partition_graph`).
 3. Rows go to the ranks of their parts and get new numbers: the nodes of rank 0 first, then those of rank 1, ...
    (`problem_from_share`).

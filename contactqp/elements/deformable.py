@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
+from contactqp.elements.obstacle import RELATIVE_STEP, Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import paired
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.elements.scalars import real_array, real_number, real_vector, unit_vector
@@ -241,8 +241,6 @@ class SupportedContact:
 
 # Of a coordinate: a few operations lie between it and a gap.
 ROUNDING = 16 * np.finfo(float).eps
-# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
-RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
 @checks

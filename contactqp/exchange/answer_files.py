@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 
 from contactqp.exchange import ansys, calculix_results, own_answers
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
-from contactqp.exchange.files import Path, read_bytes
+from contactqp.exchange.files import HEAD, Path, read_bytes
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.model.problem import ContactProblem
 
@@ -23,7 +23,6 @@ READERS: list[AnswerReader] = [
     calculix_results.DAT,
     ansys.RESULT_READER,
 ]
-HEAD = 512
 
 
 def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | None = None) -> AnswerFile:

@@ -20,12 +20,12 @@ from contactqp.exchange.numpy_files import sparse_matrix
 from contactqp.exchange.own_process import read_in_own_process
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.unknown_names import AXES
 
 # The standard header: 100 words of four bytes; its item 2 is the kind of file, item 27 the length of the file in words.
 WORDS, KIND, LENGTH = 100, 2, 28
 FULL, RESULT = 4, 12
 NAMES = {FULL: "Ansys .full", RESULT: "Ansys .rst"}
-AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 
 
 def read_full(path: Path) -> MatrixFile:

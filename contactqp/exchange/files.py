@@ -120,6 +120,10 @@ def file_size(path: Path, expected: str) -> int:
     return found.st_size
 
 
+# First bytes that tell every format which can be told by its content.
+HEAD = 512
+
+
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
     """Return the first bytes of a file, or all.
 

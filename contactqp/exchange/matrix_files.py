@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 
 from contactqp.exchange import ansys, deck_matrices, harwell_boeing, numpy_files, text_matrices
-from contactqp.exchange.files import Path, read_bytes, wrong
+from contactqp.exchange.files import HEAD, Path, read_bytes, wrong
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 
 READERS: list[MatrixReader] = [
@@ -21,8 +21,6 @@ READERS: list[MatrixReader] = [
     ansys.READER,
     text_matrices.TEXT,
 ]
-# First bytes that every format can be told by, where it can be told by its content.
-HEAD = 512
 GZIP = b"\x1f\x8b"
 
 

@@ -37,9 +37,9 @@ from contactqp.exchange.answer_reader import (
     refuse_unit,
     vector,
 )
-from contactqp.exchange.files import Ledger, Path, is_number, one_line, read_bytes, read_text, wrong
+from contactqp.exchange.files import HEAD, Ledger, Path, is_number, one_line, read_bytes, read_text, wrong
 from contactqp.exchange.numpy_files import NUMPY, ZIP
-from contactqp.exchange.tables import HEAD, Table, begins_with, is_table, read_tables
+from contactqp.exchange.tables import Table, begins_with, is_table, read_tables
 from contactqp.exchange.text_matrices import is_matrix_market
 from contactqp.model.problem import ContactProblem
 from contactqp.model.unknown_names import axis_called

@@ -6,7 +6,7 @@
     answer.json    displacement, normal_force, ..., and exact: the same as fractions
 
 Without problem.json files are told by their names (stiffness or K, load or f, normal or E_N, ...) in any format that
-`matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`row_tables`).
+`matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`tables`).
 """
 
 from __future__ import annotations

@@ -21,11 +21,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.exchange.files import Ledger, Path, no_number, number, read_bytes, read_text, wrong
+from contactqp.exchange.files import HEAD, Ledger, Path, no_number, number, read_bytes, read_text, wrong
 from contactqp.model.unknown_names import plain_name
 
 EXPECTED = "a table with named columns"
-HEAD = 512
 SEPARATORS = (";", "\t", ",")
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import SUSPICIOUS_PIVOT, DenseCholesky, SaddlePoint, orthonormal
+from contactqp.linalg.dense import SUSPICIOUS_PIVOT, WRITTEN_OUT, DenseCholesky, SaddlePoint, orthonormal
 from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
@@ -56,8 +56,6 @@ SMALL = 900
 FEW_MORE, PART_MORE = 48, 0.125
 # A printed stiffness that was changed along rigid motions resists none by so little of that change.
 LOST = 1e-2
-# Entries, zeros included, of rows that are cheaper to write out than to look up.
-WRITTEN_OUT = 2**14
 
 
 class Condensation:

@@ -60,7 +60,7 @@ REGULAR = 1e-7
 
 
 class Factorization(Protocol):
-    """What every factorisation of a symmetric positive definite matrix offers."""
+    """A factorisation of a symmetric positive definite matrix, dense or sparse."""
 
     smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
 

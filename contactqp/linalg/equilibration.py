@@ -251,7 +251,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
 
 
 def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
-    """What the entries of rows on unknowns without stiffness are brought to where no row feels anything stiff.
+    """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
 
     A typical D, so that units of force and length change it as they change those of the stiff unknowns.
     """

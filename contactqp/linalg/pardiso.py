@@ -178,7 +178,7 @@ class Pardiso:
 
     @property
     def entries_of_factors(self) -> int:
-        """How many entries the factors have, as the analysis tells; the memory it predicts grows with its threads."""
+        """The number of entries of the factors by the analysis, whose predicted memory grows with its threads."""
         return int(self._settings[ENTRIES])
 
     @property

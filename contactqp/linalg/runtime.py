@@ -60,7 +60,7 @@ class StageClock:
 
     @contextmanager
     def within(self, name: str) -> Iterator[None]:
-        """What happens meanwhile belongs to a stage, unless that has stages of its own."""
+        """Count the time inside the block as that of a stage, apart from stages inside it."""
         self._charge()
         self._outer.append(self._stage)
         self._stage = name
@@ -303,7 +303,7 @@ def _left_of(folder: str, limit: str, used: str, cached: str) -> int | None:
 
 
 def _left_of_address_space() -> int | None:
-    """What `ulimit -v` leaves."""
+    """Return the address space that `ulimit -v` leaves [bytes]."""
     try:
         import resource
 

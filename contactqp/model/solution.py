@@ -87,7 +87,7 @@ class Violations(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Certificate(ReadOnly, Printed):
-    """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
+    """The verdict on an answer: its worst violations, dimensionless, and proven bounds on its errors.
 
     `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
     (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
@@ -192,10 +192,10 @@ def _together(reasons: Iterable[str]) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class LocalCertificate(ReadOnly, Printed):
-    """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
+    """The verdict on forces: the worst violation of any contact, and published errors; `passed` judges the former."""
 
     natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
-    siconos_error: float  # `published_errors.siconos_local_error`, W and q as given; no part of the verdict
+    siconos_error: float  # `siconos_local_error`, W and q as given; no part of the verdict
     penetration: float  # (-u_N)+ as a velocity
     tension: float  # (-r_N)+ as a force
     complementarity: float  # min(u_N, r_N), each in its own measure

@@ -426,7 +426,7 @@ def stated(
     """Return a problem and its answer; `units` are those of length and force, one coefficient of friction holds for
     all.
 
-    `one_displacement` is given where a proof of uniqueness is known that `gallery_uniqueness` does not find.
+    `one_displacement` is given where a proof of uniqueness is known that `only_displacement` does not find.
     """
     rough = bool(tangent)
     data = ExactProblem(

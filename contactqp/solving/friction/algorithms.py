@@ -25,7 +25,7 @@ Accepted = Callable[[Iterate], bool]
 
 @dataclass(frozen=True, eq=False)
 class FoundOnBodies:
-    """What an algorithm found on the bodies themselves, without their local form."""
+    """The answer of an algorithm that works on the bodies themselves, without their local form."""
 
     answer: Answer
     name: str  # of the algorithm, and of the convex method where it takes steps of one
@@ -149,7 +149,7 @@ HARDLY_BETTER = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What an algorithm ended with, and how it is called."""
+    """The last iterate of an algorithm, with the algorithm's name."""
 
     iterate: Iterate
     name: str

@@ -92,7 +92,7 @@ class ConvexSteps:
 
     @property
     def polygons(self) -> str:
-        """What stands in place of the cones, in words."""
+        """Return in words the polygons that replace the cones."""
         if not self.cone_error:
             return ""
         return f" on polygons ({self.facets} sides, {self.polygon}, friction bound up to {self.cone_error:.2g} off)"

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.figures import holds
+from contactqp.certificate.uniqueness import NOTHING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import FrictionalRows, answer_in
@@ -204,8 +205,6 @@ def _equilibrated(matrix: Array) -> tuple[Array, Array]:
     return row, column
 
 
-# Of the largest displacement that the loads make without contacts, what rounding may leave of another.
-NOTHING = 1e-12
 # Displacements that move the contacts alike, to this part of the lengths that meet there, are one.
 SAME = 1e-8
 

@@ -290,7 +290,7 @@ class _Bodies:
 
 
 class _Columns:
-    """What is unknown in a combination: l_N where closed, l_T where it sticks, a; where it slips l_T = s mu l_N."""
+    """The unknowns of a combination: l_N where closed, l_T where it sticks, a; where it slips l_T = s mu l_N."""
 
     def __init__(self, bodies: _Bodies, status: tuple[int, ...]) -> None:
         m = bodies.m

@@ -34,7 +34,7 @@ UNDETERMINED = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Lengths:
-    """What one load and one history make of the system: all in sqrt(energy)."""
+    """The right-hand sides of the system under one load and one history [square root of energy]."""
 
     free: Vector  # (2m + k,) R S^+ f
     target: Vector  # (2m + k,) g, o, b
@@ -97,7 +97,7 @@ class ForceSystem:
         self.resistance = 1.0 / np.where(compliance > SINGULAR, compliance, 1.0)
 
     def lengths(self, problem: ContactProblem, reduced_load: Vector) -> Lengths:
-        """What a load, condensed, and the gaps, origins and tie values of a problem make of the system."""
+        """Return the right-hand sides of a problem's condensed load, gaps, slip origins and tie values."""
         load = reduced_load * self.rows.scale
         target = np.concatenate(self.rows.lengths(problem))
         free, drive = self._from_load @ load, self.rows.motions.T @ load

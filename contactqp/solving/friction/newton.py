@@ -174,7 +174,7 @@ def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
 
 
 def combination_of(problem: ContactProblem, candidate: Candidate | Solution) -> Status:
-    """What the forces and slips of an answer say: closed where it pushes, slipping where E_T u has left the origin."""
+    """Return the states of an answer: closed where it pushes, slipping where E_T u has left the origin."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("combination of a problem without friction")
     origin, u = problem.slip_origin.ravel(), candidate.displacement

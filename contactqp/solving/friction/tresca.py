@@ -114,7 +114,7 @@ def solve_tresca(
 
 
 def _pace(changes: list[float]) -> str:
-    """What the last steps were like, in words."""
+    """Return in words how fast the friction bounds settled in the last steps."""
     if len(changes) < 2 or changes[-2] == 0:
         return "the friction bounds have not settled"
     pace = (changes[-1] / changes[max(-5, -len(changes))]) ** (1 / min(4, len(changes) - 1))

@@ -84,7 +84,7 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
 
 
 def _in_z(basic: Indices) -> Mask:
-    """Which z are basic."""
+    """Return which z are basic (m,)."""
     m = len(basic)
     return np.isin(np.arange(m, 2 * m), basic)
 

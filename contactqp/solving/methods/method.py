@@ -15,7 +15,7 @@ from contactqp.model.solution import Candidate
 
 @dataclass(frozen=True)
 class Settings:
-    """What the caller asks of a method; a method reads what concerns it."""
+    """The settings of a call; a method reads those that concern it."""
 
     tolerance: float = 1e-9  # relative, on the nondimensional problem
     max_iter: int | None = None

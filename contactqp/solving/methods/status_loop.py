@@ -132,7 +132,7 @@ class _Loop:
         return found
 
     def _warm_status(self) -> Status:
-        """What the contacts of a warm start do; those that push stick, where it does not say that they slip."""
+        """Return the statuses of a warm start; contacts that push stick unless it states that they slip."""
         warm = self._settings.warm_start
         if warm is None:
             return np.full(self._problem.contacts, OPEN, dtype=np.int8)
@@ -143,7 +143,7 @@ class _Loop:
         return np.where(warm.normal_force > 0, closing, OPEN).astype(np.int8)
 
     def _closing(self) -> Status:
-        """What contacts do as they close: stick, or without friction slip, whichever way."""
+        """Return the statuses of contacts that close: they stick, or slip without friction."""
         return np.where(self._friction > 0, STICK, SLIP_ON).astype(np.int8)
 
     def _next_step(self, step: FrictionalStep, following: Status) -> FrictionalStep | None:
@@ -193,7 +193,7 @@ class _Loop:
         return self._enforce(status, preference)
 
     def _following(self, step: FrictionalStep) -> Status:
-        """What every contact should do, judged by this answer: wrong by more than rounding, or as it is."""
+        """Return the status that every contact should have by this answer; it changes by more than rounding only."""
         problem, status, friction = self._problem, step.status, self._friction
         if problem.contacts == 0:
             return status
@@ -223,7 +223,7 @@ class _Loop:
         return np.where(closing, self._closing(), found).astype(np.int8)
 
     def _stop(self, wrong: Mask) -> str:
-        """Why the loop ends here, or nothing."""
+        """Return the reason why the loop ends here, or an empty string."""
         if not wrong.any():
             return "open, stick and slip no longer change"
         spent = self._budget.spent(len(self.history))

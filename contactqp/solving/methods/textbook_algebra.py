@@ -321,7 +321,7 @@ class FloatingBodies:
         return bool(np.count_nonzero(felt > NEGLIGIBLE) == r)
 
     def carried(self, rows: Any, forces: Vector) -> Vector:
-        """What rounding of forces (n,) makes of the forces of rows: a floating body hands all to its contacts.
+        """Return the rounding of row forces by that of forces (n,), which floating bodies pass to their contacts.
 
         Each row has the part of the motions that it feels, and what other rows then leave to it: the forces F balance
         the bodies by (E Z)'F = Z'f, and |pinv (E Z)'| times the rounding of Z'f is theirs.

@@ -36,7 +36,7 @@ class Budget:
         self._started = time.perf_counter()
 
     def spent(self, iterations: int) -> str:
-        """Why a loop ends after so many iterations, or nothing."""
+        """Return the reason why a loop ends after so many iterations, or an empty string."""
         if iterations >= self._most:
             return f"stopped after {self._most} iterations"
         if self._seconds is not None and time.perf_counter() - self._started > self._seconds:
@@ -231,7 +231,7 @@ class _Loop:
         return self._sets.change_one(step.bound, incoming | outgoing)
 
     def _stop(self, bound: Mask) -> str:
-        """Why the loop ends here, or nothing."""
+        """Return the reason why the loop ends here, or an empty string."""
         if self.history[-1] == 0:
             return "the set of closed contacts no longer changes"
         if bound.tobytes() in self._seen:
