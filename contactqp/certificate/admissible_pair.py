@@ -132,11 +132,15 @@ def admissible_pair(
     Unproven
         There is none, or refinement does not converge.
     """
-    sets = _believed_sets(problem, answer, condensation)
-    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (sets[0], LAST_CORRECTIONS)):
+    compliance = delassus(condensation).compliance[: problem.contacts]
+    first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
+    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, left)) is not None:
+        return _from_set(problem, answer, condensation, found)
+    sets = _believed_sets(problem, answer, compliance)
+    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
         if (found := _holding(problem, condensation, closed, corrections, answer, left)) is not None:
             return _from_set(problem, answer, condensation, found)
-    if (found := _holding(problem, condensation, sets[0], LAST_CORRECTIONS)) is not None:
+    if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
         return _from_set(problem, answer, condensation, found)
     searched = _searched_set(problem, condensation)
     if (
@@ -144,7 +148,7 @@ def admissible_pair(
         and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, left)) is not None
     ):
         return _from_set(problem, answer, condensation, found)
-    return _from_repair(problem, answer, condensation, sets[0])
+    return _from_repair(problem, answer, condensation, first)
 
 
 def _holding(
@@ -167,16 +171,15 @@ def _holding(
     return on_set if holds else None
 
 
-def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Condensation) -> list[NDArray[np.intp]]:
-    """Return the sets of contacts closed by gap and force together, and, where these disagree, by either alone."""
+def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[NDArray[np.intp], ...]:
+    """Return the contacts closed by gap or by force alone, should these disagree; `compliance` (m,) is W_ii."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
-    compliance = delassus(condensation).compliance[: problem.contacts]
     size = force * np.sqrt(compliance)
-    pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
-    acting = np.flatnonzero(abs(size) > TOUCHING * np.max(abs(size), initial=0.0))  # of the wrong sign, perhaps
-    return [closed_contacts(problem, compliance, u, force), touching, pushing, acting]
+    pushing = np.flatnonzero(size > TOUCHING * abs(size).max(initial=0.0))
+    acting = np.flatnonzero(abs(size) > TOUCHING * abs(size).max(initial=0.0))  # of the wrong sign, perhaps
+    return touching, pushing, acting
 
 
 def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArray[np.intp] | None:
@@ -256,11 +259,11 @@ def rows_on_motions(
 
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
-    length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.doubles.displacement)
+    length = on_set.lengths
     excess = np.maximum(-on_set.gaps, 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
     undecided = _of_noise(problem, condensation, on_set, length)
-    if np.any(excess):
+    if excess.any():
         undecided += _of_penetration(problem, condensation, on_set, excess, length)
     return undecided
 
@@ -272,7 +275,7 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
     """
     gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
-    touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
+    touching = (abs(gap) <= WITHIN_ROUNDING * length).nonzero()[0]
     if not saddle_point(condensation, touching).redundant:
         return 0.0
     moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
@@ -281,7 +284,7 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
     pushing = np.flatnonzero((force > 0) & np.isfinite(length))
     measure = abs(gap) / np.where(length > 0, length, 1.0)
     hidden = np.append(measure[pushing], measure[(gap < 0) & (measure <= ZERO_GAP)])
-    return float(np.sqrt(2 * np.max(hidden, initial=0.0) * (force[pushing] @ length[pushing])))
+    return float(np.sqrt(2 * hidden.max(initial=0.0) * (force[pushing] @ length[pushing])))
 
 
 def _of_penetration(

@@ -150,7 +150,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
     if isinstance(way, Iteration):
         return iterated_bounds(problem, answer, way)
     elastic = _in_elastic_parts(problem)
-    if np.any(elastic) and not np.all(elastic):
+    if elastic.any() and not elastic.all():
         return _apart(problem, answer, elastic)
     return _condensed(problem, answer, left, way)
 
@@ -158,7 +158,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
 def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
     """Return whether each unknown belongs to a part with stiffness (n,); parts are joined by contacts and ties."""
     stiff = problem.diagonal > 0
-    if np.all(stiff) or not np.any(stiff):
+    if stiff.all() or not stiff.any():
         return stiff
     part = parts(problem)
     return np.asarray(np.isin(part, part[stiff]))
@@ -295,7 +295,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
-    nothing_elastic = not np.any(problem.diagonal)
+    nothing_elastic = not problem.diagonal.any()
     relative = None
     largest = float(np.max(own * abs(push), initial=0.0)) if floats else 0.0
     force_bound = None if force_bound is None else force_bound + abs(changed)
@@ -395,19 +395,19 @@ def _force_bound(
     They are (4) on contacts closed in v, and the bound by the gap on those that are open.
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
+    touches = pair.open_gap <= WITHIN_ROUNDING * length
+    active, outside = touches.nonzero()[0], (~touches).nonzero()[0]
     saddle = saddle_point(condensation, active)
     if saddle.redundant:
         return None, REDUNDANT
     m, count = problem.contacts, len(active)
     bound = np.zeros(m)
-    outside = np.setdiff1d(np.arange(m), active)
     bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
     if count:
         unit = np.eye(count)
         nothing = np.zeros((len(condensation.retained), count))
         motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
-        stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
+        stiffness = np.sqrt(np.maximum(-reaction.diagonal(), 0.0))
         bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
         if condensation.rigid.count:
             bound[active] += _out_of_balance(problem, answer, condensation, pair, active)

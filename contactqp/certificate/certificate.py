@@ -33,7 +33,7 @@ from contactqp.certificate.failures import (
     said_of_grazing,
     said_of_printing,
 )
-from contactqp.certificate.figures import balance, violations
+from contactqp.certificate.figures import balance, kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
 from contactqp.certificate.number_range import absurd_parts, near_one
@@ -248,7 +248,7 @@ def _worded(
     problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
 ) -> Certificate:
     found, known, law = measured.found, measured.known, measured.law
-    figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
+    figures = {name: float(getattr(found, name).max(initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = measured.balance
     failures: list[str] = []
     if not all(figure <= tolerance for figure in figures.values()):
@@ -265,7 +265,7 @@ def _worded(
         said += said_of_dependent_ties(problem, measured.dependent)
     return Certificate(
         **figures,
-        natural_map=None if law is None else float(np.max(law, initial=0.0)),
+        natural_map=None if law is None else float(law.max(initial=0.0)),
         energy_error=known.energy_error,
         force_error=known.force_error,
         force_bound=known.force_bound,
@@ -347,7 +347,7 @@ def _residuals_and_bounds(
         left = plain_residuals(problem, answer)
         known = bounds(problem, answer, left, iteration(problem))
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
-    left = residuals(problem, answer)
+    left = kept_residuals(problem, answer)
     if route is _Route.SPARSE:
         known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
@@ -400,7 +400,8 @@ def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     where its slip is more than `tolerance` of the lengths that meet. It is grazing where gap and force are both at most
     `tolerance`, and the force is nothing beside the energy.
     """
-    grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
+    grazing = np.zeros(problem.contacts, dtype=bool)
+    grazing[list(certificate.grazing)] = True
     return status_words(certificate, problem.friction, grazing)
 
 

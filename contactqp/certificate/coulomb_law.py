@@ -17,7 +17,7 @@ twice the move of r and once that of u + mu |u_T| e_N.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ class ContactEntries:
     unknown: NDArray[np.intp]  # (z,)
     values: NDArray[np.float64]  # (w, z)
     contacts: int
+    last: list[Any] = field(default_factory=list)  # forces that met, and `tangential_force` of them
 
     def over(self, meeting: Vector) -> NDArray[np.float64]:
         """Return E_ij / F_j (w, z); where no force meets, an entry counts as much as the contact's largest."""
@@ -80,7 +81,7 @@ def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
 def entries_of(rows: Any, contacts: int) -> ContactEntries:
     """Return the entries of CSR rows, as many rows for each of the contacts."""
     width = rows.shape[0] // contacts if contacts else 1
-    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    row = np.repeat(np.arange(rows.shape[0]), rows.indptr[1:] - rows.indptr[:-1])
     places, at = np.unique(row // width * rows.shape[1] + rows.indices, return_inverse=True)
     values = np.zeros((width, len(places)))
     values[row % width, at] = rows.data
@@ -137,7 +138,7 @@ def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Ca
 
     def measure(force: Array) -> Vector:
         own = across.measure(force)
-        return own if np.all(felt) else np.where(felt, own, np.maximum(own, along.measure(lengths(force)[:, None])))
+        return own if felt.all() else np.where(felt, own, np.maximum(own, along.measure(lengths(force)[:, None])))
 
     return measure
 
@@ -295,6 +296,13 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     It follows from max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a
     contact, and is zero where no force meets.
     """
+    if not entries.last or entries.last[0] is not meeting:
+        entries.last[:] = meeting, _tangential_force(entries, meeting)
+    found: tuple[Vector, NDArray[np.bool_]] = entries.last[1]
+    return found
+
+
+def _tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
     unit = reciprocal(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]

@@ -179,15 +179,15 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     """Return kappa with weights c that make the diagonals of the two matrices alike."""
     rubs = np.flatnonzero(mu > 0)
     m, d, mu_r = len(mu), blocks.shape[1], mu[rubs]
-    tangential = np.r_[[i * d + k for i in rubs for k in range(1, d)]].astype(int)
-    kept = np.r_[np.arange(m) * d, tangential]
-    W = blocks.reshape(m * d, m * d)[np.ix_(kept, kept)]
+    tangential = (d * rubs[:, None] + np.arange(1, d)).ravel()
+    kept = np.concatenate([d * np.arange(m), tangential])
+    W = blocks.reshape(m * d, m * d)[kept[:, None], kept]
     try:
         factor = np.linalg.cholesky(W)
     except np.linalg.LinAlgError:
         return np.inf
-    pivots = np.diag(factor) ** 2
-    if np.min(pivots / np.diag(W)) < SINGULAR:
+    pivots = factor.diagonal() ** 2
+    if (pivots / W.diagonal()).min() < SINGULAR:
         return np.inf
     half = np.linalg.solve(factor, np.eye(len(W)))
     normal = (half.T @ half)[np.ix_(rubs, rubs)]  # S^-1
@@ -195,7 +195,7 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     across = np.max(np.diag(tangent).reshape(len(rubs), d - 1), axis=1)
     weight = np.sqrt(mu_r) * (across / np.diag(normal)) ** 0.25
     other = np.repeat(mu_r / weight, d - 1)
-    scaled = [M * np.outer(w, w) for M, w in ((normal, weight), (tangent, other))]
+    scaled = [M * (w[:, None] * w) for M, w in ((normal, weight), (tangent, other))]
     if not all(np.all(np.isfinite(one)) for one in scaled):
         return np.inf  # compliances so far apart that an inverse leaves the range of floats
     return float(0.5 * np.sqrt(np.prod([np.linalg.norm(one, 2) for one in scaled])))

@@ -26,8 +26,8 @@ CONTRACTION = 0.5
 PIVOTS_FLATTER = 1e3
 # A norm that double precision knows to this part is known well enough for a bound.
 FEW_DIGITS = 1e-4
-# Rounding of v'Kv in extended precision, in units of EPS |v|'|K||v|.
-PRODUCT = 16
+# Rounding of a double, and of v'Kv in extended precision, in units of EPS |v|'|K||v|.
+ROUNDING, PRODUCT = float(np.finfo(float).eps), 16
 # Sweeps of refinement that a response may take, and the part of it that need not be known: good ones need two.
 SWEEPS, ENOUGH = 8, 1e-9
 # A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
@@ -41,10 +41,11 @@ def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float,
     In double precision, unless that rounds away more than a few digits.
     """
     v = displacement.double()
+    u = abs(v)
     square = float(v @ (problem.stiffness @ v))
-    size = float(abs(v) @ (problem.stiffness_sizes @ abs(v)))
+    size = float(u @ (problem.stiffness_sizes @ u))
     terms = problem.dimension + 2  # of the longest sum
-    rounding = float(terms * np.finfo(float).eps * size)
+    rounding = terms * ROUNDING * size
     if rounding > FEW_DIGITS * square:
         square = max(float(displacement.dot(extended_rows(problem).stiffness @ displacement)), 0.0)
         rounding = float(PRODUCT * EPS * size)
@@ -79,7 +80,7 @@ def force_norm(
 ) -> tuple[float, float]:
     """|d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
     d = force.double()
-    if not np.any(d):
+    if not d.any():
         return 0.0, 0.0
     if (tied is False or not problem.ties) and not condensation.rigid.count:
         operator = delassus(condensation)

@@ -14,8 +14,10 @@ Coulomb's law is judged in `contactqp.certificate.coulomb_law`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from operator import is_
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,6 +51,8 @@ from contactqp.linalg.measures import (
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Nothing, Violations
+
+T = TypeVar("T")
 
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14
@@ -210,29 +214,59 @@ def violations(
     rigid : RigidMotions, optional
         The null space of K; none where no body floats.
     """
-    elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
-    size = intrinsic_size(problem, answer, elastic)
+    elastic, size, F = _kept(problem, answer, "sizes", lambda: _meeting(problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
     if none.tangent.size:
         none = slips_that_are_nothing(none, *compliances(problem))
-    inner = problem.stiffness_sizes @ abs(elastic)
-    F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
+    normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
+    if problem.ties:
+        tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
     rubbing = None if problem.tangent is None else rubbing_of(problem, answer, F, none.force)
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),
         Sizes(
             meeting=F,
-            push=force_measure(problem.normal, answer.normal_force, F),
-            felt=force_measure(problem.normal, answer.normal_force, F, none.force),
-            lengths=row_sizes(problem, problem.normal).lengths(abs(elastic)) + abs(problem.gap),
-            tie_lengths=row_sizes(problem, problem.tie).lengths(abs(elastic)) + abs(problem.tie_value),
+            push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
+            felt=force_measure(problem.normal, answer.normal_force, F, none.force, normal),
+            lengths=normal.lengths(moved) + abs(problem.gap),
+            tie_lengths=tie_lengths,
             tangential_lengths=np.zeros(problem.contacts) if rubbing is None else lengths_across(problem, elastic),
-            intrinsic_size=float(np.max(size, initial=0.0)),
+            intrinsic_size=float(size.max(initial=0.0)),
             nothing=none,
         ),
         rubbing,
     )
+
+
+def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """Return the residuals of an answer in extended precision; those of the last answer are kept."""
+    return _kept(problem, answer, "residuals", lambda: residuals(problem, answer))
+
+
+def _kept(
+    problem: ContactProblem, answer: Answer, name: str, make: Callable[[], T], rigid: RigidMotions | None = None
+) -> T:
+    """Return what was made last under a name if it was made of this very answer to this very problem; else make it.
+
+    An answer that its method looks at before it is certified is measured once. Arrays of both cannot be changed.
+    """
+    given = (problem.load, problem.load_size, problem.gap, problem.tie_value, problem.slip_origin)
+    given = (*given, *vars(answer).values(), rigid)
+    known = problem._computed.of_answer.get(name)
+    if known is None or not all(map(is_, known[0], given)):
+        known = problem._computed.of_answer[name] = given, make()
+    found: T = known[1]
+    return found
+
+
+def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:
+    """The displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
+    elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
+    size = intrinsic_size(problem, answer, elastic)
+    inner = problem.stiffness_sizes @ abs(elastic)
+    F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
+    return elastic, size, F
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +325,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
     if not answer.finite():
         return False
     rigid = condense(problem).rigid
-    found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
+    found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
     if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
         return False
     return balance(problem, answer, rigid) <= HOLDS

@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg.extended import velocity_of
+from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.coulomb import directions, lengths, natural_map
@@ -455,3 +455,14 @@ def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
         slip_measure=none,
         force_measure=none,
     )
+
+
+def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
+    """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
+
+    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+    """
+    u = SparseRows(problem.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
+    if joint_force is not None and problem.joints:
+        u = u + SparseRows(problem.bilateral) @ extend(joint_force)
+    return np.asarray(u.double().reshape(problem.contacts, problem.dimension))

@@ -12,7 +12,7 @@ rounded, and no square of a number leaves the range of doubles (1e-308 to 1e308)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,7 @@ class NearOne:
         far = (self.problem.gap >= FAR_AWAY) & (self.problem.gap < np.inf)
         if solution is not None:
             far &= self.problem.normal @ solution.displacement > FAR_AWAY / 2
-        if np.any(far):
+        if far.any():
             i = int(np.argmax(far))
             raise InvalidProblem(
                 f"gap: {self.whole.contact_name(i)} closes only after {self.whole.gap[i]:.3g}, more than 1e90 times "
@@ -191,7 +191,7 @@ class NearOne:
             exponents = np.concatenate([_exponent(proof.normal) - self.contacts, _exponent(proof.tie) - self.ties])
             unit = int(np.max(exponents))
             normal, tie = np.ldexp(proof.normal, -self.contacts - unit), np.ldexp(proof.tie, -self.ties - unit)
-            size = float(max(np.max(abs(normal), initial=0.0), np.max(abs(tie), initial=0.0)))
+            size = float(max(abs(normal).max(initial=0.0), abs(tie).max(initial=0.0)))
             excess, rounding = (float(np.ldexp(x / size, self.length - unit)) for x in (proof.excess, proof.rounding))
             return Conflict(normal / size, tie / size, excess, rounding, proof.exact)
         return proof
@@ -281,7 +281,7 @@ def _units_are_own(problem: ContactProblem) -> bool:
 def _largest(rows: Any) -> Vector:
     """Return the largest entry of each row of a CSR matrix."""
     largest = np.zeros(rows.shape[0])
-    filled = np.flatnonzero(np.diff(rows.indptr))
+    filled = (rows.indptr[1:] > rows.indptr[:-1]).nonzero()[0]
     if filled.size:
         largest[filled] = np.maximum.reduceat(abs(rows.data), rows.indptr[filled])
     return largest
@@ -304,7 +304,7 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
 
 def _uniform_unit(problem: ContactProblem) -> int:
     """Return the exponent of D that brings the largest stiffness near one; without stiffness, loads near lengths."""
-    stiffest = np.max(problem.diagonal, initial=0.0)
+    stiffest = problem.diagonal.max(initial=0.0)
     if stiffest > 0:
         return -(int(_exponent(stiffest)) // 2)
     forces, lengths = _largest_force_and_length(problem)
@@ -421,7 +421,7 @@ def _coefficients(problem: ContactProblem, given: Vector, exponents: Index) -> V
     """Return Coulomb's coefficients for normal and tangential rows in units of their own."""
     found = np.asarray(np.ldexp(given, exponents))
     lost = (found > ABSURD) & (given <= ABSURD)
-    if np.any(lost):
+    if lost.any():
         i = int(np.argmax(lost))
         raise InvalidProblem(
             f"tangent: the rows of {problem.contact_name(i)} are less than 1e-60 of its normal row, measured by the "
@@ -435,7 +435,6 @@ def absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
 
     The answer is one to a problem whose numbers are near one.
     """
-    for part in fields(answer):
-        values = getattr(answer, part.name)
-        if values is not None and values.size and not np.max(abs(values)) <= ABSURD:
-            yield part.name, int(np.unravel_index(np.argmax(abs(values)), values.shape)[0])
+    for name, values in vars(answer).items():
+        if values is not None and values.size and not abs(values).max() <= ABSURD:
+            yield name, int(np.unravel_index(np.argmax(abs(values)), values.shape)[0])

@@ -37,7 +37,7 @@ from contactqp.linalg.extended import extend, extended_rows, plain_residuals, re
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, in_energy, row_sizes
 from contactqp.linalg.sparse_saddle import constraints_are_many
-from contactqp.model.arrays import Array, Mask, Vector, inverse_root
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem
@@ -269,7 +269,7 @@ class _Comparison:
         believed = self._believed()
         found, reason = self._nearest_from(believed, tolerance, nothing)
         slides = (believed == STICK) & self._at_bound()
-        if not np.any(slides) or (found is not None and max(found.relative(nothing).values()) <= tolerance):
+        if not slides.any() or (found is not None and max(found.relative(nothing).values()) <= tolerance):
             return found, reason
         kept = self.redundant, self.displacement, self.compared
         slip = self.slip(extend(self._answer.displacement))
@@ -374,10 +374,10 @@ class _Comparison:
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))
         own_normal, own_tangent = self._own
-        if not np.any(problem.diagonal):  # nothing is elastic: forces are compared as they act
+        if not problem.diagonal.any():  # nothing is elastic: forces are compared as they act
             own_normal, own_tangent = (_squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
             given = abs(answer.normal_force) * np.sqrt(own_normal)
-            whole = max(float(np.max(given, initial=0.0)), float(np.max(problem.load_size, initial=0.0)))
+            whole = max(float(given.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
         of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(rubbed) * np.sqrt(own_tangent))
         if refined.redundant:
             of_contact = np.zeros_like(of_contact)
@@ -398,9 +398,8 @@ class _Comparison:
         return max(float(held), self._bodies.rounding(self._answer.displacement))
 
     def _rubbing_size(self, friction: Array) -> float:
-        assert self._problem.tangent is not None
-        force = self._problem.tangent.T @ friction.ravel()
-        return float(np.linalg.norm(inverse_root(self._problem.diagonal) * force))
+        force = row_sizes(self._problem, self._problem.tangent).resultant(friction.ravel())
+        return float(np.linalg.norm(self._problem.own_scale * force))
 
 
 class _Signs:
@@ -408,7 +407,7 @@ class _Signs:
 
     def __init__(self, of: _Comparison, refined: RefinedState, status: Status) -> None:
         problem, nothing = of._problem, of._found.nothing
-        gap = (extend(problem.gap) - extended_rows(problem).normal @ refined.displacement).double()
+        gap = extended_rows(problem).gap(problem, refined.displacement).double()
         force = refined.normal_force.double()
         self._friction = refined.friction_force.double().reshape(-1, of._width)
         slip = of.slip(refined.displacement)
@@ -423,7 +422,7 @@ class _Signs:
         self._lengths = np.hypot(in_energy(penetrated, own_normal), in_energy(against, own_tangent))
         self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against
         excess = beyond[:, None] * directions_of(self._friction)
-        pushed = of._bodies.response_norm(-tension, excess) if np.any(tension) or np.any(beyond) else 0.0
+        pushed = of._bodies.response_norm(-tension, excess) if tension.any() or beyond.any() else 0.0
         self.failing = float(np.hypot(np.linalg.norm(self._lengths), pushed))
 
     def changed(self, status: Status) -> Status:

@@ -58,11 +58,11 @@ class CondensedBodies:
     """Bodies that are condensed onto their contacts."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        from contactqp.linalg.friction_states import FrictionalRows
+        from contactqp.linalg.friction_states import condensed_frictional_rows
 
         assert condensation.tangent is not None
         self._problem, self._condensation, self._outward = problem, condensation, condensation.tangent.T
-        self._rows = FrictionalRows(problem, condensation)
+        self._rows = condensed_frictional_rows(problem, condensation)
         self.width, self.rubs = self._rows.width, _rubbing(self._rows)
         self.floats = condensation.rigid.count > 0
         compliance = contact_compliance(problem, condensation)
@@ -178,7 +178,7 @@ class IteratedBodies:
         way, rows = self._iteration, self._rows
         ties = np.arange(rows.m, rows.plain)
         load = way.forces(np.concatenate([normal, np.zeros(len(ties)), friction.ravel()]))
-        if not np.any(load):
+        if not load.any():
             return 0.0
         held = way.held(ties, np.zeros(len(ties)))
         run = way.run(np.zeros_like(load), load, ties, held)

@@ -78,7 +78,7 @@ def _several_answers(problem: ContactProblem, condensation: Condensation) -> boo
     for b in np.flatnonzero(singular):
         y[b], free = _least(matrices[b], right[b])
         sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
-        rounding = system.nothing + ROUNDING * np.max(abs(y[b]), initial=0.0)
+        rounding = system.nothing + ROUNDING * abs(y[b]).max(initial=0.0)
         if np.any(abs(matrices[b] @ y[b] - right[b]) > DOUBTFUL * sizes + rounding):
             continue
         if len(free):
@@ -116,7 +116,7 @@ class _Systems:
         limits = np.stack([problem.gap, problem.slip_origin[:, 0]], axis=1) / compliance.scale[:, None]
         self._room = (limits.ravel() - free).reshape(-1, 2)  # of gap and slip without forces
         self._given = (abs(limits).ravel() + abs(free)).reshape(-1, 2)
-        self.nothing = NOTHING * max(float(np.max(abs(part), initial=0.0)) for part in (free, self._held))
+        self.nothing = NOTHING * max(float(abs(part).max(initial=0.0)) for part in (free, self._held))
         self._compliance = np.diagonal(self._W).reshape(-1, 2)
         self._slope = -np.hstack([self._W, self._V])
         self._rubs = np.repeat(self.mu > 0, 2)
@@ -155,7 +155,7 @@ class _Systems:
         meeting = self._given + self.nothing / DOUBTFUL + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
         largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
         compliance = np.broadcast_to(self._compliance, meeting.shape)
-        felt = compliance > SINGULAR_SYSTEM * np.max(compliance, initial=0.0)
+        felt = compliance > SINGULAR_SYSTEM * compliance.max(initial=0.0)
         asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
         return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
 
@@ -410,7 +410,9 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     sliding = place[state.slides, 1:]
     used = np.concatenate([place[state.closed, 0], place[state.stuck, 1:].ravel(), sliding.ravel()])
     n, first = len(used), len(used) - sliding.size
-    matrix = np.block([[compliance.W[np.ix_(used, used)], compliance.V[used]], [compliance.V[used].T, compliance.J]])
+    matrix = np.zeros((n + joints, n + joints))
+    matrix[:n, :n], matrix[n:, n:] = compliance.W[used[:, None], used], compliance.J
+    matrix[:n, n:], matrix[n:, :n] = compliance.V[used], compliance.V[used].T
     flexible, matrix[first:n] = matrix[first:n].copy(), np.eye(n + joints)[first:n]
     right = np.zeros((n + joints, len(state.slides)))
     for k, i in enumerate(state.slides):

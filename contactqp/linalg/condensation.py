@@ -39,6 +39,7 @@ from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
 from contactqp.model.arrays import Array, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import csr_rows
 from contactqp.model.solution import Candidate
 
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
@@ -104,7 +105,7 @@ class Condensation:
         self._clear_rigid_motions()
         self.normal = columns_of(problem.normal, self.retained)
         self.tie = columns_of(problem.tie, self.retained)
-        self.tangent = None if problem.tangent is None else problem.tangent[:, self.retained]
+        self.tangent = None if problem.tangent is None else _sparse_columns_of(problem.tangent, self.retained)
 
     def fits(self, problem: ContactProblem) -> bool:
         """Whether a problem has the stiffness and the rows that were condensed."""
@@ -194,7 +195,7 @@ class Condensation:
         if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             return False
         motions, _ = np.linalg.qr(stated.motions[self.retained] / self.scale[:, None])
-        anchored = self.schur * np.outer(self.scale, self.scale) + motions @ motions.T
+        anchored = self.schur * (self.scale[:, None] * self.scale) + motions @ motions.T
         return DenseCholesky(anchored, np.ones(len(anchored))).smallest_pivot >= max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     @cached_property
@@ -224,7 +225,7 @@ class Condensation:
 
         Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
         """
-        scaled = self.schur * np.outer(self.scale, self.scale)
+        scaled = self.schur * (self.scale[:, None] * self.scale)
         return DenseCholesky(scaled, np.ones(len(scaled)))
 
     def _clear_rigid_motions(self) -> None:
@@ -232,11 +233,11 @@ class Condensation:
         if not self.rigid.count or not len(self.schur):
             return
         Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
-        cleared = self.schur * np.outer(self.scale, self.scale)
+        cleared = self.schur * (self.scale[:, None] * self.scale)
         cleared = cleared - Q @ (Q.T @ cleared)
         cleared = cleared - (cleared @ Q) @ Q.T
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
-        self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
+        self.schur = (cleared + cleared.T) / 2 / (self.scale[:, None] * self.scale)
         vars(self).pop("schur_factor", None)
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
@@ -286,7 +287,7 @@ class Condensation:
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
         """The sizes behind each entry of f_S: where something floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
         size = problem.load_size[self.retained]
-        if not self.rigid.count:
+        if not self.rigid.count or len(size) == problem.dimension:
             return size
         if self._crossing is None or self._crossing[0] is not inner:
             held = abs(self.expand(np.zeros(len(self.retained)), inner))
@@ -338,7 +339,7 @@ class Condensation:
         singular, or the problem unbounded by rounding, because of motions that do not matter."""
         if not self.rigid.count or not (idle := self.idle_motions()).shape[1]:
             return self.schur
-        return self.schur + idle @ idle.T / np.outer(self.scale, self.scale)
+        return self.schur + idle @ idle.T / (self.scale[:, None] * self.scale)
 
     def _of_reduced(self, reduced: ContactProblem) -> Condensation:
         """What condensing the condensed problem would give: itself, with nothing left to factorise."""
@@ -394,9 +395,16 @@ def _orthonormal_by_body(motions: Array) -> Array:
 
 def columns_of(rows: Any, columns: NDArray[np.intp]) -> Array:
     """Return some columns of CSR rows as an array; of few rows all are written out first, which costs less."""
+    if not rows.shape[0]:
+        return np.zeros((0, len(columns)))
     if rows.shape[0] * rows.shape[1] <= WRITTEN_OUT:
         return np.asarray(rows.toarray()[:, columns])
     return np.asarray(rows[:, columns].toarray())
+
+
+def _sparse_columns_of(rows: Any, columns: NDArray[np.intp]) -> Any:
+    few = rows.shape[0] * rows.shape[1] <= WRITTEN_OUT
+    return csr_rows(columns_of(rows, columns)) if few else rows[:, columns]
 
 
 def condense(problem: ContactProblem) -> Condensation:

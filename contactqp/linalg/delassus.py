@@ -78,7 +78,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     Z = orthonormal_motions(condensation)
     factor = None
     if len(scale):
-        S = condensation.schur * np.outer(scale, scale)
+        S = condensation.schur * (scale[:, None] * scale)
         factor = DenseCholesky(S + tie.T @ tie + Z @ Z.T)
     size = np.sqrt(_diagonal(rows[:, 0], factor))
     size = np.where(size > 0, size, 1.0)

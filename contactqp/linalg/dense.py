@@ -35,8 +35,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.runtime import RUNNING
-from contactqp.model.arrays import Array, Vector, inverse_root
+from contactqp.linalg.runtime import RUNNING, lapack
+from contactqp.model.arrays import TINY, Array, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
@@ -91,11 +91,9 @@ class DenseCholesky:
         self._factor = lifted
 
     def solve(self, right: Array) -> Array:
-        from scipy.linalg.lapack import dpotrs
-
         if not right.size:
             return np.zeros(right.shape)
-        return np.asarray((dpotrs(self._factor, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
+        return np.asarray((lapack().dpotrs(self._factor, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
 
 
 def dense_factor(matrix: Any) -> DenseCholesky:
@@ -113,11 +111,9 @@ def dense_factor(matrix: Any) -> DenseCholesky:
 
 def lower_factor(matrix: Array) -> Array | None:
     """Return L of a symmetric matrix L L', with anything above its diagonal; None where a pivot is not positive."""
-    from scipy.linalg.lapack import dpotrf
-
     if not len(matrix):
         return matrix
-    factor, info = dpotrf(matrix, lower=True, clean=False)
+    factor, info = lapack().dpotrf(matrix, lower=True, clean=False)
     return factor if info == 0 else None
 
 
@@ -252,9 +248,9 @@ class Delassus:
         response = self.solve(self.rows.T)
         few = self.rows.size <= WRITTEN_OUT
         W = (self.rows if few else sp.csr_array(self.rows)) @ response  # a contact touches few unknowns
-        self.row_scale = 1.0 / np.sqrt(np.maximum(np.diag(W), np.finfo(float).tiny))
+        self.row_scale = 1.0 / np.sqrt(np.maximum(W.diagonal(), TINY))
         self.compliance = np.asarray(1.0 / self.row_scale**2)  # W_ii of every contact and tie [length / force]
-        self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
+        self.W = (W + W.T) / 2 * (self.row_scale[:, None] * self.row_scale)
         self.response = response * self.row_scale
 
     def _factorised(self, condensation: Condensed) -> DenseCholesky | None:
@@ -263,7 +259,7 @@ class Delassus:
             return None
         if not self.motions.shape[1]:
             return condensation.schur_factor
-        S = condensation.schur * np.outer(self.scale, self.scale)
+        S = condensation.schur * (self.scale[:, None] * self.scale)
         return DenseCholesky(S + ANCHOR * self.motions @ self.motions.T)
 
     def solve(self, right: Array) -> Array:
@@ -324,8 +320,8 @@ class RangeSpace:
         Each right-hand side is a vector, or has a column for each of several systems.
         """
         operator = self._operator
-        x = operator.solve((r.T * operator.scale).T) if np.any(r) else np.zeros_like(r)
-        force = np.concatenate([e, a])
+        x = operator.solve((r.T * operator.scale).T) if r.any() else np.zeros_like(r)
+        force = np.concatenate([e, a]) if len(a) else e
         if self._factor is not None:
             load = self._factor.solve(((self._rows @ x - force).T * self._row_scale).T)
             x = x - self._response @ load
@@ -391,7 +387,7 @@ class NullSpace:
         rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
         self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
         rows = rows * self._row_scale[:, None]
-        self._S = condensation.schur * np.outer(self._scale, self._scale)
+        self._S = condensation.schur * (self._scale[:, None] * self._scale)
         size = len(self._S)
         self._rows = rows
         self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
@@ -506,10 +502,9 @@ def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
     """Return the indices of independent rows among unit rows, as many as their rank."""
-    from scipy.linalg import qr
-
     if not rows.size:
         return np.zeros(0, dtype=np.intp)
-    R, pivots = qr(rows.T, mode="r", pivoting=True)
-    rank = int(np.sum(abs(np.diag(R)) > DEPENDENT * max(rows.shape)))
-    return np.sort(pivots[:rank]).astype(np.intp)
+    columns, geqp3 = np.asarray_chkfinite(rows).T, lapack().dgeqp3
+    R, pivots, *_ = geqp3(columns, lwork=int(geqp3(columns, lwork=-1)[3][0]))
+    rank = int(np.sum(abs(R.diagonal()) > DEPENDENT * max(rows.shape)))
+    return np.sort(pivots[:rank] - 1).astype(np.intp)

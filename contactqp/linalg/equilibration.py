@@ -97,7 +97,7 @@ def _of_stiffness_times(problem: ContactProblem, twin: ContactProblem, factor: f
 
 
 def _size(values: Array) -> float:
-    return float(np.max(abs(values), initial=0.0))
+    return float(abs(values).max(initial=0.0))
 
 
 def _near(size: float) -> float:
@@ -164,7 +164,7 @@ def least_length(twin: ContactProblem) -> float:
 
     K being one at most, what a load moves then is as large as the load, or nothing.
     """
-    if np.any(twin.gap) or np.any(twin.tie_value):
+    if twin.gap.any() or twin.tie_value.any():
         return 0.0
     return NO_LENGTH * _size(twin.load_size)
 
@@ -214,21 +214,18 @@ def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Ve
     s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are more than rounding beside the
     largest of their row, nearly; at the end the largest of each row is one.
     """
-    there = sizes > ROUNDING_OF_A_ROW * np.max(sizes, axis=1, initial=0.0, keepdims=True)
+    there = sizes > ROUNDING_OF_A_ROW * sizes.max(axis=1, initial=0.0, keepdims=True)
     logarithm = np.log(np.where(there, sizes, 1.0))
     of_row, of_column, found = np.zeros(len(sizes)), np.zeros(sizes.shape[1]), np.unique(group)
     in_group = group[None] == found[:, None]
+    of_group = in_group.T
+    in_rows, in_columns = np.maximum(there.sum(axis=1), 1), np.maximum(there.sum(axis=0) @ of_group, 1)
     for _ in range(BALANCING_SWEEPS):
-        of_row = -_mean_of_rows(logarithm + of_column, there)
-        each = np.sum(np.where(there, logarithm + of_row[:, None], 0.0), axis=0) @ in_group.T
-        count = np.sum(there, axis=0) @ in_group.T
-        of_column = -(each / np.maximum(count, 1)) @ in_group
-    size = np.max(np.where(there, logarithm + of_column, -np.inf), axis=1, initial=-np.inf)
+        of_row = -(np.where(there, logarithm + of_column, 0.0).sum(axis=1) / in_rows)
+        each = np.where(there, logarithm + of_row[:, None], 0.0).sum(axis=0) @ of_group
+        of_column = -(each / in_columns) @ in_group
+    size = np.where(there, logarithm + of_column, -np.inf).max(axis=1, initial=-np.inf)
     return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
-
-
-def _mean_of_rows(values: Array, there: Any) -> Vector:
-    return np.asarray(np.sum(np.where(there, values, 0.0), axis=1) / np.maximum(np.sum(there, axis=1), 1))
 
 
 def unknown_scale(problem: ContactProblem) -> Array:
@@ -237,7 +234,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
         return problem._computed.unknown_scale
     D = problem.own_scale.copy()
     bare = problem.diagonal == 0
-    if np.any(bare):
+    if bare.any():
         largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
         stiff = (largest * D)[~bare & (largest > 0)]
         if not stiff.size and problem.tangent is not None:
@@ -256,7 +253,7 @@ def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
     A typical D, so that units of force and length change it as they change those of the stiff unknowns.
     """
     felt = largest[bare & (largest > 0)]
-    if np.all(bare) or not felt.size:
+    if bare.all() or not felt.size:
         return 1.0
     return float(np.median(D[~bare]) * np.median(felt))
 

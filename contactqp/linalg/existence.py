@@ -193,9 +193,9 @@ def _unit(rows: Any, Z: Array, still: Array) -> Array:
     values = rows @ Z
     if not len(values):
         return np.zeros((0, Z.shape[1]))
-    size = np.max(abs(values), axis=1, keepdims=True)
-    rounding = BALANCED * (abs(rows) @ abs(Z)) + IDLE * (abs(rows) @ still)
-    rounding = np.max(rounding, axis=1, keepdims=True)
+    size, of_rows = abs(values).max(axis=1, keepdims=True), abs(rows)
+    rounding = BALANCED * (of_rows @ abs(Z)) + IDLE * (of_rows @ still)
+    rounding = rounding.max(axis=1, keepdims=True)
     return np.where(size > rounding, values / np.where(size > 0, size, 1.0), 0.0)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -68,6 +68,11 @@ class Extended:
         if isinstance(other, Extended):
             return _normalised(*two_sum(self.hi, -other.hi), self.lo - other.lo)
         return self + np.negative(other)
+
+    def parted(self, *places: int) -> list[Extended]:
+        """The parts between these places, which share their entries with the whole."""
+        ends = zip((0, *places), (*places, len(self.hi)), strict=True)
+        return [_holding(self.hi[start:end], self.lo[start:end]) for start, end in ends]
 
     def half(self) -> Extended:
         return _holding(self.hi / 2, self.lo / 2)
@@ -126,10 +131,10 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     return total, (a - (total - virtual)) + (b - virtual)
 
 
-def two_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the rounded product of a b and its error, which together are exact (Dekker 1971, Veltkamp's splitting)."""
+def two_product(a: Array, b: Array, halves: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+    """Return the rounded product of a b and its error, exact together (Dekker 1971); `halves` of a may be known."""
     product = a * b
-    a_high, a_low = _split(a)
+    a_high, a_low = _split(a) if halves is None else halves
     b_high, b_low = _split(b)
     return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
 
@@ -149,15 +154,36 @@ class _Entries(NamedTuple):
     shape: tuple[int, int]
 
 
+def _stacked(matrices: list[Any]) -> _Entries:
+    """Return the entries of [A; B; ...] of CSR matrices with the same columns; those without rows are left out."""
+    filled = [matrix for matrix in matrices if matrix.shape[0]]
+    if len(filled) < 2:
+        one = filled[0] if filled else matrices[0]
+        return _Entries(one.data, one.indices, one.indptr, one.shape)
+    indptr, before = [filled[0].indptr], filled[0].indptr[-1]
+    for matrix in filled[1:]:
+        indptr.append(matrix.indptr[1:] + before)
+        before = before + matrix.indptr[-1]
+    data, indices = (np.concatenate([getattr(one, name) for one in filled]) for name in ("data", "indices"))
+    return _Entries(data, indices, np.concatenate(indptr), (sum(one.shape[0] for one in filled), filled[0].shape[1]))
+
+
 def _transposed(matrices: list[Any]) -> _Entries:
     """Return the entries of [A; B; ...]' of CSR matrices with the same columns."""
-    columns, count = np.concatenate([matrix.indices for matrix in matrices]), matrices[0].shape[1]
-    lengths = np.concatenate([np.diff(matrix.indptr) for matrix in matrices])
-    order = np.argsort(columns, kind="stable")
+    rows = _stacked(matrices)
+    size, count = rows.shape
+    order = rows.indices.argsort(kind="stable")
     starts = np.zeros(count + 1, dtype=np.intp)
-    np.cumsum(np.bincount(columns, minlength=count), out=starts[1:])
-    data = np.concatenate([matrix.data for matrix in matrices])
-    return _Entries(data[order], np.repeat(np.arange(len(lengths)), lengths)[order], starts, (count, len(lengths)))
+    np.bincount(rows.indices, minlength=count).cumsum(out=starts[1:])
+    return _Entries(
+        rows.data[order], np.arange(size).repeat(rows.indptr[1:] - rows.indptr[:-1])[order], starts, (count, size)
+    )
+
+
+def _are_one_block(lengths: NDArray[np.intp]) -> bool:
+    """Whether rows with so many entries each are so few, and so short, that all of them are one block."""
+    widest = int(lengths.max(initial=0))
+    return widest * len(lengths) <= ONE_BLOCK and widest <= NARROW
 
 
 class SparseRows:
@@ -170,10 +196,11 @@ class SparseRows:
             else sp.csr_matrix(matrix)
         )
         self.shape: tuple[int, int] = rows.shape
-        lengths = np.diff(rows.indptr)
-        widest = int(np.max(lengths, initial=0))
-        if widest * len(lengths) <= ONE_BLOCK and widest <= NARROW:
-            self._blocks, self._long = ([_block(rows, np.flatnonzero(lengths))] if widest else []), []
+        lengths = rows.indptr[1:] - rows.indptr[:-1]
+        self._long: list[tuple[int, Array, NDArray[np.intp]]] = []
+        self.is_one_block = _are_one_block(lengths)
+        if self.is_one_block:
+            self._blocks = [_block(rows, lengths.nonzero()[0], halves=True)] if lengths.any() else []
             return
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
         short = (lengths > 0) & (lengths <= LONG)
@@ -181,7 +208,7 @@ class SparseRows:
         self._blocks = [_block(rows, np.flatnonzero((width_class == c) & short)) for c in classes]
         self._long = [
             (i, rows.data[rows.indptr[i] : rows.indptr[i + 1]], rows.indices[rows.indptr[i] : rows.indptr[i + 1]])
-            for i in np.flatnonzero(lengths > LONG)
+            for i in (lengths > LONG).nonzero()[0].tolist()
         ]
 
     def __matmul__(self, vector: Extended) -> Extended:
@@ -204,10 +231,10 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
     """
     width, count = block.values.shape
     total, rest = _NONE, _NONE
-    together = max(1, WORTH_A_CALL // count)
+    together = width if block.halves is not None else max(1, WORTH_A_CALL // count)
     for start in range(0, width, together):
         values, columns = block.values[start : start + together], block.columns[start : start + together]
-        products, errors = two_product(values, vector.hi[columns])
+        products, errors = two_product(values, vector.hi[columns], block.halves)
         if not doubles:
             errors = errors + values * vector.lo[columns]
         for product, error in zip(products, errors, strict=True):
@@ -235,7 +262,7 @@ def images(matrix: Any, columns: Array) -> Array:
     rows = sp.csr_matrix(matrix)
     if not columns.size:
         return np.zeros((rows.shape[0], columns.shape[1]))
-    if np.finfo(np.longdouble).nmant == 63 and np.max(np.diff(rows.indptr), initial=0) <= SHORT:
+    if np.finfo(np.longdouble).nmant == 63 and np.max(rows.indptr[1:] - rows.indptr[:-1], initial=0) <= SHORT:
         long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
         return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
     return exact_images(rows, columns)
@@ -253,17 +280,18 @@ class _Block(NamedTuple):
     members: NDArray[np.intp]  # (q,) which rows
     values: Array  # (width, q)
     columns: NDArray[np.intp]  # (width, q)
+    halves: tuple[Array, Array] | None  # of the values, where all products are formed at once
 
 
-def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
+def _block(rows: Any, members: NDArray[np.intp], halves: bool = False) -> _Block:
     start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
     width = int(lengths.max())
     slots = np.arange(width, dtype=start.dtype)[:, None] + start
     values, columns = rows.data.take(slots, mode="clip"), rows.indices.take(slots, mode="clip")
-    if np.all(lengths == width):
-        return _Block(members, values, columns)
-    filled = np.arange(width)[:, None] < lengths
-    return _Block(members, np.where(filled, values, 0.0), np.where(filled, columns, 0))
+    if not (lengths == width).all():
+        filled = np.arange(width)[:, None] < lengths
+        values, columns = np.where(filled, values, 0.0), np.where(filled, columns, 0)
+    return _Block(members, values, columns, _split(values) if halves else None)
 
 
 class ClearedRows:
@@ -284,22 +312,70 @@ class ClearedRows:
 
 
 class ExtendedRows:
-    """The matrices of a problem, for products in extended precision."""
-
-    stiffness: SparseRows | ClearedRows
+    """The matrices of a problem, for products in extended precision; each is laid out when it is asked for."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.stiffness = _stiffness_rows(problem)
-        self.normal = SparseRows(problem.normal)
-        self.tie = SparseRows(problem.tie)
-        self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
-        self._outward = SparseRows(_transposed([problem.normal, problem.tie]))
-        self._tangent_transposed = None if problem.tangent is None else SparseRows(_transposed([problem.tangent]))
+        self._of_stiffness = problem._computed.of_stiffness
+        self._given = problem.stiffness_rows, problem.normal, problem.tie, problem.tangent
+
+    @cached_property
+    def stiffness(self) -> SparseRows | ClearedRows:
+        """K, laid out once for a stiffness."""
+        if self._of_stiffness.extended is None:
+            self._of_stiffness.extended = SparseRows(self._given[0])
+        rows: SparseRows = self._of_stiffness.extended
+        return rows
+
+    @cached_property
+    def normal(self) -> SparseRows:
+        """E_N."""
+        return SparseRows(self._given[1])
+
+    @cached_property
+    def tie(self) -> SparseRows:
+        """A."""
+        return SparseRows(self._given[2])
+
+    @cached_property
+    def tangent(self) -> SparseRows | None:
+        """E_T, if there is one."""
+        return None if self._given[3] is None else SparseRows(self._given[3])
+
+    @cached_property
+    def together(self) -> SparseRows | None:
+        """[K; E_N; A; E_T] where these are one block, whose product takes as many steps as that with one of them."""
+        given = [matrix for matrix in self._given if matrix is not None]
+        if sum(matrix.shape[0] for matrix in given) > ONE_BLOCK:
+            return None
+        rows = SparseRows(_stacked(given))
+        return rows if rows.is_one_block else None
+
+    def parted(self, together: Extended) -> list[Extended]:
+        """The parts K u, E_N u, A u and, if there are tangents, E_T u of a product with all of them."""
+        stiffness, normal, tie, _ = self._given
+        contacts = stiffness.shape[0] + normal.shape[0]
+        return together.parted(stiffness.shape[0], contacts, contacts + tie.shape[0])
+
+    @cached_property
+    def outward(self) -> SparseRows:
+        """[E_N; A]'."""
+        return SparseRows(_transposed(list(self._given[1:3])))
+
+    @cached_property
+    def _tangent_transposed(self) -> SparseRows | None:
+        return None if self._given[3] is None else SparseRows(_transposed([self._given[3]]))
+
+    def lay_out(self) -> None:
+        """Lay out what residuals of an answer are formed with."""
+        for name in ("outward", *(("stiffness", "normal", "tie") if self.together is None else ())):
+            getattr(self, name)
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """Return E_N'l_N + A'nu (n,) [force]."""
+        if not len(tie_force):
+            return self.outward @ normal_force
         hi = np.concatenate([normal_force.hi, tie_force.hi])
-        return self._outward @ _holding(hi, np.concatenate([normal_force.lo, tie_force.lo]))
+        return self.outward @ _holding(hi, np.concatenate([normal_force.lo, tie_force.lo]))
 
     def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
         """Return E_T'l_T (n,) of friction forces (m, d-1), or of a flat vector in extended precision [force]."""
@@ -309,26 +385,22 @@ class ExtendedRows:
 
     def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
         """Return rows whose stiffness is zero along rigid motions Z (n, r); `inverse` (r, n) is Y' with Y'Z = I."""
-        twin = copy(self)
         assert isinstance(self.stiffness, SparseRows)
-        twin.stiffness = ClearedRows(self.stiffness, motions, inverse)
+        twin = copy(self)
+        twin.stiffness, twin.together = ClearedRows(self.stiffness, motions, inverse), None
         return twin
 
     def gap(self, problem: ContactProblem, displacement: Extended) -> Extended:
         """Return g - E_N u (m,)."""
-        return Extended(problem.gap) - self.normal @ displacement
+        if self.together is None:
+            return Extended(problem.gap) - self.normal @ displacement
+        return Extended(problem.gap) - self.parted(self.together @ displacement)[1]
 
     def slip(self, displacement: Extended) -> Extended:
         """Return E_T u as a flat vector."""
+        if self.together is not None:
+            return self.parted(self.together @ displacement)[3]
         return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
-
-
-def _stiffness_rows(problem: ContactProblem) -> SparseRows:
-    of_stiffness = problem._computed.of_stiffness
-    if of_stiffness.extended is None:
-        of_stiffness.extended = SparseRows(problem.stiffness_rows)
-    rows: SparseRows = of_stiffness.extended
-    return rows
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
@@ -362,7 +434,8 @@ class ExtendedAnswer:
     def corrected(self, du: Vector, closed: NDArray[np.intp], dl: Vector, dn: Vector) -> ExtendedAnswer:
         """Return the answer with a correction in doubles; contact forces (q,) are those of the closed contacts."""
         force = self.normal_force.added_at(closed, dl)
-        return ExtendedAnswer(self.displacement + du, force, self.tie_force + dn, self.friction_force)
+        tie = self.tie_force + dn if dn.size else self.tie_force
+        return ExtendedAnswer(self.displacement + du, force, tie, self.friction_force)
 
     def rounded(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
         """Return displacement, forces of the closed contacts and of ties in double precision."""
@@ -381,6 +454,7 @@ class Residuals:
     force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
     gap: Extended  # (m,) g - E_N u
     tie: Extended  # (k,) b - A u
+    slip: Extended | None = None  # ((d-1) m,) E_T u, where it was formed with the others
 
     @classmethod
     def at_rest(cls, problem: ContactProblem) -> Residuals:
@@ -398,8 +472,15 @@ def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAn
     outer = extend(problem.load) - rows.contact_force(answer.normal_force, answer.tie_force)
     if friction is not None:
         outer = outer - rows.friction_force(friction)
-    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
-    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+    if rows.together is None:
+        gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
+        return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+    product, m = rows.together @ u, problem.contacts
+    limit = np.zeros(len(product) - len(outer))
+    lower = np.concatenate([outer.lo, limit])
+    limit[:m], limit[m : m + problem.ties] = problem.gap, problem.tie_value
+    force, gap, open_tie, beside = rows.parted(_holding(np.concatenate([outer.hi, limit]), lower) - product)
+    return Residuals(force, gap, open_tie, -beside if len(beside) else None)
 
 
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
@@ -417,14 +498,3 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     return Residuals(
         extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
     )
-
-
-def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
-    """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
-
-    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
-    """
-    u = SparseRows(problem.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
-    if joint_force is not None and problem.joints:
-        u = u + SparseRows(problem.bilateral) @ extend(joint_force)
-    return np.asarray(u.double().reshape(problem.contacts, problem.dimension))

@@ -164,11 +164,34 @@ def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
     return np.asarray(still & (energy <= RIGID_ENERGY * scale))
 
 
+# A matrix of so many rows is searched before SciPy has checked it.
+FEW = 16
+
+
+def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, NDArray[np.int32]]:
+    """`connected_parts` of a symmetric CSR matrix, row by row."""
+    label, count = [-1] * (len(indptr) - 1), 0
+    for first in range(len(label)):
+        if label[first] >= 0:
+            continue
+        reached = [first]
+        label[first] = count
+        for row in reached:
+            for column in indices[indptr[row] : indptr[row + 1]]:
+                if label[column] < 0:
+                    label[column] = count
+                    reached.append(column)
+        count += 1
+    return count, np.array(label, dtype=np.int32)
+
+
 def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
     """How many connected parts a symmetric matrix has, and (n,) which of them each unknown belongs to."""
+    size = matrix.shape[0]
+    if size <= FEW and matrix.format == "csr":
+        return _few_connected_parts(matrix.indptr.tolist(), matrix.indices.tolist())
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-    size = matrix.shape[0]
     if size and len(breadth_first_order(matrix, 0, return_predecessors=False)) == size:
         return 1, np.zeros(size, dtype=np.int32)  # one body, which a search from its first unknown tells at once
     count, label = connected_components(matrix, directed=False)

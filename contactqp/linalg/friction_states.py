@@ -40,7 +40,7 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
-from contactqp.linalg.runtime import refuse_late
+from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN as OPEN
 from contactqp.model.coulomb import SLIP_BACK as SLIP_BACK
@@ -96,7 +96,7 @@ class FrictionalRows:
         if problem.friction is None or condensation.tangent is None:
             raise ValueError("frictional rows of a problem without friction")
         self.scale = condensation.scale
-        self.S = condensation.schur * np.outer(self.scale, self.scale)
+        self.S = condensation.schur * (self.scale[:, None] * self.scale)
         self.normal, self.normal_length = _unit(condensation.normal * self.scale)
         tangent = condensation.tangent.toarray() * self.scale
         self.width = len(tangent) // problem.contacts if problem.contacts else 1
@@ -126,6 +126,16 @@ class FrictionalRows:
         return problem.gap / self.normal_length, slip, problem.tie_value / self.tie_length
 
 
+def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
+    """The rows of a problem, made once for its coefficients and its condensation."""
+    known = problem._computed.frictional_rows
+    if known is None or known[0] is not problem.friction or known[1] is not condensation:
+        rows = FrictionalRows(problem, condensation)
+        known = problem._computed.frictional_rows = problem.friction, condensation, rows
+    found: FrictionalRows = known[2]
+    return found
+
+
 def compliance_of(S: Array, motions: Array) -> Array:
     """Return the pseudoinverse S^+ (p, p) of a stiffness whose null space is spanned by orthonormal motions (p, q)."""
     if not motions.shape[1]:
@@ -137,12 +147,10 @@ def compliance_of(S: Array, motions: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric matrix that is positive definite up to rounding."""
-    from scipy.linalg.lapack import dpotrf, dpotri
-
-    factor, failed = dpotrf(matrix, lower=1)
+    factor, failed = lapack().dpotrf(matrix, lower=1)
     if failed or not len(matrix):
         return np.asarray(np.linalg.inv(matrix))
-    lower = np.tril(dpotri(factor, lower=1)[0])
+    lower = np.tril(lapack().dpotri(factor, lower=1)[0])
     return np.asarray(lower + np.tril(lower, -1).T)
 
 
@@ -212,47 +220,47 @@ class StateSystem:
         along = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
         dragged = rows.coefficient[self.closed, None] * along
         normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
-        held = np.vstack([normal, stuck, rows.tie])
-        pushed = np.vstack([normal + dragged, stuck, rows.tie])
+        held, pushed = (np.concatenate([one, stuck, rows.tie]) for one in (normal, normal + dragged))
         stiffness = rows.S
         across, compliance = _across(tangent, directions, turning)
         # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
-        felt = np.flatnonzero(np.any(held != 0, axis=1))
+        felt = np.flatnonzero(held.any(axis=1))
         self._kept, self._count = felt, len(held)
         if independent:
             self._kept = felt[independent_rows(_of_unit_length(held[felt]))]
-            free = _unresisted(rows.motions, np.vstack([held, across]))
+            free = _unresisted(rows.motions, np.concatenate([held, across]))
             stiffness = stiffness + free @ free.T
         self.redundant = len(self._kept) < len(felt)
         held, pushed = held[self._kept], pushed[self._kept]
-        held, pushed = np.vstack([held, across]), np.vstack([pushed, across])
-        corner = np.diag(np.concatenate([np.zeros(len(self._kept)), -compliance]))
-        self._matrix = np.block([[stiffness, pushed.T], [held, corner]])
+        held, pushed = np.concatenate([held, across]), np.concatenate([pushed, across])
+        p, kept = len(stiffness), len(self._kept)
+        self._matrix = np.zeros((p + len(held), p + len(held)))
+        self._matrix[:p, :p], self._matrix[:p, p:], self._matrix[p:, :p] = stiffness, pushed.T, held
+        across_slip = np.arange(p + kept, p + len(held))
+        self._matrix[across_slip, across_slip] = -compliance
         self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
         self._factorise(0.0 if independent else SINGULAR)
 
     def _factorise(self, singular: float) -> None:
-        from scipy.linalg.lapack import dgecon, dgetrf
-
         self._inverse: Array | None = None
-        factor, pivots, info = dgetrf(self._matrix)
-        condition = dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 and singular else float(info == 0)
+        factor, pivots, info = lapack().dgetrf(self._matrix)
+        condition = (
+            lapack().dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 and singular else float(info == 0)
+        )
         self.regular = condition >= singular and info == 0
         if not self.regular:  # the least correction that fits best
-            self._inverse = np.linalg.pinv(self._matrix, rcond=SINGULAR)
+            self._inverse = np.asarray(np.linalg.pinv(self._matrix, rcond=SINGULAR), dtype=float)
         self._factor = (factor, pivots)
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
         """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
-        from scipy.linalg import lu_solve
-
-        reduced, inner = self._way.reduce_load(load)
+        reduced, inner = self._way.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
         right = np.zeros(len(self._matrix))
         right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
-        found = lu_solve(self._factor, right, check_finite=False) if self._inverse is None else self._inverse @ right
+        found = lapack().dgetrs(*self._factor, right)[0] if self._inverse is None else self._inverse @ right
         y = np.zeros(p + self._count)
         y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
@@ -353,7 +361,9 @@ def refined_by(
     u, force, stick, tie = (extend(part) for part in (start.displacement, pushing, sticking, start.tie_force))
     system, size, last, regular = None, np.inf, np.inf, True
     for sweep in range(sweeps if rows.width == 1 else SLOW_SWEEPS):
-        slip = (exact.slip(u) - origin).double()
+        in_space, slip = rows.width > 1, np.zeros(0)  # in the plane the combination says all of the directions
+        if in_space:
+            slip = (exact.slip(u) - origin).double()
         directions, turning = _directions(rows, status, slip, force)
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
@@ -363,6 +373,8 @@ def refined_by(
         last = size
         friction = stick + _bound(problem, force, directions)
         left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
+        if not in_space:
+            slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         whole = u.double(), force.double(), stick.double(), tie.double()
@@ -422,7 +434,7 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
     far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))
     for one in (answer, start):
         sizes = (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force)
-        far = max(far, *(INVISIBLE * float(np.max(abs(size), initial=0.0)) for size in sizes))
+        far = max(far, *(INVISIBLE * float(abs(size).max(initial=0.0)) for size in sizes))
     friction = _friction_of(answer, rows.width)
     return Answer(
         np.where(abs(answer.displacement) <= far * scale, 0.0, answer.displacement),
@@ -437,8 +449,9 @@ def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Exten
     coefficient = 0.0 if problem.friction is None else problem.friction
     along = (np.asarray(coefficient)[..., None] * directions).ravel()
     width = directions.shape[1]
-    product, error = two_product(along, np.repeat(force.hi, width))
-    return Extended(product, error + along * np.repeat(force.lo, width))
+    hi, lo = (force.hi, force.lo) if width == 1 else (np.repeat(force.hi, width), np.repeat(force.lo, width))
+    product, error = two_product(along, hi)
+    return Extended(product, error + along * lo)
 
 
 def _friction_of(answer: Answer, width: int) -> Array:
@@ -459,5 +472,5 @@ def _pushed_part(rows: ScaledRows, change: tuple[Vector, Vector], whole: tuple[V
 
 
 def _part(change: Vector, whole: Vector) -> float:
-    largest = float(np.max(abs(whole), initial=0.0))
-    return float(np.max(abs(change), initial=0.0)) / largest if largest > 0 else 0.0
+    largest = float(abs(whole).max(initial=0.0))
+    return float(abs(change).max(initial=0.0)) / largest if largest > 0 else 0.0

@@ -81,7 +81,7 @@ def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     compliance = reciprocal(diagonal)
     size, row = abs(rows.data), _row_of_entries(rows)
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
-    touching = np.flatnonzero(np.diff(rows.indptr))
+    touching = (rows.indptr[1:] > rows.indptr[:-1]).nonzero()[0]
     return RowSizes(rows, row, size, found.astype(float), touching, rows.indices[rows.indptr[touching]])
 
 
@@ -139,13 +139,13 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
-    for rows, limit in rows_and_limits(problem):
+    for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
         u, of_row = answer.displacement, row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         np.maximum.at(size, part[of_row.first], imposed(limit, *lengths, of_row.compliance)[of_row.touching])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
-    whole = float(np.max(size, initial=0.0))
-    if not np.any(problem.load_size) and not np.any(problem.tie_value):
+    whole = float(size.max(initial=0.0))
+    if not problem.load_size.any() and not problem.tie_value.any():
         gaps = in_energy(abs(problem.gap), row_sizes(problem, problem.normal).compliance)
         least = float(np.min(gaps[np.isfinite(gaps) & (gaps > 0)], initial=np.inf))
         whole = max(whole, least if np.isfinite(least) else 0.0)
@@ -157,7 +157,7 @@ def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_
     """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
-    for rows, limit in rows_and_limits(problem):
+    for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
         of_row = row_sizes(problem, rows)
         reached = limit[of_row.touching]
         moving = reached < 0 if rows is problem.normal else reached != 0
@@ -180,8 +180,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     if elastic is not answer.displacement:
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
     bare = _untouched(problem)
-    if np.any(bare):
-        force[bare] = ROUNDING_OF_LOADS * np.max(problem.load_size, initial=0.0)
+    if bare.any():
+        force[bare] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
 
     def lengths(rows: Any) -> Vector:
         held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
@@ -199,7 +199,7 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     of_row, beside = row_sizes(problem, rows), np.zeros(rows.shape[0])
     beside[of_row.touching] = size[of_row.first]
     felt = np.sqrt(of_row.compliance)
-    if np.any(felt == 0) and not np.all(problem.diagonal > 0):
+    if not felt.all() and not problem.diagonal.all():
         felt = np.where(felt > 0, felt, np.sqrt(rows.power(2) @ scale_of_unknowns(problem) ** 2))
     return np.asarray(beside * felt)
 
@@ -224,7 +224,7 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
         joined = [_joined(rows, found) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
         one, other = np.concatenate(joined, axis=1)
         apart = one != other
-        if np.any(apart):
+        if apart.any():
             edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
             found = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][found].astype(np.intp)
         problem._computed.parts = found
@@ -233,7 +233,7 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
 
 def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the body of each of z entries of CSR rows, and the body of the first entry of its row, (2, z)."""
-    counts = np.diff(rows.indptr)
+    counts = rows.indptr[1:] - rows.indptr[:-1]
     first = rows.indices[rows.indptr[:-1][counts > 0]]
     return np.stack([body[rows.indices], np.repeat(body[first], counts[counts > 0])])
 
@@ -257,9 +257,11 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
         |E_i D|^2 [length / force].
     """
     finite = np.isfinite(limit)
-    length = abs(np.where(finite, limit, 0.0))
-    closes = finite & (abs(np.where(finite, limit, 0.0) - moved) <= CLOSED * (whole + length))
-    reached = np.where(finite, np.minimum(length, WITHIN_REACH * elastic), 0.0)
+    if not finite.all():
+        limit = np.where(finite, limit, 0.0)
+    length = abs(limit)
+    closes = finite & (abs(limit - moved) <= CLOSED * (whole + length))
+    reached = np.minimum(length, WITHIN_REACH * elastic)  # elastic lengths are not negative
     return in_energy(np.where(closes, length, reached), compliance)
 
 
@@ -278,7 +280,7 @@ def scale_of_unknowns(problem: ContactProblem) -> Vector:
         K = problem.diagonal
         D = reciprocal(np.sqrt(K))
         unknown = K == 0  # yet
-        while np.any(unknown):
+        while unknown.any():
             given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
             D = np.where(unknown, given, D)
             if not np.any(D[unknown] > 0):
@@ -303,7 +305,7 @@ def _untouched(problem: ContactProblem) -> Any:
     """Return whether neither the stiffness nor a row touches each unknown (n,)."""
     if problem._computed.untouched is None:
         touched = problem.diagonal > 0
-        for rows in (problem.normal, problem.tangent, problem.tie):
+        for rows in () if touched.all() else (problem.normal, problem.tangent, problem.tie):
             if rows is not None:
                 touched[rows.indices[rows.data != 0]] = True
         problem._computed.untouched = ~touched
@@ -316,7 +318,8 @@ ROUNDING_OF_LENGTH = 1e-14
 
 def lay_out(problem: ContactProblem) -> None:
     """Form what residuals and figures of every answer need of the stiffness, so that no timing includes it."""
-    extended_rows(problem), problem.stiffness_sizes, bodies(problem)
+    extended_rows(problem).lay_out()
+    problem.stiffness_sizes, bodies(problem)
 
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
@@ -327,7 +330,8 @@ def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     """Return F without |K||u| (n,): the sizes of loads, contact forces and tie forces at each unknown [force]."""
     outer = problem.load_size + row_sizes(problem, problem.normal).forces(abs(answer.normal_force))
-    outer = outer + row_sizes(problem, problem.tie).forces(abs(answer.tie_force))
+    if problem.ties:
+        outer = outer + row_sizes(problem, problem.tie).forces(abs(answer.tie_force))
     if problem.tangent is not None and answer.friction_force is not None:
         outer = outer + row_sizes(problem, problem.tangent).forces(abs(answer.friction_force).ravel())
     return np.asarray(outer)
@@ -357,7 +361,7 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
         |f| + |K||u|, the same with the forces of contacts and ties, and the intrinsic size.
     """
     hidden = (acting > 0) & (meeting > HIDES * acting)
-    if not np.any(hidden):
+    if not hidden.any():
         return meeting
     D, part = scale_of_unknowns(problem), parts(problem)
     shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
@@ -401,7 +405,7 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     length = sizes.lengths(abs(displacement)) + abs(limit)
     least = ROUNDING_OF_LENGTH * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
-    if np.any(length <= least * np.max(size, initial=0.0)):
+    if (length <= least * size.max(initial=0.0)).any():
         length = at_rest_infinite(rows, length, least, _largest_of_bodies(problem, size))
     return np.asarray(length)
 
@@ -466,7 +470,7 @@ def beyond(size: Vector, none: Vector) -> Vector:
     return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
 
 
-def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
+def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None, sizes: Any = None) -> Vector:
     """Return the measure max_j |E_ij l_i| / F_j of the force of every row (r,).
 
     Parameters
@@ -478,9 +482,11 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
         F, the forces that meet at each unknown [force].
     none : (n,) array, optional
         Forces up to which there is none at an unknown.
+    sizes : RowSizes, optional
+        Those of the rows, if they are known.
     """
-    row = _row_of_entries(rows)
-    acting = abs(rows.data) * abs(force)[row]
+    size, row = (abs(rows.data), _row_of_entries(rows)) if sizes is None else (sizes.entries, sizes.row)
+    acting = size * abs(force)[row]
     if none is not None:
         acting = beyond(acting, none[rows.indices])
     measure = np.zeros(rows.shape[0])
@@ -490,4 +496,4 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
 
 def _row_of_entries(rows: Any) -> NDArray[np.intp]:
     """Return the row of every entry of CSR rows."""
-    return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    return np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])

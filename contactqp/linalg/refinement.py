@@ -28,6 +28,7 @@ from contactqp.linalg.measures import (
     forces_that_meet,
     imbalance,
     lengths_that_meet,
+    row_sizes,
     without_rigid_part,
 )
 from contactqp.linalg.nonnegative import shift_within_gaps
@@ -66,6 +67,7 @@ class OnSet(ExtendedAnswer):
 
     gap: Extended  # (m,)
     gaps: Vector  # (m,) the same in double precision
+    lengths: Vector  # (m,) that meet at the contacts
     doubles: Answer  # the answer in double precision
     saddle: SaddlePoint
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
@@ -143,7 +145,7 @@ def _refined(
     else:
         kept = np.zeros(problem.contacts, dtype=bool)
         kept[closed] = True
-        left = None if np.any(start.normal_force[~kept]) else left
+        left = None if start.normal_force[~kept].any() else left
         force = np.where(kept, start.normal_force, 0.0)
         answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
     last, q = np.inf, saddle.contraction
@@ -170,19 +172,24 @@ def _refined(
     nothing = INVISIBLE * whole * size_of.row_sizes
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
-    gap = rows.gap(problem, answer.displacement)
+    gap, doubles = rows.gap(problem, answer.displacement), answer.double()
     return OnSet(
         displacement=answer.displacement,
         normal_force=answer.normal_force,
         tie_force=answer.tie_force,
         gap=gap,
         gaps=gap.double(),
-        doubles=answer.double(),
+        lengths=_lengths(problem, doubles),
+        doubles=doubles,
         saddle=saddle,
         contraction=q,
         remainder=remainder,
         nothing=nothing,
     )
+
+
+def _lengths(problem: ContactProblem, answer: Answer) -> Vector:
+    return lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
 
 
 class _CorrectionSize:
@@ -193,11 +200,14 @@ class _CorrectionSize:
     ) -> None:
         self.row_sizes = np.sqrt(compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
-        self._row = np.concatenate([self.row_sizes[closed], self.row_sizes[problem.contacts :]])
+        self._row = self.row_sizes[closed]
+        if problem.ties:
+            self._row = np.concatenate([self._row, self.row_sizes[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
-        moved = np.max(self._unknown * abs(du), initial=0.0)
-        return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
+        moved = (self._unknown * abs(du)).max(initial=0.0)
+        force = np.concatenate([dl, dn]) if dn.size else dl
+        return float(max(moved, (self._row * abs(force)).max(initial=0.0)))
 
     def is_negligible(self, size: float, answer: tuple[Vector, Vector, Vector], whole: float) -> bool:
         """Return whether a correction is far below the rounding of doubles of size `whole`, or that of two doubles.
@@ -212,7 +222,7 @@ class _CorrectionSize:
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
     """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths; `compliance` (m,) is W_ii."""
-    return np.flatnonzero(compliance * force > problem.gap - problem.normal @ u)
+    return np.asarray((compliance * force > problem.gap - problem.normal @ u).nonzero()[0])
 
 
 def polish(
@@ -243,7 +253,7 @@ def polish(
         if answer.saddle.redundant:
             if not _ties_are_met(problem, answer):
                 return holding or (answer, corrections, False)
-            proposal = _exchanged(problem, answer)
+            proposal = _exchanged(answer)
             if proposal is None:
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
@@ -276,15 +286,14 @@ def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
     return bool(np.all(missing <= np.maximum(rounding, answer.nothing[problem.contacts :])))
 
 
-def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
+def _exchanged(answer: OnSet) -> NDArray[np.intp] | None:
     """Return the redundant set in which the most penetrated dependent contact replaces the one that must open for it.
 
     None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
     """
     closed = answer.saddle.closed
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
-    excess = (-answer.gaps / length)[closed[dependent]]
+    excess = (-answer.gaps / answer.lengths)[closed[dependent]]
     if not np.any(excess > WITHIN_ROUNDING):
         return None
     leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.doubles.normal_force[closed])
@@ -297,15 +306,14 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
     Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
     """
     gap, push = answer.gaps, answer.doubles.normal_force
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
-    rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
+    rounding = np.maximum(WITHIN_ROUNDING * answer.lengths, answer.nothing[: problem.contacts])
     penetrated = -gap > rounding
     penetrated[answer.saddle.closed] = False
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
     opening = (gap > rounding) & (push > 0)
-    if np.any(push < 0):
+    if (push < 0).any():
         opening |= _push(problem, answer.doubles) < -WITHIN_ROUNDING
-    return np.flatnonzero(opening), np.flatnonzero(penetrated)
+    return opening.nonzero()[0], penetrated.nonzero()[0]
 
 
 def _regular(answer: OnSet) -> bool:
@@ -331,11 +339,12 @@ def _decided(
     is_closed = np.zeros(len(noise), dtype=bool)
     is_closed[closed] = True
     length = np.where(is_closed, push * compliance, gap)
-    if np.any((abs(length) > settled) & (abs(length) <= noise)):
+    size = abs(length)
+    if ((size > settled) & (size <= noise)).any():
         answer = answer_on(problem, condensation, closed, caution=CAUTION)
         noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
         push, gap = answer.doubles.normal_force, answer.gaps
-    return np.flatnonzero(np.where(is_closed, push * compliance >= -noise, gap < -noise))
+    return np.asarray(np.where(is_closed, push * compliance >= -noise, gap < -noise).nonzero()[0])
 
 
 def _reached_by_drive(
@@ -347,16 +356,16 @@ def _reached_by_drive(
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
     drive = answer.saddle.drive(_net(condensation, load, answer.doubles.normal_force, answer.doubles.tie_force), size)
-    if np.any(drive):  # unless noise alone drives it
+    if drive.any():  # unless noise alone drives it
         drive = answer.saddle.drive(_net(condensation, load, *_forces_beyond_noise(condensation, answer)), size)
-    if not np.any(drive):
+    if not drive.any():
         return np.zeros(0, dtype=np.intp), False
     drive = condensation.scale * drive
     approach = condensation.normal @ drive
     ahead = approach > UNRESISTED * (abs(condensation.normal) @ abs(drive))
     travel = np.full(problem.contacts, np.inf)
     travel[ahead] = np.maximum(answer.gaps[ahead], 0.0) / approach[ahead]
-    return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
+    return np.flatnonzero(np.isfinite(travel) & (travel <= travel.min(initial=np.inf))), True
 
 
 def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) -> Vector:
@@ -395,7 +404,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     root = 1.0 / condensation.unknown_scale
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
     loads = abs(problem.load) / root
-    largest = max([np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
+    largest = max([part.max(initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
     u[root * abs(u) < INVISIBLE * largest] = 0.0
     force[size * abs(force) <= INVISIBLE * largest] = 0.0
     return u, force[: len(push)], force[len(push) :]
@@ -412,14 +421,15 @@ def least_displacement(
         return answer, condensation.rigid.motions
     u, force, tie = without_noise(problem, condensation, answer)
     shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
-    far, largest = np.max(abs(shift), initial=0.0), np.max(abs(u), initial=0.0)
+    far, largest = abs(shift).max(initial=0.0), abs(u).max(initial=0.0)
     if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
         return answer, free
     if far <= SLIGHT * largest:
         closer = answer.displacement + shift
         gap = answer.gap - problem.normal @ shift
         doubles = replace(answer.doubles, displacement=closer.double())
-        return replace(answer, displacement=closer, gap=gap, gaps=gap.double(), doubles=doubles), free
+        double = dict(gaps=gap.double(), doubles=doubles, lengths=_lengths(problem, doubles))
+        return replace(answer, displacement=closer, gap=gap, **double), free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
     closed = pushing_contacts(problem, Answer(u, force, None, tie))
@@ -447,7 +457,7 @@ def shift_to_least_norm(
     basis = scale[:, None] * orthonormal(free / scale[:, None])
     felt = np.sqrt(problem.normal.power(2) @ scale**2)
     stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
-    if not np.any(stays):
+    if not stays.any():
         return free @ shift, free
     gap = problem.gap - problem.normal @ answer.displacement
     moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
@@ -481,4 +491,5 @@ def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp
 def _push(problem: ContactProblem, answer: Answer) -> Vector:
     """Return the measure of every contact force (m,), negative in tension."""
     force = answer.normal_force
-    return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)
+    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
+    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)

@@ -258,6 +258,14 @@ def _openblas() -> Any:
     return ThreadpoolController().select(internal_api="openblas")
 
 
+@cache
+def lapack() -> Any:
+    """SciPy's LAPACK, which is imported when the first system is solved."""
+    from scipy.linalg import lapack as found
+
+    return found
+
+
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

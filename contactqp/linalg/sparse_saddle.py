@@ -98,10 +98,11 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     rows = [problem.normal, problem.tie]
     if problem.frictional and problem.tangent is not None:
         rows.append(problem.tangent)
-    dense = float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
-    if problem.frictional:
-        dense *= FRICTION_CONDENSED
-    lengths = np.concatenate([np.diff(some.indptr) for some in rows])
+    times = FRICTION_CONDENSED if problem.frictional else 1.0
+    if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
+        return False  # a row touches an unknown by an entry
+    dense = times * float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
+    lengths = np.concatenate([some.indptr[1:] - some.indptr[:-1] for some in rows])
     long = int(np.sum(lengths > 1))
     size = float(problem.dimension + long)
     if dense <= max(SMALLEST, PER_UNKNOWN * size):
@@ -198,11 +199,11 @@ class SparseSaddle:
         """
         found = self.solve(force, gap, tie)
         lengths = np.concatenate([gap, tie])
-        last = max(float(np.max(abs(part), initial=0.0)) for part in (force, lengths))
+        last = max(float(abs(part).max(initial=0.0)) for part in (force, lengths))
         for corrections in range(CORRECTIONS):
             carried = np.concatenate(found[1:])
             left, open_rows = force - self._K @ found[0] - self._rows.T @ carried, lengths - self._rows @ found[0]
-            size = max(float(np.max(abs(part), initial=0.0)) for part in (left, open_rows))
+            size = max(float(abs(part).max(initial=0.0)) for part in (left, open_rows))
             if not size < CONTRACTS * last:
                 return *found, 1 + corrections
             du, dl, dn = self.solve(left, open_rows[: self._contacts], open_rows[self._contacts :])
@@ -310,17 +311,17 @@ class ClosedState:
         forces = strain + outer_forces(problem, doubles)
         lengths = row_sizes(problem, problem.normal).lengths(u) + abs(problem.gap)
         of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
-        longest = max(float(np.max(values, initial=0.0)) for values in (u, lengths[closed], of_ties))
-        loaded = float(np.max(problem.load_size, initial=0.0))
+        longest = max(float(values.max(initial=0.0)) for values in (u, lengths[closed], of_ties))
+        loaded = float(problem.load_size.max(initial=0.0))
         longest = max(longest, least_length(problem))
         # Where no force acts, those that would move the lengths that meet.
-        largest = max(float(np.max(forces, initial=0.0)), NO_FORCE * longest)
+        largest = max(float(forces.max(initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
         unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
-        unbalanced = float(np.max(abs(force_left), initial=0.0))
-        acting = max(float(np.max(strain, initial=0.0)), loaded)
+        unbalanced = float(abs(force_left).max(initial=0.0))
+        acting = max(float(strain.max(initial=0.0)), loaded)
         limits = np.concatenate([abs(problem.gap[closed]), abs(problem.tie_value)])
-        imposed = float(np.max(limits, initial=0.0)) or longest
+        imposed = float(limits.max(initial=0.0)) or longest
         hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))
         parts = _part(unbalanced, largest), _part(unmet, longest), hidden
         return cls(problem, closed, answer, left, largest, longest, *parts)
@@ -358,7 +359,7 @@ class ClosedState:
     @property
     def holds(self) -> bool:
         """Whether the answer solves the problem: residuals are small, no contact pulls and none is penetrated."""
-        return self.solved and not (np.any(self.pulled) or np.any(self.penetrated))
+        return self.solved and not (self.pulled.any() or self.penetrated.any())
 
 
 def _part(value: float, size: float) -> float:
@@ -435,8 +436,8 @@ def closed_in(problem: ContactProblem, answer: Answer) -> Mask:
     """Return the contacts whose force relative to the largest exceeds their gap relative to the largest length (m,)."""
     gap = problem.gap - problem.normal @ answer.displacement
     forces = (answer.normal_force, answer.tie_force, problem.load)
-    force = max(float(np.max(abs(values), initial=0.0)) for values in forces)
-    length = float(np.max(abs(answer.displacement), initial=0.0))
+    force = max(float(abs(values).max(initial=0.0)) for values in forces)
+    length = float(abs(answer.displacement).max(initial=0.0))
     return np.asarray(answer.normal_force * length > gap * force)
 
 
@@ -462,6 +463,6 @@ def uniqueness(state: ClosedState) -> Uniqueness:
     pushed = saddle.solve(force * 0.0, gap, tie)[1:]
     most = ALMOST_FREE / REGULARISATIONS[0]
     return Uniqueness(
-        float(np.max(abs(moved), initial=0.0)) < most,
-        float(max(np.max(abs(values), initial=0.0) for values in pushed)) < most,
+        float(abs(moved).max(initial=0.0)) < most,
+        float(max(abs(values).max(initial=0.0) for values in pushed)) < most,
     )

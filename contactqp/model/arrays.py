@@ -34,6 +34,9 @@ TOO_FAR_APART = (
     "of magnitude between stiffnesses, rows or coefficients, which other units may bring"
 )
 
+# The least double with all its digits.
+TINY = float(np.finfo(float).tiny)
+
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", bound=type)
@@ -44,7 +47,7 @@ def inverse_root(diagonal: Array) -> Array:
 
     Products of two of these scales therefore stay in the range of floats.
     """
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, np.finfo(float).tiny), 1.0)))
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, TINY), 1.0)))
 
 
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:

@@ -58,6 +58,7 @@ class Computed:
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration
     frictional_iteration: Any = None  # linalg.iteration, with the tangential rows
+    frictional_rows: Any = None  # linalg.friction_states: with the coefficients and the condensation that they are of
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # certificate.coulomb_law: likewise
     parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
@@ -71,4 +72,5 @@ class Computed:
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
     judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
     judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
+    of_answer: dict[str, Any] = field(default_factory=dict)  # certificate.figures: of the last answer, by names
     contact_operator: Any = None  # solving.friction.contact_form

@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -29,6 +30,7 @@ from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import Units as Units
 from contactqp.model.problem_data import (
     csr_rows,
+    no_rows,
     read_array,
     read_friction,
     read_gap,
@@ -140,7 +142,7 @@ class ContactProblem:
         n = K.shape[0]
         E_N = read_rows("normal", normal, n)
         m = E_N.shape[0]
-        A = read_rows("tie", np.zeros((0, n)) if tie is None else tie, n)
+        A = no_rows(n) if tie is None else read_rows("tie", tie, n)
         if tie is None and tie_value is not None and read_array("tie_value", tie_value).size:
             raise InvalidProblem("tie_value was given without tie")
         E_T, friction_, origin = read_friction(tangent, friction, slip_origin, m, n)
@@ -303,8 +305,7 @@ class ContactProblem:
         """The diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
-            of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
-            of_stiffness.diagonal.setflags(write=False)
+            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
         return of_stiffness.diagonal
 
     @cached_property
@@ -312,8 +313,7 @@ class ContactProblem:
         """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
-            of_stiffness.own_scale = inverse_root(self.diagonal)
-            of_stiffness.own_scale.setflags(write=False)
+            of_stiffness.own_scale = read_only(inverse_root(self.diagonal))
         return of_stiffness.own_scale
 
     @cached_property
@@ -335,7 +335,10 @@ class ContactProblem:
         """|K| as a CSR matrix."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.sizes is None:
-            of_stiffness.sizes = read_only(abs(self.stiffness_rows))
+            rows = self.stiffness_rows
+            sizes = copy(rows) if rows.has_canonical_format else abs(rows)
+            sizes.data = abs(sizes.data)
+            of_stiffness.sizes = read_only(sizes)
         return of_stiffness.sizes
 
     @cached_property
@@ -351,11 +354,7 @@ class ContactProblem:
     @cached_property
     def load_size(self) -> Vector:
         """The sizes of the forces that add up to `load` (n,), which exceed |load| where forces cancel."""
-        if self.load_sum is not None:
-            return self.load_sum
-        size = abs(self.load)
-        size.setflags(write=False)
-        return size
+        return read_only(abs(self.load)) if self.load_sum is None else self.load_sum
 
     @cached_property
     def frictional(self) -> bool:
@@ -423,12 +422,13 @@ class ContactProblem:
     def has_idle_rows(self) -> bool:
         """Return whether a contact or a tie constrains nothing: its row is zero, or its gap infinite."""
         contacts, ties = self.idle_rows()
-        return bool(np.any(contacts) or np.any(ties))
+        return bool(contacts.any() or ties.any())
 
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
         if self._computed.idle_rows is None:
-            zero = np.diff(self.normal.indptr) == 0, np.diff(self.tie.indptr) == 0
+            normal, tie = self.normal.indptr, self.tie.indptr
+            zero = normal[1:] == normal[:-1], tie[1:] == tie[:-1]
             for rows in zero:
                 rows.setflags(write=False)
             self._computed.idle_rows = zero
@@ -462,7 +462,8 @@ class ContactProblem:
 
         Every process has its own: one that is forked while another thread holds it would wait for ever.
         """
-        return self._computed.locks.setdefault(os.getpid(), threading.RLock())
+        locks, process = self._computed.locks, os.getpid()
+        return locks.get(process) or locks.setdefault(process, threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the problem for copies and pickles, without anything that was computed from it."""

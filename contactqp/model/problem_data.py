@@ -5,9 +5,11 @@ from __future__ import annotations
 import numbers
 import sys
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
@@ -33,7 +35,7 @@ CURVED_NAMED = 4
 
 T = TypeVar("T")
 # What cannot be changed anyway.
-PLAIN = (type(None), float, int, str)
+PLAIN = frozenset((type(None), float, int, bool, str))
 
 
 def read_only(value: T) -> T:
@@ -42,10 +44,11 @@ def read_only(value: T) -> T:
     Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
     """
     found: Any = value
-    if isinstance(found, PLAIN):
+    if type(found) in PLAIN:
         return value
     if isinstance(found, np.ndarray):
-        if isinstance(found.base, np.ndarray) and found.base.flags.writeable:
+        base = found.base
+        if base is not None and isinstance(base, np.ndarray) and base.flags.writeable:
             found = found.copy()
         found.setflags(write=False)
     elif sp.issparse(found):
@@ -63,7 +66,10 @@ class ReadOnly:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
-            if not isinstance(value, PLAIN) and (kept := read_only(value)) is not value:
+            kind = type(value)
+            if kind is np.ndarray and value.base is None:  # most are
+                value.setflags(write=False)
+            elif kind not in PLAIN and (kept := read_only(value)) is not value:
                 object.__setattr__(self, name, kept)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -172,14 +178,17 @@ def refuse_masked(name: str, value: Any) -> None:
 
 
 def _finite(name: str, values: NDArray[np.float64]) -> None:
-    if not np.all(np.isfinite(values)):
+    if not np.isfinite(values).all():
         where = np.argwhere(~np.isfinite(values))[0]
         at = ", ".join(str(int(i)) for i in where)
         raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(where)]} at [{at}]")
 
 
 def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
-    vector = read_array(name, value)
+    return _finite_vector(name, read_array(name, value), size)
+
+
+def _finite_vector(name: str, vector: NDArray[np.float64], size: int) -> Vector:
     vector = vector[None] if vector.ndim == 0 and size == 1 else vector
     if vector.shape != (size,):
         raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
@@ -219,11 +228,11 @@ def csr_rows(matrix: Any) -> Any:
 
 def rows_of_dense(dense: NDArray[np.float64], kind: Any) -> Any:
     """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
-    filled = dense != 0
-    indptr = np.zeros(len(dense) + 1, dtype=np.int32)
-    np.cumsum(np.count_nonzero(filled, axis=1), out=indptr[1:])
-    rows = kind((dense[filled], np.nonzero(filled)[1].astype(np.int32), indptr), shape=dense.shape)
-    rows.has_canonical_format = True
+    row, column = dense.nonzero()
+    rows = copy(_without_entries(kind, dense.shape))  # whose making, with all its checks, takes longer than the rest
+    rows.indptr = np.zeros(len(dense) + 1, dtype=np.int32)
+    np.bincount(row, minlength=len(dense)).cumsum(out=rows.indptr[1:])
+    rows.data, rows.indices = dense[row, column], column.astype(np.int32)
     return rows
 
 
@@ -232,21 +241,34 @@ def read_rows(name: str, value: Any, n: int) -> Any:
     if not sp.issparse(given) and given.ndim == 1 and len(given) == n > 0:
         given = given[None, :]  # one row
     if not sp.issparse(given) and given.size == 0:
-        return sp.csr_array((0, n))
+        return no_rows(n)
     rows = _sparse(name, given)
     if rows.shape[1] != n:
         raise InvalidProblem(f"{name}: expected {n} columns, one for each unknown, got shape {rows.shape}")
     return rows
 
 
+def no_rows(n: int) -> Any:
+    """Return a CSR array without rows over n unknowns."""
+    return copy(_without_entries(sp.csr_array, (0, n)))
+
+
+@lru_cache(maxsize=32)
+def _without_entries(kind: Any, shape: tuple[int, int]) -> Any:
+    """Return a matrix of zeros in a CSR format, which everybody copies and nobody changes."""
+    zeros = read_only(kind(shape))
+    zeros.has_canonical_format = True
+    return zeros
+
+
 def read_gap(value: ArrayLike, size: int) -> Vector:
     """Initial gaps; infinity is that of a contact that never closes."""
     gap = read_array("gap", value)
     gap = gap[None] if gap.ndim == 0 and size == 1 else gap
-    if gap.shape == (size,) and np.any(gap == np.inf):
-        read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
+    if gap.shape == (size,) and (gap == np.inf).any():
+        _finite_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
         return read_only(gap)
-    return read_vector("gap", gap, size)
+    return _finite_vector("gap", gap, size)
 
 
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
@@ -266,7 +288,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     row, root = np.repeat(np.arange(n), np.diff(K.indptr)), np.sqrt(diagonal)
     pair = root[row] * root[K.indices]
     outside = np.abs(K.data) > (1 + SYMMETRY_TOLERANCE) * pair
-    if np.any(outside):
+    if outside.any():
         at = int(np.flatnonzero(outside)[0])
         i, j = int(row[at]), int(K.indices[at])
         raise InvalidProblem(
@@ -322,11 +344,11 @@ def _resists_every_motion(K: NDArray[np.float64]) -> bool:
 
     `clear_of_printing` scales by the powers of two nearest to 1/sqrt(K_jj): its eigenvalues are at least half of these.
     """
-    diagonal = np.diag(K)
-    if not np.all(diagonal > 0):
+    diagonal = K.diagonal()
+    if not (diagonal > 0).all():
         return False
     root = np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(K / np.outer(root, root))[0] > 2 * SOFT)
+    return bool(np.linalg.eigvalsh(K / (root[:, None] * root))[0] > 2 * SOFT)
 
 
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:

@@ -23,7 +23,15 @@ from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
+from contactqp.linalg.friction_states import (
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    Status,
+    answer_in,
+    condensed_frictional_rows,
+)
 from contactqp.linalg.iteration import frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.linalg.runtime import on_one_thread
@@ -117,7 +125,7 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
         return answer
     u = answer.displacement
     resting = replace(answer, displacement=u - free @ (free.T @ u))
-    rows = FrictionalRows(problem, condensation)
+    rows = condensed_frictional_rows(problem, condensation)
     for found in (answer_in(problem, condensation, rows, _combination(problem, answer), resting), resting):
         if holds(problem, found):
             return found

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.local_certificate import certify_local, judged
+from contactqp.certificate.local_certificate import certify_local, judged, velocity_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
-from contactqp.linalg.extended import velocity_of
 from contactqp.linalg.runtime import THREADS_PAY, on_one_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status

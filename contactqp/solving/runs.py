@@ -413,7 +413,7 @@ def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, V
     rows = (problem.normal, sp.csr_array(problem.tangent), problem.tie)
     units = (1.0 / D, *(np.sqrt(row.power(2) @ D**2) for row in rows))
     sizes = [abs(value) * unit for value, unit in zip(values, units, strict=True)]
-    largest = max(np.max(size, initial=0.0) for size in (*sizes, abs(problem.load) * D))
+    largest = max(size.max(initial=0.0) for size in (*sizes, abs(problem.load) * D))
     u, normal, friction, tie = (
         np.where(size < INVISIBLE * largest, 0.0, value) for value, size in zip(values, sizes, strict=True)
     )

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 import contactqp as cq
 from contactqp.certificate.certificate import FIGURES, compute_certificate
+from contactqp.certificate.figures import kept_residuals, violations
+from contactqp.model.solution import Answer
 from tests.examples import (
     CANTILEVER_FORCE,
     block_between,
@@ -458,3 +460,16 @@ def test_a_reason_stands_once_for_all_bounds_that_it_is_a_reason_for() -> None:
     )
     judged = str(cq.certify(problem, [0.0], [5.0], [[0.0]])).splitlines()
     assert "  no bound: energy_error, force_error, force_bound: friction: contact rows depend on" in "\n".join(judged)
+
+
+def test_an_answer_is_measured_once_but_for_each_load_that_shares_its_stiffness() -> None:
+    problem = truss()
+    answer = Answer(**_right(problem), friction_force=None, tie_force=np.zeros(0))
+    left = kept_residuals(problem, answer)
+    assert kept_residuals(problem, answer) is left
+    heavier = problem.replace(load=2 * problem.load)
+    missing = kept_residuals(heavier, answer).force.double() - left.force.double()
+    assert missing == pytest.approx(problem.load)
+    meeting = [violations(one, answer, left).meeting for one in (problem, heavier, problem)]
+    assert meeting[0].tobytes() == meeting[2].tobytes()
+    assert np.all(meeting[1] > meeting[0])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import contactqp as cq
 from contactqp.linalg import extended
-from contactqp.linalg.extended import images
+from contactqp.linalg.extended import Extended, ExtendedRows, images, residuals_of
 
 
 @pytest.mark.parametrize("short", [0, extended.SHORT], ids=["pairs of doubles", "the longest floats there are"])
@@ -38,3 +39,27 @@ def test_long_rows_are_added_in_pairs_of_doubles(monkeypatch):
 
 def test_no_columns_have_no_images():
     assert images(sp.identity(4, format="csr"), np.zeros((4, 0))).shape == (4, 0)
+
+
+def residuals_laid_out(block, monkeypatch):
+    """Residuals of an answer with ties and friction, rows of different lengths; whether they came of one block."""
+    monkeypatch.setattr(extended, "ONE_BLOCK", block)
+    random = np.random.default_rng(1)
+    K, rows = random.normal(size=(7, 7)), random.normal(size=(6, 7)) * (random.random((6, 7)) < 0.5)
+    problem = cq.ContactProblem(
+        K @ K.T, random.normal(size=7), rows[:2], [0.1, 0.2], rows[2:4], 0.3, tie=rows[4:], tie_value=[0.0, 1.0]
+    )
+    u, normal, tie, friction = (Extended(random.normal(size=n), 1e-18 * random.normal(size=n)) for n in (7, 2, 2, 2))
+    exact = ExtendedRows(problem)
+    left = residuals_of(exact, problem, extended.ExtendedAnswer(u, normal, tie, friction))
+    return (left.force, left.gap, left.tie, exact.gap(problem, u), exact.slip(u)), left.slip, exact.together is not None
+
+
+def test_rows_in_one_block_leave_the_residuals_of_rows_apart_to_the_last_bit(monkeypatch):
+    together, slip, one_block = residuals_laid_out(extended.ONE_BLOCK, monkeypatch)
+    apart, unformed, one_block_too = residuals_laid_out(0, monkeypatch)
+    assert (one_block, one_block_too, unformed) == (True, False, None)
+    for one, other in zip((*together, slip), (*apart, apart[-1]), strict=True):
+        assert one.hi.tobytes() == other.hi.tobytes()
+        assert one.lo.tobytes() == other.lo.tobytes()
+        assert one.hi.size

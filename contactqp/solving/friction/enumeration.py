@@ -32,7 +32,7 @@ from contactqp.certificate.figures import holds
 from contactqp.certificate.uniqueness import NOTHING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import FrictionalRows, answer_in
+from contactqp.linalg.friction_states import FrictionalRows, answer_in, condensed_frictional_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
@@ -229,7 +229,7 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
     """
     if (reason := refuse_many(problem.contacts)) is not None:
         raise Unsupported(reason)
-    rows = FrictionalRows(problem, condensation)
+    rows = condensed_frictional_rows(problem, condensation)
     found: list[Equilibrium] = []
     for status, start in _Systems(problem, condensation, rows).plausible():
         answer = answer_in(problem, condensation, rows, status, _least_ties(rows, start))

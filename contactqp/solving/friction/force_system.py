@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, FrictionalRows, Status
+from contactqp.linalg.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, Status, condensed_frictional_rows
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -83,7 +83,7 @@ class ForceSystem:
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        self.rows = rows = FrictionalRows(problem, condensation)
+        self.rows = rows = condensed_frictional_rows(problem, condensation)
         self.contacts, R = problem.contacts, rows.all_rows
         self.coefficient = np.where(rows.slides, rows.coefficient, 0.0)
         self._from_load = R @ rows.compliance

@@ -11,7 +11,7 @@ from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_conflict
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, condensed_frictional_rows
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -58,7 +58,7 @@ def solve_on_contacts(
     BackendFailed, BackendMissing, Unsupported, InvalidProblem
         Of the convex method.
     """
-    contacts = ContactForm(problem, condensation, FrictionalRows(problem, condensation))
+    contacts = ContactForm(problem, condensation, condensed_frictional_rows(problem, condensation))
     balanced = balancing_forces(LocalForm(contacts.local))
     deadline = Deadline(settings.time_limit)
     failed: NotConverged | None = None

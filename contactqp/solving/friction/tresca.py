@@ -23,7 +23,15 @@ from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
+from contactqp.linalg.friction_states import (
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    Status,
+    answer_in,
+    condensed_frictional_rows,
+)
 from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -128,7 +136,7 @@ class _Run:
         self._problem, self._way, self._method = problem, condensation, method
         self._settings = replace(settings, warm_start=None, max_iter=None)
         self._start, self._began = settings.warm_start, time.perf_counter()
-        self._rows = FrictionalRows(problem, condensation)
+        self._rows = condensed_frictional_rows(problem, condensation)
         load, self._inner = condensation.reduce_load(problem.load)
         size = condensation.reduced_size(problem, self._inner)
         self._load, self._load_size = load * self._rows.scale, size * self._rows.scale
@@ -164,9 +172,9 @@ class _Run:
             _block_diagonal(rows.S, np.zeros((count, count))),
             np.concatenate([self._load, -bound[bounded]]),
             np.concatenate([self._load_size, bound[bounded]]),
-            np.block([[rows.normal, np.zeros((m, count))], [T, -np.eye(count)], [-T, -np.eye(count)]]),
+            _bounded_rows(rows.normal, T),
             np.concatenate([self._gap, o, -o]),
-            np.hstack([rows.tie, np.zeros((len(rows.tie), count))]),
+            _block_diagonal(rows.tie, np.zeros((0, count))),
             self._value,
             named=False,
         )
@@ -222,6 +230,15 @@ class _Run:
         forces = (step.normal / rows.normal_length, (step.friction / rows.tangent_length)[:, None])
         start = Answer(u, *forces, step.tie / rows.tie_length)
         return answer_in(self._problem, self._way, rows, status, start)
+
+
+def _bounded_rows(normal: Array, tangent: Array) -> Array:
+    """The rows N x, T x - w, -T x - w over x and w."""
+    (m, p), count = normal.shape, len(tangent)
+    rows = np.zeros((m + 2 * count, p + count))
+    rows[:m, :p], rows[m : m + count, :p], rows[m + count :, :p] = normal, tangent, -tangent
+    rows[m : m + count, p:] = rows[m + count :, p:] = -np.eye(count)
+    return rows
 
 
 def _block_diagonal(one: Array, other: Array) -> Array:

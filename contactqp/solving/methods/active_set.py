@@ -19,6 +19,7 @@ from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, delass
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -115,7 +116,7 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
     rows, m = operator.rows, problem.contacts
     length = np.linalg.norm(rows, axis=1)
     limit = np.concatenate([problem.gap, problem.tie_value]) / length
-    reach = np.max(abs(limit), initial=0.0)
+    reach = abs(limit).max(initial=0.0)
     if reach == 0:
         return none
     rows = (rows / length[:, None]) @ motions
@@ -176,24 +177,22 @@ def _primal_dual(
     limit: int,
 ) -> tuple[Vector, int, bool]:
     """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
-    from scipy.linalg.lapack import dpotrs
-
     seen: set[bytes] = set()
     for step in range(1, limit + 1):
         closed = tied | (force + (excess - W @ force) > tolerance)
         if closed.tobytes() in seen:
             return force, step, False
         seen.add(closed.tobytes())
-        B = np.flatnonzero(closed)
+        B = closed.nonzero()[0]
         force = np.zeros(len(W))
         if B.size:
-            lower = lower_factor(W[np.ix_(B, B)])
+            lower = lower_factor(W[B[:, None], B])
             # Redundant contacts: the finite method knows which of them to keep.
             if lower is None or lower.diagonal().min() ** 2 < OPERATOR_ROUNDING:
                 return force, step, False
-            force[B] = dpotrs(lower, excess[B], lower=True)[0]
+            force[B] = lapack().dpotrs(lower, excess[B], lower=True)[0]
         penetrated = np.where(closed, 0.0, excess - W @ force)
-        if np.all(penetrated <= tolerance) and np.all(force[~tied] >= 0):
+        if (penetrated <= tolerance).all() and (force[~tied] >= 0).all():
             return force, step, True
     return force, limit, False
 
@@ -215,16 +214,14 @@ def _equilibrium_on(
     force = np.zeros(problem.contacts)
     force[closed] = on_set
     push = force / operator.row_scale[: problem.contacts]
-    tension = max(
-        OPERATOR_ROUNDING * np.max(abs(push), initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0)
-    )
+    tension = max(OPERATOR_ROUNDING * abs(push).max(initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0))
     if np.any(push < -tension):
         return None
     # Where nothing floats, the anchored set is the set. What free motions open, polishing opens by moving them.
     if condensation.rigid.count:
         penetrated = _penetrated(condensation, problem, x) & ~_moved(condensation, operator, saddle.free)
         penetrated[closed] = False
-        if np.any(penetrated):
+        if penetrated.any():
             return None
     return x, np.maximum(force, 0.0), tie_force
 
