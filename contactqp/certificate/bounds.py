@@ -240,10 +240,10 @@ def no_bounds(reason: str) -> Bounds:
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
-def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
+def iterated_bounds(problem: Limits, answer: Forces, iteration: ContactIteration) -> Bounds:
     """Bound an answer without friction by products and responses (`contactqp.certificate.multigrid_bounds`)."""
     try:
-        found = distances(problem, answer, way)
+        found = distances(problem, answer, iteration)
     except Unrepaired as reason:
         return replace(no_bounds(str(reason)), suspicious=str(reason))
     force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0

@@ -88,7 +88,7 @@ class Forces(Protocol):
     def tie_force(self) -> Vector: ...  # (k,)
 
 
-def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distances:
+def distances(problem: Limits, answer: Forces, iteration: ContactIteration) -> Distances:
     """Bound the distance of an answer from the solution.
 
     Raises
@@ -97,140 +97,146 @@ def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distanc
         No displacement without penetration was found near it.
     """
     given = np.append(answer.normal_force, answer.tie_force)
-    push, forces = _forces(problem, answer, given, way)
-    moved, gap, rounding = _repaired(problem, answer, push, way)
+    push, forces = _forces(problem, answer, given, iteration)
+    moved, gap, rounding = _repaired(problem, answer, push, iteration)
     v = answer.displacement + moved
-    outer = way.forces(forces)
-    r = problem.load - way.product(v) - outer
-    change = way.forces(forces - given)
-    response, shifted, estimated = _responses(way, r, change)
-    stationary = response * (1 + _noise(problem, v, outer, r, way))
-    radius = float(np.sqrt(stationary**2 + 2 * way.dot(push, gap))) + rounding
+    outer = iteration.forces(forces)
+    r = problem.load - iteration.product(v) - outer
+    change = iteration.forces(forces - given)
+    response, shifted, estimated = _responses(iteration, r, change)
+    stationary = response * (1 + _noise(problem, v, outer, r, iteration))
+    radius = float(np.sqrt(stationary**2 + 2 * iteration.dot(push, gap))) + rounding
     return Distances(
-        displacement=_energy_norm(way, moved) + radius,
+        displacement=_energy_norm(iteration, moved) + radius,
         force=shifted + radius,
-        energy_scale=_energy_norm(way, answer.displacement),
-        force_scale=force_norm(push, len(answer.normal_force), way),
+        energy_scale=_energy_norm(iteration, answer.displacement),
+        force_scale=force_norm(push, len(answer.normal_force), iteration),
         radius=radius,
         estimated=estimated,
     )
 
 
-def _forces(problem: Limits, answer: Forces, given: Vector, way: ContactIteration) -> tuple[Vector, Vector]:
+def _forces(problem: Limits, answer: Forces, given: Vector, iteration: ContactIteration) -> tuple[Vector, Vector]:
     """Return contact forces without tension, zero on ties, and all forces, which balance floating bodies."""
     contact = np.arange(len(given)) < len(answer.normal_force)
     forces = np.where(contact, np.maximum(given, 0.0), given)
-    residual = problem.load - way.product(answer.displacement) - way.forces(forces)
+    residual = problem.load - iteration.product(answer.displacement) - iteration.forces(forces)
     # In parts of themselves: contact forces that are changed little stay pressure.
-    forces = forces + way.balanced(residual, np.where(contact, forces, 1 / way.own_compliance))
-    if way.any(contact & (forces < 0)):
+    forces = forces + iteration.balanced(residual, np.where(contact, forces, 1 / iteration.own_compliance))
+    if iteration.any(contact & (forces < 0)):
         raise Unrepaired("the contact forces could not be brought into balance with the load")
     return np.where(contact, forces, 0.0), forces
 
 
-def _energy_norm(way: ContactIteration, v: Vector) -> float:
-    return float(np.sqrt(max(way.dot(v, way.product(v)), 0.0))) if way.any(v != 0) else 0.0
+def _energy_norm(iteration: ContactIteration, v: Vector) -> float:
+    return float(np.sqrt(max(iteration.dot(v, iteration.product(v)), 0.0))) if iteration.any(v != 0) else 0.0
 
 
-def _responses(way: ContactIteration, r: Vector, change: Vector) -> tuple[float, float, bool]:
+def _responses(iteration: ContactIteration, r: Vector, change: Vector) -> tuple[float, float, bool]:
     """Bound sqrt(r'K^-1 r) of two forces from above; return both and whether they are estimates."""
-    if way.factorised:
-        response, shifted = refined_norm(way, r), refined_norm(way, change)
+    if iteration.factorised:
+        response, shifted = refined_norm(iteration, r), refined_norm(iteration, change)
         if response is not None and shifted is not None:
             return response, shifted, False
-    return dual_norm(way, r), dual_norm(way, change, learned=True), True
+    return dual_norm(iteration, r), dual_norm(iteration, change, learned=True), True
 
 
-def refined_norm(way: ContactIteration, force: Vector) -> float | None:
+def refined_norm(iteration: ContactIteration, force: Vector) -> float | None:
     """Bound sqrt(r'K^-1 r) from above where M is the inverse of K up to rounding; None where refinement denies that.
 
     e = M r, then M (r - K e), and so on: as each is at most CONTRACTION of the one before, all that would follow is no
     larger than the last.
     """
-    left = way.deflated(force).copy()
+    left = iteration.deflated(force).copy()
     response, last, first = np.zeros_like(left), np.inf, 0.0
     for _ in range(SWEEPS):
-        step = way.smooth(left)
-        forces = way.product(step)
-        size = float(np.sqrt(max(way.dot(step, forces), 0.0)))
+        step = iteration.smooth(left)
+        forces = iteration.product(step)
+        size = float(np.sqrt(max(iteration.dot(step, forces), 0.0)))
         if size > CONTRACTION * last:
             return None
-        response, left = response + step, way.deflated(left - forces)
+        response, left = response + step, iteration.deflated(left - forces)
         first, last = first or size, size
         if size <= FEW_DIGITS * first:
-            return _energy_norm(way, response) + 2 * size
+            return _energy_norm(iteration, response) + 2 * size
     return None
 
 
-def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> float:
+def dual_norm(iteration: ContactIteration, force: Vector, learned: bool = False) -> float:
     """Estimate sqrt(r'K^-1 r) from above [square root of energy].
 
     Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
     of earlier runs serve too, which saves steps.
     """
-    if not way.any(force != 0):
+    if not iteration.any(force != 0):
         return 0.0
-    run = way.run_without_rows(way.deflated(force).copy())
+    run = iteration.run_without_rows(iteration.deflated(force).copy())
     while True:
         square = run.square()
-        way.learn(run)
-        least, longest = (way.least_eigenvalue, way.longest_run) if learned else (run.least_eigenvalue(), run.steps)
+        iteration.learn(run)
+        least, longest = (
+            (iteration.least_eigenvalue, iteration.longest_run) if learned else (run.least_eigenvalue(), run.steps)
+        )
         rest = SAFETY * square / least if least > 0 else np.inf
         exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
         known = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
         if known or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
-        way.krylov_iterations += 1
+        iteration.krylov_iterations += 1
 
 
-def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIteration) -> float:
+def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, iteration: ContactIteration) -> float:
     """Return the rounding of r relative to r, both in the norm of D^-1."""
-    scale = 1 / np.sqrt(way.diagonal)
-    size = way.norm(scale * r)
-    meeting = way.product_sizes(v) + abs(problem.load) + abs(forces)
-    return ROUNDING * way.norm(scale * meeting) / size if size > 0 else 0.0
+    scale = 1 / np.sqrt(iteration.diagonal)
+    size = iteration.norm(scale * r)
+    meeting = iteration.product_sizes(v) + abs(problem.load) + abs(forces)
+    return ROUNDING * iteration.norm(scale * meeting) / size if size > 0 else 0.0
 
 
-def force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
+def force_norm(push: Vector, contacts: int, iteration: ContactIteration) -> float:
     """Return l'E v / |v|_K for v = M E'l that moves no tie, a lower bound of |l|_W."""
-    if not way.any(push != 0):
+    if not iteration.any(push != 0):
         return 0.0
-    load = way.deflated(way.forces(push))
-    v = way.smooth(load)
+    load = iteration.deflated(iteration.forces(push))
+    v = iteration.smooth(load)
     ties = np.arange(contacts, len(push))
-    way.held(ties, np.zeros(len(ties))).admit(v)
-    size = _energy_norm(way, v)
-    return max(way.dot(load, v), 0.0) / size if size > 0 else 0.0
+    iteration.held(ties, np.zeros(len(ties))).admit(v)
+    size = _energy_norm(iteration, v)
+    return max(iteration.dot(load, v), 0.0) / size if size > 0 else 0.0
 
 
-def _repaired(problem: Limits, answer: Forces, push: Vector, way: ContactIteration) -> tuple[Vector, Vector, float]:
+def _repaired(
+    problem: Limits, answer: Forces, push: Vector, iteration: ContactIteration
+) -> tuple[Vector, Vector, float]:
     """Return v - u, the gaps g - E v (m + k,), zero where closed, and their rounding [square root of energy]."""
     m = len(problem.gap)
     limit = np.concatenate([problem.gap, problem.tie_value])
     u = answer.displacement
-    lengths = way.length_sizes(u) + abs(limit)
-    gap = limit - way.lengths(u)
-    closed = push * way.own_compliance > gap
+    lengths = iteration.length_sizes(u) + abs(limit)
+    gap = limit - iteration.lengths(u)
+    closed = push * iteration.own_compliance > gap
     closed[m:] = True
     for _ in range(REPAIRS):
-        v, left = _closed_onto(way, np.flatnonzero(closed), limit, u)
+        v, left = _closed_onto(iteration, np.flatnonzero(closed), limit, u)
         deep = (-left > CLOSED * lengths) & ~closed
-        if not way.any(deep):
+        if not iteration.any(deep):
             break
         closed |= deep
     else:
         raise Unrepaired("the candidate could not be moved to a displacement that penetrates nowhere")
-    if way.any(abs(left[closed]) > CLOSED * lengths[closed]):
+    if iteration.any(abs(left[closed]) > CLOSED * lengths[closed]):
         raise Unrepaired("contacts that depend on each other cannot be closed together")
     open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))
-    rounding = ROUNDING * way.norm(lengths[closed] / np.sqrt(way.own_compliance[closed]))
+    rounding = ROUNDING * iteration.norm(lengths[closed] / np.sqrt(iteration.own_compliance[closed]))
     return v - u, open_gap, float(rounding)
 
 
-def _closed_onto(way: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
+def _closed_onto(
+    iteration: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector
+) -> tuple[Vector, Vector]:
     """Return u moved onto the limits of some rows, and the gaps of all rows there."""
-    held = way.held(rows, limit[rows])
+    held = iteration.held(rows, limit[rows])
     v = u.copy()
     for _ in range(2):  # the second time takes out the rounding of the first
         held.close(v)
-    return v, limit - way.lengths(v)
+    return v, limit - iteration.lengths(v)

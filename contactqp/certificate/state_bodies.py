@@ -77,9 +77,9 @@ class CondensedBodies:
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-        way = self._condensation
-        load = normal @ way.normal + self._outward @ friction.ravel()
-        saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
+        condensation = self._condensation
+        load = normal @ condensation.normal + self._outward @ friction.ravel()
+        saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp))
         x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
         return float(np.sqrt(max(float(load @ x), 0.0)))
 
@@ -175,15 +175,15 @@ class IteratedBodies:
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces, to a few per cent."""
-        way, rows = self._iteration, self._rows
+        iteration, rows = self._iteration, self._rows
         ties = np.arange(rows.m, rows.plain)
-        load = way.forces(np.concatenate([normal, np.zeros(len(ties)), friction.ravel()]))
+        load = iteration.forces(np.concatenate([normal, np.zeros(len(ties)), friction.ravel()]))
         if not load.any():
             return 0.0
-        held = way.held(ties, np.zeros(len(ties)))
-        run = way.run(np.zeros_like(load), load, ties, held)
+        held = iteration.held(ties, np.zeros(len(ties)))
+        run = iteration.run(np.zeros_like(load), load, ties, held)
         while run.square() > RESPONSE_LEFT * run.gained and run.steps < MOST_STEPS and run.step():
-            way.krylov_iterations += 1
+            iteration.krylov_iterations += 1
         return float(np.sqrt(run.gained + run.square()))
 
     def rounding(self, displacement: Vector) -> float:

@@ -111,7 +111,7 @@ def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
         )
 
 
-def refuse_indefinite_by_iteration(problem: ContactProblem, way: ContactIteration) -> None:
+def refuse_indefinite_by_iteration(problem: ContactProblem, iteration: ContactIteration) -> None:
     """Raise InvalidProblem if conjugate gradients from a random force meet negative curvature; it is tried once.
 
     A preconditioner that leaves the positive eigenvalues of M K between a fifth and one makes a negative one show
@@ -121,9 +121,9 @@ def refuse_indefinite_by_iteration(problem: ContactProblem, way: ContactIteratio
     if of_stiffness.convex or of_stiffness.convex_by_iteration:
         return
     random = np.random.default_rng(0).standard_normal(problem.dimension)
-    run = way.run_without_rows(np.sqrt(problem.diagonal) * random)
+    run = iteration.run_without_rows(np.sqrt(problem.diagonal) * random)
     while run.steps < STEPS and run.step():
-        way.krylov_iterations += 1
+        iteration.krylov_iterations += 1
     if run.fall is not None:
         _refuse_curved(problem, run.fall)
     of_stiffness.convex_by_iteration = True

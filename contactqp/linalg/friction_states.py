@@ -215,7 +215,7 @@ class StateSystem:
         independent: bool = False,
     ) -> None:
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        self._way, self._rows = condensation, rows
+        self._condensation, self._rows = condensation, rows
         tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
         along = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
         dragged = rows.coefficient[self.closed, None] * along
@@ -254,7 +254,7 @@ class StateSystem:
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
         """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
-        reduced, inner = self._way.reduce_residual(load)
+        reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
@@ -268,7 +268,7 @@ class StateSystem:
         sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
         friction_force[b] = sticking / rows.tangent_length[b, None]
         tie_force = y[len(y) - self._ties :] / rows.tie_length
-        return self._way.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
+        return self._condensation.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
 
 
 def _unresisted(motions: Array, held: Array) -> Array:

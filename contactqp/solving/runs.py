@@ -67,15 +67,15 @@ class Meter:
         return (known.factorisations, known.back_substitutions) if known else (0, 0)
 
     def read(self, iterations: int | None, corrections: int) -> Work:
-        way: Condensation = self.problem._computed.condensation or condense(self.problem)
-        interior = self.problem.dimension - len(way.retained)
+        condensation: Condensation = self.problem._computed.condensation or condense(self.problem)
+        interior = self.problem.dimension - len(condensation.retained)
         return Work(
             factorisations=self._factorisations,
             back_substitutions=self._back_substitutions,
             iterations=iterations,
-            retained=len(way.retained),
+            retained=len(condensation.retained),
             polish_corrections=corrections,
-            solver="dense" if way.solver == "superlu" and interior <= DENSE_SIZE else way.solver,
+            solver="dense" if condensation.solver == "superlu" and interior <= DENSE_SIZE else condensation.solver,
         )
 
 
@@ -285,32 +285,34 @@ class CondensedRun(Run):
 
     def _run(self, settings: Settings, wanted: bool | str) -> tuple[bool, Candidate]:
         """Run the method; return whether it was shown all unknowns, and its candidate."""
-        problem, way, method = self.problem, self._condensation, self.method
+        problem, condensation, method = self.problem, self._condensation, self.method
         # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing
         # lies inside.
-        smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
+        smaller = len(condensation.retained) < problem.dimension or condensation.rigid.count > 0
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
             return True, _run_scaled(problem, method, settings)
         if settings.warm_start is not None:
-            settings = replace(settings, warm_start=way.restrict_candidate(settings.warm_start))
+            settings = replace(settings, warm_start=condensation.restrict_candidate(settings.warm_start))
         if method.solve_condensed is not None and not bare:
-            return False, method.solve_condensed(problem, way, settings)
-        load, inner = way.reduce_load(problem.load)
+            return False, method.solve_condensed(problem, condensation, settings)
+        load, inner = condensation.reduce_load(problem.load)
         if bare:
-            return False, _linear(way, load)
-        return False, _run_scaled(way.reduced_problem(problem, load, inner), method, settings)
+            return False, _linear(condensation, load)
+        return False, _run_scaled(condensation.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:
         """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
-        problem, way = self.problem, self._condensation
+        problem, condensation = self.problem, self._condensation
         if self._closed is None:
             return None
-        answer, corrections, holds = polish(problem, way, self._closed, self.method.corrections)
+        answer, corrections, holds = polish(problem, condensation, self._closed, self.method.corrections)
         if not holds:
             return None
-        answer, free = least_displacement(problem, way, answer)
-        return Final(*without_noise(problem, way, answer), described(self.problem, free), corrections, polished=True)
+        answer, free = least_displacement(problem, condensation, answer)
+        return Final(
+            *without_noise(problem, condensation, answer), described(self.problem, free), corrections, polished=True
+        )
 
     def _as_it_came(self) -> Final:
         """Return the candidate as the method found it, with its free motions put to rest."""
@@ -335,15 +337,15 @@ def _condensed(problem: ContactProblem) -> Condensation:
         return condensation_of(problem)
     with ThreadPoolExecutor(1) as pool:
         laid_out = pool.submit(own_floating_point(lay_out), problem)
-        way = condensation_of(problem)
+        condensation = condensation_of(problem)
         laid_out.result()
-    return way
+    return condensation
 
 
-def _linear(way: Condensation, load: Vector) -> Candidate:
+def _linear(condensation: Condensation, load: Vector) -> Candidate:
     """Solve the linear system that remains without contacts and ties."""
     none = np.zeros(0)
-    x, _, _ = saddle_point(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
+    x, _, _ = saddle_point(condensation, np.zeros(0, dtype=np.intp)).solve(load, none, none)
     return Candidate(x, none, none, status="a linear system")
 
 
@@ -432,13 +434,15 @@ class RunByIteration(Run):
         Another method than the active set.
     """
 
-    def __init__(self, problem: ContactProblem, method: Method, way: Callable[[ContactProblem], Iteration]) -> None:
+    def __init__(
+        self, problem: ContactProblem, method: Method, make_iteration: Callable[[ContactProblem], Iteration]
+    ) -> None:
         if method.kind != "active set":
             raise Unsupported(
                 f"{method.name}: a body this large is not factorised, only iterated on, by active-set; {_ELSE}"
             )
         super().__init__(problem, method)
-        self.iteration = way(problem)
+        self.iteration = make_iteration(problem)
         self._before = self.iteration.krylov_iterations
 
     def work(self, corrections: int) -> Work:

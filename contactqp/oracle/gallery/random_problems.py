@@ -135,7 +135,7 @@ def frictional(draw: Draw, difficulty: str) -> Contents:
     touching, others = FRICTIONAL_SIZES[difficulty]
     n = dimension * (touching + others)
     stiffness = _network(draw, n)
-    # The largest sixteenth beneath the bound of `only_displacement`.
+    # The largest sixteenth beneath the bound of `below_critical_friction`.
     friction = Fraction(ceil(16 * dominance(stiffness) / largest_row_sum(stiffness)) - 1, 16)
     # Of three neighbours one slides, one sticks and one is open; a single one touches.
     states = ["slip", "stick", "open"] if touching > 1 else [draw.among(("slip", "stick"))]

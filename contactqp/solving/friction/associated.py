@@ -98,7 +98,7 @@ class _Program:
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
         self.mu, origin, self._rubs = _coulomb_data(problem)
-        self._way, scale = condensation, condensation.scale
+        self._condensation, scale = condensation, condensation.scale
         m, width = origin.shape
         normal = condensation.normal * scale
         tangent = np.zeros((0, len(scale))) if condensation.tangent is None else condensation.tangent.toarray() * scale
@@ -173,7 +173,7 @@ class _Program:
     def answer(self, point: _Point) -> Answer:
         """In the unknowns and units of the problem."""
         force = point.r * (self._size / self._length[:, None])
-        u = self._way.expand(point.x * self._size * self._way.scale, self._inner)
+        u = self._condensation.expand(point.x * self._size * self._condensation.scale, self._inner)
         return Answer(u, force[:, 0], -force[:, 1:], point.tie * self._size / self._tie_length)
 
     def _velocity(self, point: _Point) -> NDArray[np.float64]:

@@ -153,7 +153,7 @@ class ContactForm:
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> None:
-        self._problem, self._way, self._rows = problem, condensation, rows
+        self._problem, self._condensation, self._rows = problem, condensation, rows
         self._operator = operator = contact_operator(problem, condensation, rows)
         load, self._inner = condensation.reduce_load(problem.load)
         self._scaled_load = load * rows.scale
@@ -174,7 +174,7 @@ class ContactForm:
 
     def answer_in(self, status: Status, start: Answer) -> Answer:
         """The answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
-        return answer_in(self._problem, self._way, self._rows, status, start)
+        return answer_in(self._problem, self._condensation, self._rows, status, start)
 
     def status(self, form: LocalForm, iterate: Iterate) -> Status:
         """Closed where r_N > u_N, sliding where |r_T - u_T| exceeds the bound, contacts having a compliance of one."""
@@ -206,7 +206,7 @@ class ContactForm:
             left = self._scaled_load - rows.S @ x + pushed
             tie = np.asarray(np.linalg.lstsq(rows.tie.T, left, rcond=None)[0], dtype=float)
         return Answer(
-            self._way.expand(x * rows.scale, self._inner),
+            self._condensation.expand(x * rows.scale, self._inner),
             force[:, 0] / rows.normal_length,
             -force[:, 1:] / rows.tangent_length[:, None],
             tie / rows.tie_length,

@@ -262,7 +262,7 @@ class _Systems:
     """The combinations of one problem, and the displacement that belongs to their forces and motions."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> None:
-        self._way, self._rows = condensation, rows
+        self._condensation, self._rows = condensation, rows
         load, self._inner = condensation.reduce_load(problem.load)
         load = load * rows.scale
         self._m, R = problem.contacts, rows.all_rows
@@ -295,4 +295,4 @@ class _Systems:
         normal, friction, tie = (
             force / length for force, length in zip(np.split(forces, [m, 2 * m]), lengths, strict=True)
         )
-        return Answer(self._way.expand(x * rows.scale, self._inner), normal, friction[:, None], tie)
+        return Answer(self._condensation.expand(x * rows.scale, self._inner), normal, friction[:, None], tie)

@@ -133,7 +133,7 @@ class _Run:
     """The Tresca problems of one frictional problem, for one method."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings) -> None:
-        self._problem, self._way, self._method = problem, condensation, method
+        self._problem, self._condensation, self._method = problem, condensation, method
         self._settings = replace(settings, warm_start=None, max_iter=None)
         self._start, self._began = settings.warm_start, time.perf_counter()
         self._rows = condensed_frictional_rows(problem, condensation)
@@ -205,11 +205,11 @@ class _Run:
             if left <= 0:
                 raise NotConverged(f"tresca: stopped at the time limit of {stated_limit(limit)}")
             settings = replace(settings, time_limit=left)
-        rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._way.rigid.softest)
+        rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._condensation.rigid.softest)
         scale = np.ones(inner.dimension)
-        way = Condensation.of_condensed(inner, rigid, scale)
-        inner._computed.condensation, inner._computed.unknown_scale = way, scale
-        refuse_driven_motion(inner, way)
+        condensation = Condensation.of_condensed(inner, rigid, scale)
+        inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
+        refuse_driven_motion(inner, condensation)
         candidate = solve_convex(self._method, inner, settings)
         return candidate.displacement, candidate.normal_force, candidate.tie_force
 
@@ -226,10 +226,10 @@ class _Run:
     def answer_in(self, status: Status, step: _Step) -> Answer:
         """The answer of a combination, refined from that of a step."""
         rows = self._rows
-        u = self._way.expand(step.x * rows.scale, self._inner)
+        u = self._condensation.expand(step.x * rows.scale, self._inner)
         forces = (step.normal / rows.normal_length, (step.friction / rows.tangent_length)[:, None])
         start = Answer(u, *forces, step.tie / rows.tie_length)
-        return answer_in(self._problem, self._way, rows, status, start)
+        return answer_in(self._problem, self._condensation, rows, status, start)
 
 
 def _bounded_rows(normal: Array, tangent: Array) -> Array:

@@ -58,19 +58,21 @@ NOTHING = 1e-13
 ENERGY, BOUND = 1e-7, 3e-7
 
 
-def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings, energy: float = ENERGY) -> Candidate:
+def solve_by_iteration(
+    problem: Limits, iteration: ContactIteration, settings: Settings, energy: float = ENERGY
+) -> Candidate:
     """Find displacement and forces on a set that their signs confirm; `claimed` is False where none was found.
 
     `energy` is the error in energy on that set, over the energy of the contact forces.
     """
-    return _Search(problem, way, settings, energy).run()
+    return _Search(problem, iteration, settings, energy).run()
 
 
 def identified_by_iteration(
-    problem: Limits, way: ContactIteration, settings: Settings, error: float = IDENTIFIED
+    problem: Limits, iteration: ContactIteration, settings: Settings, error: float = IDENTIFIED
 ) -> Candidate | None:
     """The same for a method that goes on from its set: less accurate, and None where a hierarchy is of no use."""
-    search = _Search(problem, way, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
+    search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None
     return found if search.steps_left() > 0 else None
 
@@ -81,15 +83,15 @@ class _Search:
     def __init__(
         self,
         problem: Limits,
-        way: ContactIteration,
+        iteration: ContactIteration,
         settings: Settings,
         energy: float,
         steps: int | None = None,
         identified: float = 0.0,
     ) -> None:
-        self.problem, self.way, self.energy = problem, way, energy
+        self.problem, self.iteration, self.energy = problem, iteration, energy
         self.identified = identified
-        self.identifies, self._last_step = steps is not None, way.krylov_iterations + (steps or SETS * STEPS)
+        self.identifies, self._last_step = steps is not None, iteration.krylov_iterations + (steps or SETS * STEPS)
         self.m = len(problem.gap)
         self.limit = np.concatenate([problem.gap, problem.tie_value])
         self.sets_left = settings.max_iter or SETS
@@ -106,55 +108,54 @@ class _Search:
         """A displacement and a set, from a known solution or from the bodies without contact."""
         if known is not None and self._loaded(known):
             self.x = known.displacement.copy()
-            self.residual = self.problem.load - self.way.product(self.x)
+            self.residual = self.problem.load - self.iteration.product(self.x)
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
-            self.closed = self.way.supported(self.problem, known.normal_force > 0, self.x)
+            self.closed = self.iteration.supported(self.problem, known.normal_force > 0, self.x)
             return
-        resting = self.way.rest(self.problem)
+        resting = self.iteration.rest(self.problem)
         if resting is not None:
             self.x, self.closed = resting
             self.residual = self.problem.load.copy()
             return
-        run = self.way.run_without_rows(self.problem.load.copy())
+        run = self.iteration.run_without_rows(self.problem.load.copy())
         enough = FIRST**2 * run.square()
         while run.estimate() > enough and run.steps < STEPS and self.steps_left() > 0 and self._step(run):
             pass
-        self.way.learn(run)
+        self.iteration.learn(run)
         self.x, self.residual = run.x.copy(), run.residual.copy()
         self.before, self.residual_before = run.x, run.residual
         self.closed = self._penetration() > 0
 
     def _loaded(self, known: Candidate) -> bool:
         """Whether the load is more than rounding of what a known displacement takes."""
-        scale, norm = 1 / np.sqrt(self.way.diagonal), self.way.norm
-        taken = norm(scale * self.way.product(known.displacement))
+        scale, norm = 1 / np.sqrt(self.iteration.diagonal), self.iteration.norm
+        taken = norm(scale * self.iteration.product(known.displacement))
         return norm(scale * self.problem.load) > UNLOADED * taken
 
     def run(self) -> Candidate:
         sets = 0
         while True:
             sets += 1
-            tell(f"contact set {sets}: {self.way.count(self.closed)} closed")
-            mark = self.way.mark(self.closed)
+            tell(f"contact set {sets}: {self.iteration.count(self.closed)} closed")
+            mark = self.iteration.mark(self.closed)
             if mark in self.seen:
                 self.trust *= TIGHTER
             self.seen.add(mark)
             stopped = self._solve_on_set()
             if not stopped and (sets >= self.sets_left or self.trust < LEAST_TRUST):
-                stopped = (
-                    f"no contact set was found; {self.way.count(self.tension | self.penetrated)} contacts disagree"
-                )
+                disagree = self.iteration.count(self.tension | self.penetrated)
+                stopped = f"no contact set was found; {disagree} contacts disagree"
             if stopped:
                 return self._candidate(sets, stopped)
-            self.closed = self.way.supported(self.problem, self._following(), self.x)
+            self.closed = self.iteration.supported(self.problem, self._following(), self.x)
 
     def _following(self) -> NDArray[np.bool_]:
         """Return the set that the signs lead to; a set that keeps shrinking does so by layers that double.
 
         From the first that goes too far on, half as many at most.
         """
-        way = self.way
-        if way.any(self.penetrated):
+        iteration = self.iteration
+        if iteration.any(self.penetrated):
             if self.layers > 1:
                 self.most_layers = max(1, self.layers // 2)
             self.shrunk, self.layers = 0, 1
@@ -163,8 +164,8 @@ class _Search:
             self.layers = min(2 * self.layers, self.most_layers) if self.shrunk > SINGLE_LAYERS else 1
         opened = self.tension
         while self.layers > 1:
-            opened = way.around(self.tension, self.layers - 1) & self.closed
-            if 2 * way.count(opened) <= way.count(self.closed):
+            opened = iteration.around(self.tension, self.layers - 1) & self.closed
+            if 2 * iteration.count(opened) <= iteration.count(self.closed):
                 break
             opened, self.layers = self.tension, self.layers // 2
         return self.closed & ~opened | self.penetrated
@@ -189,20 +190,20 @@ class _Search:
         on_set, held, run = self._start_on_set()
         stopped = self._steps_on_set(run, held, on_set)
         held.close(self.x)  # what rounding has opened on the way
-        self.way.learn(run)
+        self.iteration.learn(run)
         return stopped
 
     def _start_on_set(self) -> tuple[NDArray[np.intp], ConstrainedRows, ConjugateGradients]:
         on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
-        held = self.way.held(on_set, self.limit[on_set])
-        self.way.close(held, self.x, self.residual)
-        return on_set, held, self.way.run(self.x, self.residual, on_set, held)
+        held = self.iteration.held(on_set, self.limit[on_set])
+        self.iteration.close(held, self.x, self.residual)
+        return on_set, held, self.iteration.run(self.x, self.residual, on_set, held)
 
     def _steps_on_set(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> str:
         goal: _Goal | None = None
         while True:
             self._look(run, held, on_set)
-            contradicted = self.way.any(self.tension | self.penetrated)
+            contradicted = self.iteration.any(self.tension | self.penetrated)
             error = run.estimate()
             if contradicted:
                 if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
@@ -214,7 +215,7 @@ class _Search:
                 goal = goal or _Goal(self)
                 if goal.reached(run):
                     return FOUND
-            if self.way.any(time.perf_counter() > self.end):
+            if self.iteration.any(time.perf_counter() > self.end):
                 return "the time limit is reached"
             if run.steps >= STEPS or self.steps_left() <= 0:
                 return f"conjugate gradients did not converge in {run.steps} steps"
@@ -225,65 +226,68 @@ class _Search:
 
     def steps_left(self) -> int:
         """Steps of conjugate gradients that may still be taken."""
-        return self._last_step - self.way.krylov_iterations
+        return self._last_step - self.iteration.krylov_iterations
 
     def _step(self, run: ConjugateGradients) -> bool:
-        self.way.krylov_iterations += 1
+        self.iteration.krylov_iterations += 1
         return run.step()
 
     def _work(self, run: ConjugateGradients) -> float:
         """Return x'K x, twice the strain energy."""
-        return self.way.dot(self.x, self.problem.load - run.residual)
+        return self.iteration.dot(self.x, self.problem.load - run.residual)
 
     def _energy_norm(self, run: ConjugateGradients) -> float:
         """Return the energy norm |x|_K of the displacement."""
         return float(np.sqrt(max(self._work(run), 0.0)))
 
     def _penetration(self) -> Vector:
-        return np.asarray((self.way.lengths(self.x) - self.limit)[: self.m])
+        return np.asarray((self.iteration.lengths(self.x) - self.limit)[: self.m])
 
     def _look(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> None:
         """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)
         m, allowed = self.m, SIGN * self.tolerance
-        pull = self.way.force_measure(self.force, self.x, self.problem.load)[:m]
-        compliance, least = self.way.own_compliance[:m], NOTHING * self._energy_norm(run)
+        pull = self.iteration.force_measure(self.force, self.x, self.problem.load)[:m]
+        compliance, least = self.iteration.own_compliance[:m], NOTHING * self._energy_norm(run)
         pulling = -self.force[:m] * np.sqrt(compliance) > least
         self.tension = pulling & (pull > allowed)
-        depth, lengths = self._penetration(), (self.way.length_sizes(self.x) + abs(self.limit))[:m]
+        depth, lengths = self._penetration(), (self.iteration.length_sizes(self.x) + abs(self.limit))[:m]
         self.penetrated = ~self.closed & (depth > np.maximum(allowed * lengths, least * np.sqrt(compliance)))
         pulled = np.where(self.tension, self.force[:m] * np.sqrt(compliance), 0.0)
         sunk = np.where(self.penetrated, depth, 0.0) / np.sqrt(np.where(self.penetrated, compliance, 1.0))
-        self.history.append(float(np.hypot(self.way.norm(pulled), self.way.norm(sunk))))
+        self.history.append(float(np.hypot(self.iteration.norm(pulled), self.iteration.norm(sunk))))
 
 
 class _Goal:
     """How good the answer on a set has to be; sizes are taken once, when the set is first agreed with."""
 
     def __init__(self, search: _Search) -> None:
-        way = search.way
-        self.sizes = way.product_sizes(search.x) + abs(search.problem.load) + way.force_sizes(search.force)
+        iteration = search.iteration
+        self.sizes = iteration.product_sizes(search.x) + abs(search.problem.load) + iteration.force_sizes(search.force)
         self.equilibrium = EQUILIBRIUM * search.tolerance
         self.size = _size(search)
-        self.nothing = NOTHING * _strain(search) * np.sqrt(way.diagonal)
+        self.nothing = NOTHING * _strain(search) * np.sqrt(iteration.diagonal)
         self.energy = search.energy * self.size
-        self.way, self.on_set = way, np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool))
+        self.iteration, self.on_set = (
+            iteration,
+            np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool)),
+        )
 
     def reached(self, run: ConjugateGradients) -> bool:
         error = run.estimate()
         left = ratio(beyond(abs(run.unbalanced), self.nothing), self.sizes)
-        if not self.way.any(left > ROUNDING):
+        if not self.iteration.any(left > ROUNDING):
             return True
-        if error > self.way.least_eigenvalue * self.energy**2:
+        if error > self.iteration.least_eigenvalue * self.energy**2:
             return False
-        if self.way.any(left > self.equilibrium):
+        if self.iteration.any(left > self.equilibrium):
             return False
         # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
-        self.way.learn(run)
-        share = np.where(self.on_set, self.way.own_compliance, 1.0)
-        forces = self.way.balanced(run.unbalanced, np.where(self.on_set, 1 / share, 0.0))
-        weight = dual_norm(self.way, run.unbalanced - self.way.forces(forces), learned=True)
+        self.iteration.learn(run)
+        share = np.where(self.on_set, self.iteration.own_compliance, 1.0)
+        forces = self.iteration.balanced(run.unbalanced, np.where(self.on_set, 1 / share, 0.0))
+        weight = dual_norm(self.iteration, run.unbalanced - self.iteration.forces(forces), learned=True)
         if weight <= BOUND * self.size:
             return True
         self.energy *= min(0.5, BOUND * self.size / weight)
@@ -292,20 +296,22 @@ class _Goal:
 
 def _size(search: _Search) -> float:
     """A lower bound of |l|_W, of |x|_K where there are no forces."""
-    way, force = search.way, search.force
-    if not way.any(force != 0):
+    iteration, force = search.iteration, search.force
+    if not iteration.any(force != 0):
         return _strain(search)
     if search.before is None:
-        return force_norm(np.where(np.arange(len(force)) < search.m, force, 0.0), search.m, way) or _strain(search)
+        return force_norm(np.where(np.arange(len(force)) < search.m, force, 0.0), search.m, iteration) or _strain(
+            search
+        )
     # |l|_W >= l'E v / |v|_K for any v: for the way back to the bodies without contact it is nearly equal.
     back = search.before - search.x
-    energy = way.dot(back, search.residual - search.residual_before)
-    return abs(way.dot(force, way.lengths(back))) / np.sqrt(energy) if energy > 0 else 0.0
+    energy = iteration.dot(back, search.residual - search.residual_before)
+    return abs(iteration.dot(force, iteration.lengths(back))) / np.sqrt(energy) if energy > 0 else 0.0
 
 
 def _strain(search: _Search) -> float:
     """Return the energy norm |x|_K of the displacement that a search has."""
-    return float(np.sqrt(max(search.way.dot(search.x, search.problem.load - search.residual), 0.0)))
+    return float(np.sqrt(max(search.iteration.dot(search.x, search.problem.load - search.residual), 0.0)))
 
 
 FOUND = "signs and equilibrium hold"
