@@ -296,9 +296,11 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     It follows from max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a
     contact, and is zero where no force meets.
     """
-    if not entries.last or entries.last[0] is not meeting:
-        entries.last[:] = meeting, _tangential_force(entries, meeting)
-    found: tuple[Vector, NDArray[np.bool_]] = entries.last[1]
+    last = entries.last[0] if entries.last else None
+    if last is None or last[0] is not meeting:
+        last = meeting, _tangential_force(entries, meeting)
+        entries.last[:] = [last]  # as one, whoever else asks meanwhile
+    found: tuple[Vector, NDArray[np.bool_]] = last[1]
     return found
 
 
