@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import click
 
-from contactqp.cli.output import NOT_MET, console, print_json, strict_option
+from contactqp.cli.output import NOT_MET, OF_EXACT_NUMBERS, console, print_json, strict_option
 from contactqp.errors import InvalidProblem, SceneError
 
 
@@ -204,4 +204,4 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
     if as_json:
         print_json(answer_data(answer, ties, title))
     else:
-        print_answer(console(), answer, ties, title)
+        print_answer(console(piped=OF_EXACT_NUMBERS), answer, ties, title)

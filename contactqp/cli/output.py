@@ -31,15 +31,18 @@ if TYPE_CHECKING:
 
 # Width of what is printed to a file or a pipe, unless COLUMNS says otherwise [columns].
 NARROW = 80
+# The same of exact numbers, whose digits stay in one line.
+OF_EXACT_NUMBERS = 200
 # Environment variables with the number of a process under launchers of MPI: OpenMPI, MPICH and Slurm.
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
 
-def console(heard: bool = True, terminal: bool | None = None) -> Console:
+def console(heard: bool = True, terminal: bool | None = None, piped: int = NARROW) -> Console:
     """Return the console that tables go to; with `heard` False they are made and dropped.
 
-    `terminal` says of another process, which prints what is made here, whether it has one.
+    `terminal` says of another process, which prints what is made here, whether it has one. `piped` is the width of
+    what goes to no terminal, unless COLUMNS says otherwise.
     """
     from rich.console import Console
 
@@ -49,15 +52,15 @@ def console(heard: bool = True, terminal: bool | None = None) -> Console:
         return Console(file=io.StringIO(), width=NARROW)
     if launched_rank() is not None:  # the launcher passes it on, whatever stands at its own end
         return Console(width=_width(False), highlight=False, force_terminal=False)
-    return Console(width=None if sys.stdout.isatty() else _width(False), highlight=False)
+    return Console(width=None if sys.stdout.isatty() else _width(False, piped), highlight=False)
 
 
-def _width(terminal: bool) -> int:
+def _width(terminal: bool, piped: int = NARROW) -> int:
     """Return the width of a terminal, or of what goes to none [columns]; COLUMNS comes first."""
     stated = os.environ.get("COLUMNS", "")
     if terminal or (stated.isdigit() and int(stated)):
         return shutil.get_terminal_size((NARROW, 24)).columns
-    return NARROW
+    return piped
 
 
 def launched_rank() -> int | None:
