@@ -49,7 +49,8 @@ from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candida
 REACH = 1e3
 # Diagonals exceed the sum of the other entries where they do so by more than rounding.
 DOMINANT = 1e-12
-# An energy that lengths rounded to this part of themselves would have is none.
+# Energies and forces that lengths rounded to this part of themselves would have are none, nor what such forces do
+# within REACH.
 ROUNDED = 1e-26
 # Rows whose forces take up a residual by dense systems, and so many times of that is allowed for.
 MOST_DENSE, CAUTION = 500, 4.0
@@ -97,7 +98,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
     root = float(np.sqrt(unit))
-    wide = _width(state)
+    wide, least = _width(state), ROUNDED * state.length
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
@@ -105,16 +106,17 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     unique = uniqueness(held)
     sees = unique.displacement and not mostly_bare(problem)
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
-    scale = scale if scale > ROUNDED * state.length else 0.0
-    strained = strain if strain > ROUNDED * state.length else scale
+    scale = scale if scale > least else 0.0
+    strained = strain if strain > least else scale
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
     turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
+    largest = largest if largest > least else 0.0
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
-    rounded = float(solution.normal_force @ lengths) * np.finfo(float).eps
+    rounded = max(float(solution.normal_force @ lengths) * np.finfo(float).eps, REACH * least**2)
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     one_by_one = unique.forces and largest > 0
     own = abs(change) + (_left_of_forces(problem, held) if unique.forces else 0.0)
@@ -125,6 +127,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
         relative_force_bound=own / largest if one_by_one else None,
         energy_scale=scale * root,
         force_scale=largest * root,
+        rounding=least * root,
         energy_bounds=((energy - wide) * unit, (energy - wide + above) * unit),
         energy_size=size * unit,
         energy_rounding=rounded * unit,

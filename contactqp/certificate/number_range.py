@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium
+from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.computed import Computed
@@ -273,9 +274,10 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
 def _units_are_own(problem: ContactProblem) -> bool:
     """Return whether all unknowns have stiffness, which relates forces to lengths, or forces and lengths are similar.
 
-    Otherwise the answer chosen among many right ones would depend on the units of length and force.
+    Otherwise the answer chosen among many right ones would depend on the units of length and force. Programs, whose K
+    has no entry at most unknowns, are equilibrated where they are solved, forces apart from lengths.
     """
-    return bool(problem.diagonal.all()) or _uniform_unit(problem) == 0
+    return bool(problem.diagonal.all()) or mostly_bare(problem) or _uniform_unit(problem) == 0
 
 
 def _largest(rows: Any) -> Vector:

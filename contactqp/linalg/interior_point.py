@@ -73,18 +73,20 @@ class CentralPoint:
         return float(self.force @ self.slack)
 
 
-def settled(problem: ContactProblem, answer: Answer, effort: Effort) -> ClosedState:
+def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
     """Return the solution of an equilibrated problem that is nearest to an answer; `holds` says whether it is one.
 
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
-    steps along the central path come to from there; then those of the vertex near the answer.
+    steps along the central path come to from there; then those of the vertex near the answer. With `driven` contacts
+    close besides where the load drives what those of the point leave free.
     """
     start = ExtendedAnswer.of(answer)
     state = nearest_state(problem, closed_in(problem, answer), start, effort)
     if state.holds or not problem.contacts:
         return state
     point = sharpened(problem, answer, effort)
-    state = nearest_state(problem, point.closed, ExtendedAnswer.of(point.answer), effort)
+    middle = ExtendedAnswer.of(point.answer)
+    state = nearest_state(problem, point.closed, middle, effort, driven)
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
     return state if vertex is None else vertex
 
@@ -97,9 +99,9 @@ def _off(problem: ContactProblem, answer: Answer) -> float:
     return max(float(np.max(-gap, initial=0.0)), float(np.max(abs(open_ties), initial=0.0)), least)
 
 
-def solved_from(problem: ContactProblem, answer: Answer, effort: Effort) -> ClosedState:
+def solved_from(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
     """Return `settled`, at a vertex where closed contacts conflict, with least forces where they press each other."""
-    state = without_conflict(settled(problem, answer, effort), effort)
+    state = without_conflict(settled(problem, answer, effort, driven), effort)
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     acting = max(acting, float(np.max(problem.load_size, initial=0.0)))
     if state.holds and state.force > PRESSED * acting:

@@ -64,8 +64,15 @@ SMALLEST, OF_PLANES = 3e7, 25
 FRICTION_CONDENSED = 3.0
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
+# Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
+BALANCED = 1e-20
+# Forces that miss balance by more than this part of those that meet are no residue of a backend's tolerance.
+NEARLY_BALANCED = 1e-7
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
 WASTED = 25
+# Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
+# approach that is none.
+BLOCKING, STANDS_STILL = 50, 1e-9
 
 
 def constraints_are_many(problem: ContactProblem) -> bool:
@@ -413,13 +420,18 @@ def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedSt
     return state
 
 
-def nearest_state(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
+def nearest_state(
+    problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort, driven: bool = False
+) -> ClosedState:
     """Return the state that changes of the closed contacts lead to; `holds` says whether it solves the problem.
 
     Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
-    long as that makes them fewer.
+    long as that makes them fewer. Where that leaves a motion which nothing resists and the load drives, contacts close
+    in the order in which it reaches them; where the first contacts do, if `driven` says so.
     """
     state = solved_on(problem, closed, start, effort)
+    if driven and not state.solved and state.force_residual <= NEARLY_BALANCED:
+        state = _blocked(ClosedState.of(problem, closed, start), state, effort)
     fewest, wasted = np.inf, 0
     while state.solved and not state.holds:
         pulled, penetrated = state.pulled, state.penetrated
@@ -428,8 +440,35 @@ def nearest_state(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, 
         if wasted > WASTED:
             break
         fewest = min(fewest, wrong)
-        state = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
+        after = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
+        state = after if after.solved else _blocked(state, after, effort)
+    if state.holds and state.force_residual > BALANCED:
+        blocked = _blocked(state, state, effort)
+        return blocked if blocked.holds and blocked.better_than(state) else state
     return state
+
+
+def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state in which contacts that a driven motion reaches first are closed, until all forces balance.
+
+    Forces that the closed contacts of a state do not carry drive a motion d, which regularisation alone resists. From
+    a start at which the contacts are met, contact i closes after the least (g - E u)_i / (E d)_i (the ratio test of
+    active-set methods, Nocedal and Wright 2006, section 16.5).
+    """
+    problem, gap = start.problem, np.maximum(start.left.gap.double(), 0.0)
+    for _ in range(BLOCKING):
+        if driven.force_residual <= BALANCED:
+            break
+        force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))
+        saddle = _kept_saddle(problem, driven.closed, REGULARISATIONS[0], effort)
+        rate = problem.normal @ saddle.solve(force, 0.0 * gaps, 0.0 * ties)[0]
+        nearing = np.flatnonzero(~driven.closed & (rate > STANDS_STILL * np.max(abs(rate), initial=0.0)))
+        if not nearing.size:
+            break
+        closed = driven.closed.copy()
+        closed[nearing[np.argmin(gap[nearing] / rate[nearing])]] = True
+        driven = solved_on(problem, closed, start.answer, effort)
+    return driven
 
 
 def closed_in(problem: ContactProblem, answer: Answer) -> Mask:

@@ -23,7 +23,7 @@ from contactqp.linalg.iteration import contacts_are_many, held_by_hierarchy, ite
 from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import on_one_thread, refuse_late, tell
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, constraints_are_many, uniqueness
+from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, constraints_are_many, uniqueness
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
@@ -37,8 +37,6 @@ IDENTIFICATIONS = (("clarabel", 1e-9, False), ("piqp", 1e-11, True), ("clarabel"
 OF_BOUNDS = (("piqp", 1e-9, True), *IDENTIFICATIONS)
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
-# Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
-BALANCED = 1e-20
 
 
 class SparseRun(Run):
@@ -75,6 +73,7 @@ class SparseRun(Run):
         if not self.problem.contacts:
             return self._linear()
         best: Candidate | None = None
+        failed: list[Candidate] = []
         for found in self._candidates(settings, tried):
             before = self._state
             state = self._settle(found)
@@ -82,11 +81,14 @@ class SparseRun(Run):
                 best = found
             else:
                 self._state = before
+                failed.append(found)
                 tried.append(found.status)
             if self._state is not None and self._state.force_residual <= BALANCED:
                 break
         if best is None:
             self.refuse_conflict()
+            best = next((found for found in failed if self._settle(found, driven=True).holds), None)
+        if best is None:
             raise NotConverged(f"{self.name}: no backend led to closed contacts that hold ({'; '.join(tried)})")
         return best
 
@@ -122,12 +124,12 @@ class SparseRun(Run):
         self._state = state
         return self._scaling.unscale(_candidate(state, "a linear system"))
 
-    def _settle(self, candidate: Candidate) -> ClosedState:
-        """Return the state that a candidate's closed contacts lead to; it is kept if it solves the problem."""
+    def _settle(self, candidate: Candidate, driven: bool = False) -> ClosedState:
+        """Return the state that a candidate leads to (`solved_from`); it is kept if it solves the problem."""
         tell("sparse systems settle the closed contacts")
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
-        state = solved_from(self._twin, answer, self._effort)
+        state = solved_from(self._twin, answer, self._effort, driven)
         self._state = state if state.holds else None
         return state
 

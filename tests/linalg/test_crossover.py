@@ -14,7 +14,7 @@ from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.sparse_saddle import Effort, nearest_state
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 
 UNKNOWNS, ROWS, IDLE = 3, 9, 8
 
@@ -115,3 +115,41 @@ def test_planes_that_contradict_each_other_stay_as_they_are() -> None:
     assert "conflict" in " ".join(certificate.reasons)
     assert certificate.energy_bounds == pytest.approx((0.3, 0.3), rel=1e-12)
     assert "energy_bounds: those of the problem whose gaps and tie values are moved" in " ".join(certificate.reasons)
+
+
+def in_one_unknown(load: float, gaps: list[float]) -> cq.ContactProblem:
+    """An unknown without stiffness between contacts on its left and on its right, idle ones beside it in walls."""
+    rows = sp.block_diag([np.array([[-1.0], *([1.0] for _ in gaps)]), sp.identity(IDLE)], format="csr")
+    size, limits = 1 + IDLE, np.concatenate([[0.0], gaps, np.zeros(IDLE)])
+    return cq.ContactProblem(sp.csr_matrix((size, size)), np.r_[load, np.ones(IDLE)], rows, limits)
+
+
+def reached(problem: cq.ContactProblem, closed: list[int], driven: bool) -> np.ndarray:
+    """The displacement of the state that some closed contacts lead to; fails where that is no solution."""
+    twin, scaling = equilibrated(problem)
+    at = np.zeros(problem.contacts, dtype=bool)
+    at[[*closed, *range(problem.contacts - IDLE, problem.contacts)]] = True
+    nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
+    state = nearest_state(twin, at, ExtendedAnswer.of(nothing), Effort(), driven)
+    assert state.holds
+    found = state.answer.double()
+    return scaling.unscale(Candidate(found.displacement, found.normal_force, found.tie_force)).displacement
+
+
+def test_what_a_contact_in_tension_held_closes_the_first_contact_on_its_way() -> None:
+    """The load drives the unknown away from the left: that contact opens, and no other is closed yet."""
+    assert reached(in_one_unknown(1.0, [3.0, 1.0, 2.0]), [0], driven=False)[0] == 1.0
+
+
+def test_a_load_beneath_what_counts_as_balanced_still_closes_a_contact() -> None:
+    """Without the contact the load would be 1e-15 of the others, and all of it out of balance where it acts."""
+    problem = in_one_unknown(1e-15, [3.0, 1.0, 2.0])
+    assert reached(problem, [], driven=False)[0] == 1.0
+    assert cq.solve(problem).normal_force[2] == 1e-15
+
+
+def test_contacts_that_carry_too_little_are_completed_where_that_is_asked_for() -> None:
+    problem = in_one_unknown(1e-9, [3.0, 1.0, 2.0])
+    with pytest.raises(AssertionError):
+        reached(problem, [], driven=False)
+    assert reached(problem, [], driven=True)[0] == 1.0

@@ -363,6 +363,51 @@ def test_what_the_package_depends_on_is_enough(monkeypatch: pytest.MonkeyPatch) 
         assert found.energy == pytest.approx(known.energy, rel=1e-12)
 
 
+def staged(seed: int, stages: int = 6, width: int = 8, quadratic: int = 6) -> cq.ContactProblem:
+    """Carry goods through stages for the least cost: integers beside costs of 1e-9, a few of them quadratic."""
+    rng = np.random.default_rng(seed)
+    size = stages * width * width
+    cost = rng.integers(0, 5, size).astype(float)
+    cost[rng.random(size) < 0.1] = 1e-9 * rng.integers(1, 5)
+    out, into = sp.kron(sp.identity(width), np.ones(width)), sp.kron(np.ones(width), sp.identity(width))
+    leaving = sp.vstack([sp.kron(sp.identity(stages), out), sp.csr_matrix((width, size))])
+    arriving = sp.vstack([sp.csr_matrix((width, size)), sp.kron(sp.identity(stages), into)])
+    balance = np.concatenate([np.ones(width), np.zeros((stages - 1) * width), -np.ones(width)])
+    energy = np.zeros(size)
+    energy[rng.choice(size, quadratic, replace=False)] = rng.choice([1.0, 2.0, 10.0], quadratic)
+    rows = sp.csr_matrix(leaving - arriving)
+    return cq.ContactProblem.from_qp(sp.diags(energy, format="csc"), cost, A=rows, b=balance, lb=np.zeros(size))
+
+
+@pytest.mark.parametrize("unit", [2.0**-6, 1.0, 2.0**5])
+@pytest.mark.parametrize("seed", [8, 41, 52])
+def test_degenerate_vertices_are_found_in_all_units_of_force(seed: int, unit: float) -> None:
+    """Where forces of 1e-9 decide which contacts close, those of an interior point come to a set with too few."""
+    problem = staged(seed)
+    solution = cq.solve(problem.replace(stiffness=unit * problem.stiffness, load=unit * problem.load))
+    assert solution.certificate.proven
+    assert solution.energy == pytest.approx(unit * cq.solve(problem).energy, rel=1e-12)
+
+
+def held_at_no_cost() -> tuple[cq.ContactProblem, dict[str, np.ndarray]]:
+    """Ties that hold what costs no energy, beside unknowns at rest; the answer, with the forces of rounding."""
+    size = 20
+    stiffness, rows = np.r_[np.ones(4), np.zeros(size - 4)], (np.eye(size) + np.eye(size, k=1))[4:]
+    limits = dict(A=rows, b=rows.sum(axis=1), ub=np.full(size, 9.0))
+    problem = cq.ContactProblem.from_qp(np.diag(stiffness), np.zeros(size), **limits)
+    forces = dict(normal_force=np.zeros(problem.contacts), tie_force=np.full(size - 4, 1.6e-38))
+    return problem, dict(displacement=1.0 - stiffness, **forces)
+
+
+def test_forces_of_rounding_are_measured_by_what_lengths_would_make() -> None:
+    problem, answer = held_at_no_cost()
+    assert cq.certify(problem, **answer).passed
+    for name, planted in (("tie_force", 1e-6), ("normal_force", 1e-6)):
+        wrong = answer[name].copy()
+        wrong[3] += planted
+        assert not cq.certify(problem, **(answer | {name: wrong})).passed
+
+
 @pytest.mark.parametrize("factor", [2.0**-40, 2.0**40])
 def test_units_change_nothing(factor: float) -> None:
     problem = transport(5)
