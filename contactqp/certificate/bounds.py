@@ -60,9 +60,9 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
+from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, free_motions
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.dense import free_motions, saddle_point
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RIGID_ENERGY

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import REGULAR, delassus, free_motions, saddle_point
+from contactqp.linalg.condensation import Condensation, free_motions
+from contactqp.linalg.dense import REGULAR, delassus, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes

@@ -423,6 +423,11 @@ def condense(problem: ContactProblem) -> Condensation:
     return condensation
 
 
+def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
+    """Return an orthonormal basis (n, q) of the motions that neither K nor a row of the closed set resists."""
+    return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
+
+
 def _same_matrix(one: Any, other: Any) -> bool:
     if one is other:
         return True

@@ -19,10 +19,9 @@ Where S and W_BB are regular the range-space method does (`RangeSpace`; Nocedal 
 
     y = S^-1 r,    W_BB l = [E_B; A] y - (e; a),    x = y - S^-1 [E_B; A]' l,
 
-which costs a Cholesky factorisation of W_BB and nothing else. Elsewhere it is the null-space method (`NullSpace`, the
-same section): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). There, rows that depend on
-others get no force, and motions that neither S nor a row resists stay at rest; these are found from the rigid motions
-of K, not from small eigenvalues.
+which costs a Cholesky factorisation of W_BB alone. Elsewhere it is the null-space method (`NullSpace`, the same
+section): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). There, rows that depend on others
+get no force, and rigid motions of K that no row resists stay at rest.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class DenseCholesky:
     """LAPACK's Cholesky factorisation of a small matrix, scaled to a unit diagonal or by a scale that is given."""
 
     def __init__(self, matrix: Array, scale: Array | None = None) -> None:
-        self._scale = unit_diagonal_scale(matrix) if scale is None else scale
+        self._scale = inverse_root(matrix.diagonal()) if scale is None else scale
         scaled = matrix * (self._scale[:, None] * self._scale)
         factor = lower_factor(scaled)
         if factor is not None:
@@ -124,11 +123,6 @@ def refuse_negative(smallest_pivot: float) -> None:
             f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
             "after scaling its diagonal to one"
         )
-
-
-def unit_diagonal_scale(matrix: Any) -> Array:
-    """Return 1/sqrt(K_jj) (n,), and 1 where the diagonal is zero."""
-    return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
 
 
 def orthonormal(motions: Array) -> Array:
@@ -460,11 +454,6 @@ class NullSpace:
         of_bodies = np.bincount(self._bodies, weights=motion**2)
         rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
         return motion if float(push @ push) > rounding else np.zeros(len(load))
-
-
-def free_motions(condensation: Condensed, saddle: SaddlePoint) -> Array:
-    """Return an orthonormal basis (n, q) of the motions that neither K nor a row of the closed set resists."""
-    return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
 
 
 def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:

@@ -18,10 +18,9 @@ from contactqp.linalg.dense import (
     dense_factor,
     orthonormal,
     refuse_negative,
-    unit_diagonal_scale,
 )
 from contactqp.linalg.extended import exact_images, images
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, inverse_root
 
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
@@ -50,7 +49,7 @@ class SuperLU:
     def __init__(self, matrix: Any) -> None:
         from scipy.sparse.linalg import splu
 
-        self._scale = unit_diagonal_scale(matrix)
+        self._scale = inverse_root(matrix.diagonal())
         scaling = sp.diags(self._scale)
         scaled = sp.csc_matrix(scaling @ matrix @ scaling)
         try:
@@ -348,7 +347,7 @@ def _null_space_of_component(component: Any) -> RigidMotions:
     if size == 1:
         return RigidMotions(np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0)))
     # Powers of two scale without rounding: a matrix that is exactly singular stays so.
-    scale = 2.0 ** np.round(np.log2(unit_diagonal_scale(component)))
+    scale = 2.0 ** np.round(np.log2(inverse_root(component.diagonal())))
     scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
     lowest, next_energy = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
     if not lowest.shape[1]:

@@ -22,7 +22,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.crossover import vertex_near, with_least_forces, without_conflict
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, closed_in, factorised, nearest_state
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, factorised, nearest_state
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -81,7 +81,7 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     close besides where the load drives what those of the point leave free.
     """
     start = ExtendedAnswer.of(answer)
-    state = nearest_state(problem, closed_in(problem, answer), start, effort)
+    state = nearest_state(problem, _closed_in(problem, answer), start, effort)
     if state.holds or not problem.contacts:
         return state
     point = sharpened(problem, answer, effort)
@@ -89,6 +89,15 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     state = nearest_state(problem, point.closed, middle, effort, driven)
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
     return state if vertex is None else vertex
+
+
+def _closed_in(problem: ContactProblem, answer: Answer) -> Mask:
+    """Return the contacts whose force relative to the largest exceeds their gap relative to the largest length (m,)."""
+    gap = problem.gap - problem.normal @ answer.displacement
+    forces = (answer.normal_force, answer.tie_force, problem.load)
+    force = max(float(abs(values).max(initial=0.0)) for values in forces)
+    length = float(abs(answer.displacement).max(initial=0.0))
+    return np.asarray(answer.normal_force * length > gap * force)
 
 
 def _off(problem: ContactProblem, answer: Answer) -> float:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import UNRESISTED, Condensation
-from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, free_motions, orthonormal, saddle_point
+from contactqp.linalg.condensation import UNRESISTED, Condensation, free_motions
+from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, orthonormal, saddle_point
 from contactqp.linalg.extended import (
     EPS,
     Extended,

@@ -30,7 +30,6 @@ from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
 
 # What is added to the diagonal of the saddle point, whose entries are at most one: the largest first, which rounds
 # least. The next is taken where sweeps contract too slowly, as rows that nearly repeat make them.
@@ -469,15 +468,6 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
         closed[nearing[np.argmin(gap[nearing] / rate[nearing])]] = True
         driven = solved_on(problem, closed, start.answer, effort)
     return driven
-
-
-def closed_in(problem: ContactProblem, answer: Answer) -> Mask:
-    """Return the contacts whose force relative to the largest exceeds their gap relative to the largest length (m,)."""
-    gap = problem.gap - problem.normal @ answer.displacement
-    forces = (answer.normal_force, answer.tie_force, problem.load)
-    force = max(float(abs(values).max(initial=0.0)) for values in forces)
-    length = float(abs(answer.displacement).max(initial=0.0))
-    return np.asarray(answer.normal_force * length > gap * force)
 
 
 @dataclass(frozen=True)

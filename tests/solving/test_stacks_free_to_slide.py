@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import block_diag
 
 import contactqp as cq
-from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import free_motions, saddle_point
+from contactqp.linalg.condensation import condense, free_motions
+from contactqp.linalg.dense import saddle_point
 from contactqp.solving import solve as solving
 from contactqp.solving.methods import find
 

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
-from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import free_motions, saddle_point
+from contactqp.linalg.condensation import condense, free_motions
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
