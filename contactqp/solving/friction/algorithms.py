@@ -215,11 +215,14 @@ def _stagnates(errors: list[float], patience: int) -> bool:
 
 
 # Tried one after another where no algorithm is asked for: name, iterations.
-ATTEMPTS = (("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000), ("aclm", 60), ("ppa", 1000), ("admm", 20000))
+ATTEMPTS = (
+    *(("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000)),
+    *(("aclm", 60), ("tresca", 60), ("ppa", 1000), ("admm", 20000)),
+)
 # So many of them end at once, and so many are long.
 SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
 # These forget where they start from, or are led astray by it.
-FROM_THE_START = ("nsgs", "admm", "aclm")
+FROM_THE_START = ("nsgs", "admm", "aclm", "tresca")
 
 
 def run_any(

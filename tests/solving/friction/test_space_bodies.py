@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.elements.shapes import box
 from tests.solving.friction.space import WAYS, block, direction, elastic_block, plane_block
 from tests.solving.friction.test_space import solved
 
@@ -222,3 +223,18 @@ def test_polygons_of_more_and_more_sides_approach_the_cone() -> None:
         found = solved(problem, way)
         np.testing.assert_allclose(found.displacement, cone.displacement, atol=1e-12)
         np.testing.assert_allclose(found.friction_force, cone.friction_force, atol=1e-12)
+
+
+def test_a_column_in_a_corner_is_held_where_tresca_problems_alone_come_to_an_answer() -> None:
+    """It stands on a bowl and along a wall, off the bowl's middle: without friction it would slide."""
+    mesh = box((1.0, 1.5, 7.6), (1, 3, 2), "hex8", grading=50.0)
+    structure = cq.Structure([cq.Body(mesh, cq.Material(1.0, 0.499), "3d", name="column")])
+    bowl = cq.pair(structure.surface("column", "bottom"), cq.Paraboloid([0.45, 1.45, 0.0], [0.0, 0.0, 1.0], 0.9))
+    wall = cq.pair(structure.surface("column", "right"), cq.Plane([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]))
+    top = np.flatnonzero(mesh.points[:, 2] == 7.6)
+    load = np.zeros(structure.size)
+    load[3 * top + 2] = -1e-4 / len(top)
+    solution = cq.solve(structure.assemble([]).problem([bowl, wall], friction=0.8).replace(load=load))
+    assert solution.certificate.passed
+    assert solution.method.startswith("Tresca")
+    assert solution.normal_force.max() > 1e-5
