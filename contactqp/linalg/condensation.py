@@ -26,14 +26,16 @@ from contactqp.linalg.dense import SUSPICIOUS_PIVOT, WRITTEN_OUT, DenseCholesky,
 from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
+    FAR_APART,
     RigidMotions,
     condensed_null_space,
     connected_parts,
+    fixing_unknowns,
     null_space,
     right_singular,
     stated_motions,
+    unknowns_far_apart,
 )
-from contactqp.linalg.holding_unknowns import FAR_APART, fixing_unknowns, unknowns_far_apart
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate

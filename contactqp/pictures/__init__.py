@@ -1,7 +1,6 @@
 """Pictures of solutions: their fields on bodies and contacts, drawn by matplotlib or written for ParaView.
 
-contact_fields    elastic bodies: displacement, stress, contact force, pressure, gap and status
-large_fields      the same of solids at large deformation
+contact_fields    elastic bodies: displacement, stress, contact force, pressure, gap and status; at large deformation
 drawing           draw(fields, file): elastic bodies, those in space by space_drawing, which has membranes too
 frame_drawing     draw_structure(fields, file): bars, springs, beams, strings and matrices;
                   solution_figure(solution): forces and gaps as bars, of problems without geometry

@@ -22,11 +22,10 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
-from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
+from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields, fields_of_solid
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
-from contactqp.pictures.large_fields import fields_of_solid
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu

@@ -14,8 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import factorise
-from contactqp.linalg.holding_unknowns import fixing_unknowns
+from contactqp.linalg.factorization import factorise, fixing_unknowns
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.pardiso import NotPositive, Pardiso
 from contactqp.linalg.schur import LastBlock

@@ -15,7 +15,7 @@ from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg import condensation, holding_unknowns, pardiso, schur
+from contactqp.linalg import condensation, factorization, pardiso, schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import BackSubstitution, DenseCholesky
 from contactqp.linalg.factorization import connected_parts, factorise, null_space, with_added_diagonal
@@ -297,7 +297,7 @@ def test_nodes_far_apart_are_as_many_entries_away_as_the_graph_says():
         graph = sp.csr_matrix(matrix + matrix.T + sp.identity(size))
         starts = np.append(np.unique(connected_parts(graph)[1], return_index=True)[1], random.integers(0, size))
         away = dijkstra(graph, directed=False, indices=np.unique(starts), unweighted=True, min_only=True)
-        assert holding_unknowns._hops_away(graph, starts).tolist() == away.tolist()
+        assert factorization._hops_away(graph, starts).tolist() == away.tolist()
 
 
 @pytest.mark.parametrize("rows", [0, 1, 5])
