@@ -13,6 +13,8 @@ from zlib import crc32
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# pytest-xdist hands the width of its terminal on: what is printed into a pipe would follow it.
+os.environ.pop("COLUMNS", None)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
