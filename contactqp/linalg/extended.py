@@ -320,7 +320,7 @@ class ExtendedRows:
 
     @cached_property
     def stiffness(self) -> SparseRows | ClearedRows:
-        """K, laid out once for a stiffness."""
+        """Return the stiffness K (n, n), which is laid out once."""
         if self._of_stiffness.extended is None:
             self._of_stiffness.extended = SparseRows(self._given[0])
         rows: SparseRows = self._of_stiffness.extended
@@ -328,17 +328,17 @@ class ExtendedRows:
 
     @cached_property
     def normal(self) -> SparseRows:
-        """E_N."""
+        """Return the normal rows E_N (m, n)."""
         return SparseRows(self._given[1])
 
     @cached_property
     def tie(self) -> SparseRows:
-        """A."""
+        """Return the ties A (k, n)."""
         return SparseRows(self._given[2])
 
     @cached_property
     def tangent(self) -> SparseRows | None:
-        """E_T, if there is one."""
+        """Return the tangential rows E_T, None without friction."""
         return None if self._given[3] is None else SparseRows(self._given[3])
 
     @cached_property
@@ -358,7 +358,7 @@ class ExtendedRows:
 
     @cached_property
     def outward(self) -> SparseRows:
-        """[E_N; A]'."""
+        """Return the transpose [E_N; A]' (n, m + k), which takes forces to the unknowns."""
         return SparseRows(_transposed(list(self._given[1:3])))
 
     @cached_property

@@ -77,8 +77,8 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     """Return the solution of an equilibrated problem that is nearest to an answer; `holds` says whether it is one.
 
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
-    steps along the central path come to from there; then those of the vertex near the answer. With `driven` contacts
-    close besides where the load drives what those of the point leave free.
+    steps along the central path come to from there; then those of the vertex near the answer. With `driven`, contacts
+    close in addition where the load drives a motion that those of the point leave free.
     """
     start = ExtendedAnswer.of(answer)
     state = nearest_state(problem, _closed_in(problem, answer), start, effort)

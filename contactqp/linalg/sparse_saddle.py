@@ -426,7 +426,7 @@ def nearest_state(
 
     Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
     long as that makes them fewer. Where that leaves a motion which nothing resists and the load drives, contacts close
-    in the order in which it reaches them; where the first contacts do, if `driven` says so.
+    in the order in which it reaches them; with `driven` also where the first set of contacts leaves one.
     """
     state = solved_on(problem, closed, start, effort)
     if driven and not state.solved and state.force_residual <= NEARLY_BALANCED:
