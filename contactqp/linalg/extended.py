@@ -338,7 +338,7 @@ class ExtendedRows:
 
     @cached_property
     def tangent(self) -> SparseRows | None:
-        """Return the tangential rows E_T, None without friction."""
+        """Return the tangential rows E_T (m (d - 1), n), None where there are none."""
         return None if self._given[3] is None else SparseRows(self._given[3])
 
     @cached_property

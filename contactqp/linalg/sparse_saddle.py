@@ -27,6 +27,7 @@ from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, exten
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
 from contactqp.linalg.iteration import held_by_hierarchy
 from contactqp.linalg.measures import outer_forces, row_sizes
+from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -458,6 +459,7 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
     for _ in range(BLOCKING):
         if driven.force_residual <= BALANCED:
             break
+        refuse_late("contacts close that a driven motion reaches")
         force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))
         saddle = _kept_saddle(problem, driven.closed, REGULARISATIONS[0], effort)
         rate = problem.normal @ saddle.solve(force, 0.0 * gaps, 0.0 * ties)[0]

@@ -10,6 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import sparse_saddle
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
@@ -153,3 +154,12 @@ def test_contacts_that_carry_too_little_are_completed_where_that_is_asked_for() 
     with pytest.raises(AssertionError):
         reached(problem, [], driven=False)
     assert reached(problem, [], driven=True)[0] == 1.0
+
+
+def test_a_limit_of_time_ends_the_search_for_what_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(what: str) -> None:
+        raise cq.NotConverged(f"stopped at the time limit, before {what}")
+
+    monkeypatch.setattr(sparse_saddle, "refuse_late", late)
+    with pytest.raises(cq.NotConverged, match="before contacts close that a driven motion reaches"):
+        reached(in_one_unknown(1.0, [3.0, 1.0, 2.0]), [0], driven=False)
