@@ -36,6 +36,9 @@ ABSURD = 2.0**200
 FAR_AWAY = 2.0**300
 # Tangential rows that are so much smaller or larger than the normal row of their contact have a unit of their own.
 OWN_UNIT = 60
+# Rows that are larger or smaller than one by more than this factor (1e3) say nothing of the size of an unknown that K
+# gives none.
+ALIKE = 10
 # Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
 LEAST_FRICTION = 2.0**-900
 # Says of a problem that it is one in these units.
@@ -272,12 +275,26 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
 
 
 def _units_are_own(problem: ContactProblem) -> bool:
-    """Return whether all unknowns have stiffness, which relates forces to lengths, or forces and lengths are similar.
+    """Return whether all unknowns have stiffness, or forces and lengths are similar and rows near one.
 
-    Otherwise the answer chosen among many right ones would depend on the units of length and force. Programs, whose K
-    has no entry at most unknowns, are equilibrated where they are solved, forces apart from lengths.
+    Stiffness relates forces to lengths and gives each unknown its size. Without it the answer chosen among many right
+    ones would depend on the units of length and force, and unknowns have the sizes that rows give them. Programs, whose
+    K has no entry at most unknowns, are equilibrated where they are solved, forces apart from lengths.
     """
-    return bool(problem.diagonal.all()) or mostly_bare(problem) or _uniform_unit(problem) == 0
+    if problem.diagonal.all() or mostly_bare(problem):
+        return True
+    return _rows_are_alike(problem) and _uniform_unit(problem) == 0
+
+
+def _rows_are_alike(problem: ContactProblem) -> bool:
+    """Return whether the largest entries of all rows of contacts and ties are of a size."""
+    sizes = np.concatenate([_row_exponents(problem.normal), _row_exponents(problem.tie)])
+    return not np.any(abs(sizes[sizes > LEAST]) > ALIKE)
+
+
+def _row_exponents(rows: Any) -> Index:
+    """Return the exponent of the largest entry of each row."""
+    return _exponent(_largest(rows))
 
 
 def _largest(rows: Any) -> Vector:
@@ -292,16 +309,18 @@ def _largest(rows: Any) -> Vector:
 def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
     """Return exponents of D and of all rows if one unit of length and one of force bring the matrices near one.
 
-    Rows stay as they are then, and what depends on the sizes of unknowns beside each other, such as the motion of least
-    norm of a body that nothing holds, is the same in all units of length and force. None where units of single unknowns
-    and rows are needed.
+    What depends on the sizes of unknowns beside each other, such as the motion of least norm of a body that nothing
+    holds, is the same then in all units of length and force. Rows stay as they are, or are brought to one size where
+    they are not alike and unknowns have their size from them. None where units of single unknowns are needed.
     """
     diagonal, rows, unit = problem.diagonal[problem.diagonal > 0], _matrices(problem), _uniform_unit(problem)
     exponents = _exponent(diagonal) + 2 * unit
     near = bool(np.all(abs(exponents) <= FARTHEST)) and all(_near(_largest(matrix)) for matrix in rows)
     if not (near and _near(_largest_without_stiffness(problem, rows))):
         return None
-    return np.full(problem.dimension, unit), np.full(sum(matrix.shape[0] for matrix in rows), unit)
+    sizes = np.concatenate([_row_exponents(matrix) for matrix in rows])
+    alike = bool(problem.diagonal.all()) or _rows_are_alike(problem)
+    return np.full(problem.dimension, unit), unit + np.where((sizes > LEAST) & (not alike), sizes, 0)
 
 
 def _uniform_unit(problem: ContactProblem) -> int:
@@ -315,9 +334,14 @@ def _uniform_unit(problem: ContactProblem) -> int:
 
 def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:
     """Return the exponents of the largest load and of the largest finite gap, tie or slip origin."""
-    lengths = [_exponent(problem.gap[np.isfinite(problem.gap)]), _exponent(problem.tie_value)]
+    normal = _row_exponents(problem.normal)
+    normal = np.where(normal > LEAST, normal, 0)
+    lengths = [
+        (_exponent(problem.gap) - normal)[np.isfinite(problem.gap)],
+        _exponent(problem.tie_value) - _row_exponents(problem.tie),
+    ]
     if problem.slip_origin is not None:
-        lengths.append(_exponent(problem.slip_origin).ravel())
+        lengths.append((_exponent(problem.slip_origin) - normal[:, None]).ravel())
     return int(np.max(_exponent(problem.load), initial=NONE)), int(np.max(np.concatenate(lengths), initial=NONE))
 
 

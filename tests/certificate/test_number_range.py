@@ -266,3 +266,44 @@ def test_the_law_is_measured_alike_in_all_units_where_nothing_meets_along_a_tang
     judged = cq.certify(in_units(masses, 1.0, force), np.zeros(4), np.array([-1.0, 1.0]) * force, np.zeros((2, 1)))
     assert judged.tension == pytest.approx(1 / 3)
     assert judged.natural_map == pytest.approx(1 / 3 / 1.25)
+
+
+# Problems with unknowns that only rows hold, and units of their contacts and ties in which they had no answer.
+HELD_BY_ROWS: dict[str, tuple[dict[str, Any], list[float], list[float]]] = {
+    "taken for driven": (
+        dict(load=[2.0, 0, 2], normal=[[-2.0, 0, 2], [2, 2, -1]], gap=[0.0, 1],
+             tie=[[0.0, 2, 0], [0, 1, 0]], tie_value=[-4.0, -2]), [1e15, 1e-7], [1.0, 1e3]),
+    "ties in the unit of none": (
+        dict(load=[-1.0, -2], normal=[[0.0, 2], [-1, 0], [0, -2]], gap=[2.0, 0, 3],
+             tie=[[-1.0, -2], [2, -2]], tie_value=[-2.0, -2]), [1e4, 1e-10, 1e15], [1.0, 1e-6]),
+    "ties in tiny units": (
+        dict(load=[2.0, -1, -2], normal=[[0.0, 2, 0], [-2, 0, 0]], gap=[2.0, 1],
+             tie=[[-2.0, 1, 1], [2, 1, 1]], tie_value=[-2.0, 2]), [100.0, 1e15], [1e-13, 1e-8]),
+    "one contact with friction": (
+        dict(load=[-2.0], normal=[[-2.0]], gap=[2.0], tangent=[[-2.0]], friction=0.3), [1e12], []),
+    "contacts with friction in space": (
+        dict(load=[0.0, 6, 3], normal=[[0.0, 2, 1], [0, 0, 2]], gap=[2.0, 2],
+             tangent=[[0.0, 0, 1], [-1, 1, -1], [2, -1, 1], [2, 0, 0]], friction=0.3), [1e-10, 1e4], []),
+    "beside an unknown with stiffness": (
+        dict(stiffness=np.diag([8.0, 0]), load=[-2.0, -4], normal=[[0.0, -1]], gap=[1.0],
+             tangent=[[-2.0, -1], [2, 0]], friction=0.3, tie=[[2.0, -1]], tie_value=[-3.0]), [100.0], [1e-12]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HELD_BY_ROWS)
+@pytest.mark.parametrize("power", [1, 8])
+def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> None:
+    given, contacts, ties = HELD_BY_ROWS[name]
+    given = dict(stiffness=np.zeros((len(given["load"]),) * 2)) | given
+    expected = cq.solve(cq.ContactProblem(**given))
+    r, t = np.array(contacts) ** power, np.array(ties) ** power
+    scaled = dict(given, normal=np.array(given["normal"]) * r[:, None], gap=np.array(given["gap"]) * r)
+    if "tangent" in given:
+        tangent = np.array(given["tangent"])
+        scaled["tangent"] = tangent * np.repeat(r, len(tangent) // len(r))[:, None]
+    if ties:
+        scaled |= dict(tie=np.array(given["tie"]) * t[:, None], tie_value=np.array(given["tie_value"]) * t)
+    found = cq.solve(cq.ContactProblem(**scaled))
+    assert found.certificate.passed
+    assert found.normal_force * r == pytest.approx(expected.normal_force, rel=1e-9, abs=1e-9)
+    assert found.displacement == pytest.approx(expected.displacement, rel=1e-9, abs=1e-9)
