@@ -19,6 +19,8 @@ from contactqp.model.solution import Answer, Candidate, Nothing
 ROUNDS = 12
 # Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
 NEAR_ONE = 1.1
+# Rows that are larger or smaller than one by more than this have a unit of their own, which is not their unknowns'.
+OWN_UNIT_OF_A_ROW = 1e9
 # Unknowns without stiffness that the bodies of a contact problem may have; a quadratic program has more.
 MOST_BARE = 6
 # Where no length is imposed there is none beneath this part of the load.
@@ -114,8 +116,11 @@ def in_range(twin: ContactProblem) -> bool:
 def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     K = sp.csr_matrix(problem.stiffness_rows)
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
-    d, r = np.ones(problem.dimension), np.ones(rows.shape[0])
     sizes_K, sizes, columns = abs(K), abs(rows), abs(rows.T.tocsr())
+    d = np.ones(problem.dimension)
+    largest = _largest(sizes, d)
+    foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
+    r = 1.0 / np.where(foreign, largest, 1.0)
     for _ in range(ROUNDS):
         of_rows = r * _largest(sizes, d)
         of_unknowns = d * np.maximum(_largest(sizes_K, d), _largest(columns, r))

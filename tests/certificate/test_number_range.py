@@ -307,3 +307,15 @@ def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> Non
     assert found.certificate.passed
     assert found.normal_force * r == pytest.approx(expected.normal_force, rel=1e-9, abs=1e-9)
     assert found.displacement == pytest.approx(expected.displacement, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e-19, 1e-9, 1.0, 1e19])
+def test_units_of_rows_hide_no_driven_motion_of_a_program(unit: float) -> None:
+    rows = np.array([[0.0, 0, 1, 2, -2, 0, 0], [0, 0, 2, -1, 2, -2, 2], [0, 1, 0, 0, 0, 2, -2]])
+    tie = np.array([[0.0, -2, -1, -1, -2, -1, 2], [-1, -2, -2, -2, -2, 0, 1]])
+    program = cq.ContactProblem(
+        np.zeros((7, 7)), [0.0, 2, 2, 1, -2, -2, -1], rows * [[1.0], [unit], [1.0]], [3.0, unit, 3.0],
+        tie=tie * [[1.0], [1 / unit]], tie_value=[-6.0, -8 / unit],
+    )  # fmt: skip
+    with pytest.raises(cq.NoEquilibrium, match="the load drives a motion that nothing resists"):
+        cq.solve(program)
