@@ -26,7 +26,7 @@ import contactqp as cq
 from benchmarks.friction_families import CONTACT_FAMILIES, FAMILIES, Posed, contact_problem, local_problem
 from benchmarks.friction_law import broken, broken_locally, driven, plain_answer, seen, size_of_offsets
 from benchmarks.processes import reports_of
-from contactqp.linalg.extended import images
+from contactqp.linalg.factorization import images
 
 ALGORITHMS = ("default", "tresca", "aclm", "newton", "nsgs", "admm")
 CLASSICAL = ("lagrange-multiplier", "augmented-lagrangian", "master-slave")

@@ -376,7 +376,7 @@ def _from_repair(
     apart = energy_norms(problem, condensation, to_feasible - to_dual)[1] + allowance
     slack = float(force.double() @ room)
     return AdmissiblePair(
-        to_middle=(to_feasible + to_dual).half(),
+        to_middle=(to_feasible + to_dual).times(0.5),
         radius=float(np.sqrt(apart**2 / 4 + slack)) + allowance,
         dual_radius=float(np.sqrt(apart**2 + 2 * slack)) + allowance,
         force=force,

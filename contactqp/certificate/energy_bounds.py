@@ -36,11 +36,11 @@ from contactqp.certificate.energy_norm import energy_norm
 from contactqp.linalg.convexity import stiffness_factor
 from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
-from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import settled
 from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, rows_alone, uniqueness
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, factors_of_saddle, rows_alone, uniqueness
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
@@ -68,8 +68,8 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     InvalidProblem
         K is indefinite.
     """
-    factor = stiffness_factor(problem)
     twin, scaling = equilibrated(problem)
+    factor = stiffness_factor(problem, known=factors_of_saddle(twin))
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
     scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
@@ -102,7 +102,7 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
-    energy, size = _energy(problem, state.answer)
+    energy, size = _energy(state)
     unique = uniqueness(held)
     sees = unique.displacement and not mostly_bare(problem)
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
@@ -210,11 +210,16 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
     return np.where(np.isin(part, weak), 0.0, excess)
 
 
-def _energy(problem: ContactProblem, answer: ExtendedAnswer) -> tuple[float, float]:
-    """Return the energy J and the larger of its terms; where both vanish, the larger of the dual energy's."""
-    u, doubles = answer.displacement, answer.double()
-    elastic = 0.5 * u.dot(extended_rows(problem).stiffness @ u)
-    work = u.dot(extend(problem.load))
+def _energy(state: ClosedState) -> tuple[float, float]:
+    """Return the energy J and the larger of its terms; where both vanish, the larger of the dual energy's.
+
+    K U is what the residual r = f - K U - E'L - A'N has been formed with.
+    """
+    problem, answer = state.problem, state.answer
+    u, doubles, load = answer.displacement, answer.double(), extend(problem.load)
+    outer = load - extended_rows(problem).contact_force(answer.normal_force, answer.tie_force)
+    elastic = 0.5 * u.dot(outer - state.left.force)
+    work = u.dot(load)
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
     least = least_length(problem) * float(np.max(problem.load_size, initial=0.0))
     return elastic - work, max(elastic, abs(work), least) or float(lifted)

@@ -32,8 +32,8 @@ from contactqp.certificate.coulomb_law import (
     slips_that_are_nothing,
 )
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.extended import Residuals, extend, extended_rows, images, plain_residuals, residuals
-from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.extended import Residuals, extend, extended_rows, plain_residuals, residuals
+from contactqp.linalg.factorization import RigidMotions, images
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
     beyond,

@@ -34,9 +34,8 @@ from contactqp.certificate.state_bodies import Bodies, CondensedBodies, Iterated
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
-from contactqp.linalg.iteration import iterated, iteration
+from contactqp.linalg.iteration import constraints_are_many, iterated, iteration
 from contactqp.linalg.measures import HELD_BY_DOUBLES, in_energy, row_sizes
-from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of

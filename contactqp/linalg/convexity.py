@@ -32,8 +32,19 @@ def refuse_indefinite(problem: ContactProblem) -> None:
     stiffness_factor(problem, wanted=False)
 
 
-def stiffness_factor(problem: ContactProblem, wanted: bool = True) -> StiffnessFactor | None:
+def stiffness_factor(
+    problem: ContactProblem, wanted: bool = True, known: pardiso.Pardiso | None = None
+) -> StiffnessFactor | None:
     """Return factors of K if they are wanted, None where K is singular to working precision.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        K is its stiffness.
+    wanted : bool
+        Whether the factors are wanted, or only that K is found to be semidefinite.
+    known : Pardiso, optional
+        Factors of a matrix that may have the entries of K, whose analysis then serves.
 
     Raises
     ------
@@ -42,22 +53,24 @@ def stiffness_factor(problem: ContactProblem, wanted: bool = True) -> StiffnessF
     """
     of_stiffness, factor = problem._computed.of_stiffness, None
     if of_stiffness.convex is None:
-        factor = _refuse_indefinite(problem)
+        factor = _refuse_indefinite(problem, known)
         of_stiffness.convex = True
     if not wanted:
         return None
-    factor = factor or _factorised(problem)
+    factor = factor or _factorised(problem, known)
     return None if factor is None or factor.smallest_pivot < REGULAR else factor
 
 
 class StiffnessFactor:
     """The factors of K with its diagonal raised by the factor 1 + CURVED, which a step of refinement corrects."""
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem, known: pardiso.Pardiso | None = None) -> None:
         self._K = problem.stiffness_rows
         lifted = with_added_diagonal(self._K, CURVED * problem.diagonal)
         if problem.dimension > LARGE and pardiso.available():
-            by_pardiso = pardiso.elimination_order(problem).factorised(lifted, np.arange(problem.dimension))
+            by_pardiso = None if known is None else known.beside(lifted)
+            if by_pardiso is None:
+                by_pardiso = pardiso.elimination_order(problem).factorised(lifted, np.arange(problem.dimension))
             self._solve, self.smallest_pivot = by_pardiso.solve_all, by_pardiso.smallest_pivot
         else:
             by_superlu = SuperLU(sp.csc_matrix(lifted))
@@ -70,22 +83,22 @@ class StiffnessFactor:
         return float(np.sqrt(max(float(force @ moved), 0.0)))
 
 
-def _factorised(problem: ContactProblem) -> StiffnessFactor | None:
+def _factorised(problem: ContactProblem, known: pardiso.Pardiso | None) -> StiffnessFactor | None:
     """Return the factors of K where its pivots are positive, else None."""
     if np.any(problem.diagonal <= 0):
         return None
     try:
-        factor = StiffnessFactor(problem)
+        factor = StiffnessFactor(problem, known)
     except (pardiso.NotPositive, BackendFailed, InvalidProblem):
         return None
     return factor if factor.smallest_pivot > 0 else None
 
 
-def _refuse_indefinite(problem: ContactProblem) -> StiffnessFactor | None:
+def _refuse_indefinite(problem: ContactProblem, known: pardiso.Pardiso | None) -> StiffnessFactor | None:
     """Refuse an indefinite K; return its factors where they decided that."""
     if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
         return None  # dominant diagonals: Gershgorin's circles
-    if problem.dimension > DENSE_SIZE and (factor := _factorised(problem)) is not None:
+    if problem.dimension > DENSE_SIZE and (factor := _factorised(problem, known)) is not None:
         return factor
     scale = problem.own_scale
     K = sp.csr_matrix(sp.diags(scale) @ problem.stiffness_rows @ sp.diags(scale))

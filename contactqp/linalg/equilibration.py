@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.computed import Computed
@@ -133,7 +134,30 @@ def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     nothing = np.zeros(problem.dimension)
     twin = problem.transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], np.zeros(problem.ties))
     twin._computed.of_stiffness.elimination_order = elimination_order(problem)
+    if extended_rows(problem).together is None:
+        twin._computed.extended = _in_units(problem, twin, d, r)
     return twin, Scaling(d, 1.0 / r[:m], 1.0 / r[m:], 1.0, 1.0)
+
+
+class _ScaledRows:
+    """diag(l) M diag(r) of a matrix that is laid out already, l and r being powers of two: equal to the last bit."""
+
+    def __init__(self, rows: ExtendedMatrix, left: Array, right: Array) -> None:
+        self.shape = rows.shape
+        self._rows, self._left, self._right = rows, left, right
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        product = self._rows @ vector.times(self._right)
+        return product.times(self._left)
+
+
+def _in_units(problem: ContactProblem, twin: ContactProblem, d: Array, r: Array) -> ExtendedRows:
+    """Return the rows of a twin for extended precision, by those of the problem, which are not laid out again."""
+    given, made, m = extended_rows(problem), ExtendedRows(twin), problem.contacts
+    made.stiffness = _ScaledRows(given.stiffness, d, d)
+    made.normal, made.tie = _ScaledRows(given.normal, r[:m], d), _ScaledRows(given.tie, r[m:], d)
+    made.outward = _ScaledRows(given.outward, d, r)
+    return made
 
 
 def scaled_by(left: Array, matrix: Any, right: Array) -> Any:

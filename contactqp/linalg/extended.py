@@ -12,7 +12,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,9 +23,6 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
 EPS = 2.0**-104
-# Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
-# sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
-SHORT = 2**11
 # Rows with more entries are summed on their own, in pairs.
 LONG = 2**9
 # Matrices of at most so many places, as wide as their longest row, are one block, which takes a step for each column
@@ -74,8 +71,9 @@ class Extended:
         ends = zip((0, *places), (*places, len(self.hi)), strict=True)
         return [_holding(self.hi[start:end], self.lo[start:end]) for start, end in ends]
 
-    def half(self) -> Extended:
-        return _holding(self.hi / 2, self.lo / 2)
+    def times(self, factor: Array | float) -> Extended:
+        """Return the product with powers of two."""
+        return _holding(self.hi * factor, self.lo * factor)
 
     def added_at(self, index: Any, values: Array) -> Extended:
         """Return a copy with doubles added to some entries."""
@@ -234,9 +232,9 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
     together = width if block.halves is not None else max(1, WORTH_A_CALL // count)
     for start in range(0, width, together):
         values, columns = block.values[start : start + together], block.columns[start : start + together]
-        products, errors = two_product(values, vector.hi[columns], block.halves)
+        products, errors = two_product(values, vector.hi.take(columns), block.halves)
         if not doubles:
-            errors = errors + values * vector.lo[columns]
+            errors = errors + values * vector.lo.take(columns)
         for product, error in zip(products, errors, strict=True):
             if total is _NONE:
                 total, rest = product, error
@@ -257,23 +255,6 @@ def _summed(terms: Array, errors: Array) -> tuple[float, float]:
     return float(total[0]), float(rest[0])
 
 
-def images(matrix: Any, columns: Array) -> Array:
-    """Return K z of every column z (n, q), accurate to half an eps of |K||z| and rounded to doubles."""
-    rows = sp.csr_matrix(matrix)
-    if not columns.size:
-        return np.zeros((rows.shape[0], columns.shape[1]))
-    if np.finfo(np.longdouble).nmant == 63 and np.max(rows.indptr[1:] - rows.indptr[:-1], initial=0) <= SHORT:
-        long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
-        return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
-    return exact_images(rows, columns)
-
-
-def exact_images(matrix: Any, columns: Array) -> Array:
-    """Return K z of every column z (n, q), accumulated in pairs of doubles to tell soft motions from rigid ones."""
-    extended = SparseRows(sp.csr_matrix(matrix))
-    return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
-
-
 class _Block(NamedTuple):
     """Rows of a matrix, slot by slot, each slot contiguous in memory; short rows are filled with zeros."""
 
@@ -292,6 +273,14 @@ def _block(rows: Any, members: NDArray[np.intp], halves: bool = False) -> _Block
         filled = np.arange(width)[:, None] < lengths
         values, columns = np.where(filled, values, 0.0), np.where(filled, columns, 0)
     return _Block(members, values, columns, _split(values) if halves else None)
+
+
+class ExtendedMatrix(Protocol):
+    """A matrix whose product with an extended vector is extended."""
+
+    shape: tuple[int, int]
+
+    def __matmul__(self, vector: Extended) -> Extended: ...
 
 
 class ClearedRows:
@@ -319,7 +308,7 @@ class ExtendedRows:
         self._given = problem.stiffness_rows, problem.normal, problem.tie, problem.tangent
 
     @cached_property
-    def stiffness(self) -> SparseRows | ClearedRows:
+    def stiffness(self) -> ExtendedMatrix:
         """Return the stiffness K (n, n), which is laid out once."""
         if self._of_stiffness.extended is None:
             self._of_stiffness.extended = SparseRows(self._given[0])
@@ -327,12 +316,12 @@ class ExtendedRows:
         return rows
 
     @cached_property
-    def normal(self) -> SparseRows:
+    def normal(self) -> ExtendedMatrix:
         """Return the normal rows E_N (m, n)."""
         return SparseRows(self._given[1])
 
     @cached_property
-    def tie(self) -> SparseRows:
+    def tie(self) -> ExtendedMatrix:
         """Return the ties A (k, n)."""
         return SparseRows(self._given[2])
 
@@ -357,7 +346,7 @@ class ExtendedRows:
         return together.parted(stiffness.shape[0], contacts, contacts + tie.shape[0])
 
     @cached_property
-    def outward(self) -> SparseRows:
+    def outward(self) -> ExtendedMatrix:
         """Return the transpose [E_N; A]' (n, m + k), which takes forces to the unknowns."""
         return SparseRows(_transposed(list(self._given[1:3])))
 

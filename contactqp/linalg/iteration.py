@@ -16,8 +16,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
-from contactqp.linalg import pardiso
+from contactqp.linalg import pardiso, schur
 from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration
+from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
@@ -38,6 +39,14 @@ LARGEST_BY_SUPERLU = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
 # rounding decides: one support among a million unknowns leaves 1e-6.
 FLOATING = 1e-12
+# Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, where a backend finds the
+# closed contacts, or of each entry, where a hierarchy does; of each operation of a sparse factorisation, in a backend,
+# by SuperLU and by PARDISO; operations per squared unknown in space. No more than SMALLEST is not worth looking at;
+# with more than OF_PLANES entries in a row a body fills its factors as one in space.
+PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
+SMALLEST, OF_PLANES = 3e7, 25
+# With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
+FRICTION_CONDENSED = 3.0
 
 
 def iterated(problem: ContactProblem) -> bool:
@@ -81,6 +90,85 @@ def _are_many(problem: ContactProblem) -> bool:
         in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
         return in_space and problem.contacts > MANY_WITH_FRICTION
     return problem.normal.nnz > MANY and problem.contacts > 1 and len(np.unique(problem.normal.indices)) > MANY
+
+
+def constraints_are_many(problem: ContactProblem) -> bool:
+    """Return whether sparse saddle points, identification of contacts included, should cost less than condensing.
+
+    Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
+    like p, for residuals and steps, and like the operations of a sparse factorisation: p b^2 for a band of b,
+    10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where a hierarchy holds
+    the bodies, factorisations are few; the interior point of a backend takes one a step. Where K has no entry at more
+    unknowns than a body has rigid motions, condensing would take each of these for a motion.
+    """
+    known = problem._computed.constraints_are_many
+    if problem.frictional not in known:
+        known[problem.frictional] = _constraints_are_many(problem)
+    return known[problem.frictional]
+
+
+def condense_anyway(problem: ContactProblem) -> None:
+    """Condense a problem whatever is predicted, because sparse systems have not led to an answer."""
+    problem._computed.constraints_are_many[problem.frictional] = False
+
+
+def _constraints_are_many(problem: ContactProblem) -> bool:
+    if not (problem.contacts or problem.ties):
+        return False
+    if problem.frictional and not _in_the_plane(problem):
+        return False
+    if not problem.diagonal.all() and mostly_bare(problem):
+        return True
+    rows = [problem.normal, problem.tie]
+    if problem.frictional and problem.tangent is not None:
+        rows.append(problem.tangent)
+    times = FRICTION_CONDENSED if problem.frictional else 1.0
+    if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
+        return False  # a row touches an unknown by an entry
+    dense = times * float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
+    lengths = np.concatenate([some.indptr[1:] - some.indptr[:-1] for some in rows])
+    long = int(np.sum(lengths > 1))
+    size = float(problem.dimension + long)
+    if dense <= max(SMALLEST, PER_UNKNOWN * size):
+        return False
+    per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
+    grid = grid_operations(size, per_row)
+    by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
+
+    def predicted(operations: float) -> tuple[float, float]:
+        # Friction takes combinations of states: no interior point knows of them, nor does a body that floats.
+        with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
+        return with_backends, PER_ENTRY * per_row * size + by_solver * operations
+
+    if dense > max(predicted(grid)):
+        return True  # a narrower band only makes it cheaper
+    with_backends, with_hierarchy = predicted(min(grid, size * float(_band(problem)) ** 2))
+    if (dense > with_backends) == (dense > with_hierarchy):
+        return bool(dense > with_backends)
+    return bool(dense > (with_hierarchy if size > schur.LARGE and held_by_hierarchy(problem) else with_backends))
+
+
+def grid_operations(size: float, per_row: float) -> float:
+    """Return the operations that factorising a plane grid of `size` unknowns takes, with `per_row` entries a row."""
+    plane, space = float(10 * size**1.5 * (per_row / 5) ** 2), IN_SPACE * size**2
+    return plane if per_row <= OF_PLANES else max(plane, space)
+
+
+def _in_the_plane(problem: ContactProblem) -> bool:
+    return problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
+
+
+def _band(problem: ContactProblem) -> int:
+    """Return the half bandwidth of K and all rows of more than one entry, in the reverse Cuthill-McKee order."""
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    rows = sp.vstack([problem.normal, problem.tie], format="csr")
+    rows = rows[np.flatnonzero(np.diff(rows.indptr) > 1)]
+    K = sp.csr_matrix(problem.stiffness_rows)
+    graph = sp.csr_matrix(sp.bmat([[K, rows.T], [rows, None]]) if rows.shape[0] else K)
+    place = np.argsort(reverse_cuthill_mckee(graph, symmetric_mode=True))
+    entries = graph.tocoo()
+    return int(np.max(abs(place[entries.row] - place[entries.col]), initial=0))
 
 
 def may_be_factorised(problem: ContactProblem) -> bool:

@@ -48,6 +48,8 @@ LEAST_PIVOT = 13
 OF_PLANES, LONGEST_ROW, OF_FEW_UNKNOWNS = 25, 50, 100_000
 # Factors in a stated order that have so many times the entries of those that it was found for, row by row, fill in.
 FILLS_IN = 1.5
+# Matrices with the same entries whose factors one analysis serves, and the phase that gives back those of one of them.
+OF_ONE_ANALYSIS, RELEASE_ONE = 2, 0
 
 
 class NotPositive(Exception):
@@ -138,54 +140,75 @@ class Pardiso:
         most_entries: float = np.inf,
         ordering: int = NESTED_DISSECTION,
     ) -> None:
-        upper = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
-        upper.sort_indices()
+        upper = _entries_of(matrix, kind)
         if upper.nnz > np.iinfo(np.int32).max:
             raise BackendFailed(f"pardiso: {upper.nnz} entries are more than its 32-bit indices can count")
         self.size = int(upper.shape[0])
-        self._values = np.ascontiguousarray(upper.data, dtype=np.float64)
-        self._starts, self._columns = upper.indptr.astype(np.int32), upper.indices.astype(np.int32)
         # The unknowns that are retained, else the order of elimination.
-        self._chosen = np.zeros(self.size, dtype=np.int32)
-        self._chosen[retained] = 1
-        self._handle = np.zeros(64, dtype=np.int64)
-        self._settings = np.zeros(64, dtype=np.int32)
-        self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, ordering
-        self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
-        self._settings[[PERTURBATION, ENTRIES]] = LEAST_PIVOT, ASKED
+        chosen = np.zeros(self.size, dtype=np.int32)
+        chosen[retained] = 1
+        settings = np.zeros(64, dtype=np.int32)
+        settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, ordering
+        settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
+        settings[[PERTURBATION, ENTRIES]] = LEAST_PIVOT, ASKED
         if kind == UNSYMMETRIC:
-            self._settings[[SCALING, MATCHING]] = 1
-        self._kind = kind
+            settings[[SCALING, MATCHING]] = 1
         if len(retained):
-            self._settings[SCHUR] = SCHUR_ONLY
+            settings[SCHUR] = SCHUR_ONLY
         elif order is not None:
-            self._settings[PERMUTATION], self._chosen = STATED_ORDER, np.ascontiguousarray(order, dtype=np.int32)
+            settings[PERMUTATION], chosen = STATED_ORDER, np.ascontiguousarray(order, dtype=np.int32)
         else:
-            self._settings[PERMUTATION] = ORDER_RETURNED
-        self._release = weakref.finalize(self, _release, self._handle, self._settings, kind)
+            settings[PERMUTATION] = ORDER_RETURNED
+        self._analysis, self._number = _Analysis(upper, kind, settings, chosen), 1
+        self._values = np.ascontiguousarray(upper.data, dtype=np.float64)
         self._call(ANALYSE, np.zeros(1), np.zeros(1))
         if order is not None and self.entries_of_factors > most_entries:
             raise FillsIn
         self._refuse_too_large(len(retained))
         self.schur = np.zeros((len(retained), len(retained)))
-        self._call(FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
-        self.smallest_pivot = self._smallest_pivot() if kind == POSITIVE_DEFINITE else np.nan
+        self._factorise()
+
+    def beside(self, matrix: Any) -> Pardiso | None:
+        """Return the factors of another matrix with the same entries, by the analysis of this one.
+
+        None where it has other entries, or where other factors are beside these already.
+
+        Raises
+        ------
+        NotPositive, TooLarge, BackendFailed
+            As `Pardiso`.
+        """
+        upper, analysis = _entries_of(matrix, self._analysis.kind), self._analysis
+        if analysis.second is not None or self.schur.size or not analysis.is_of(upper):
+            return None
+        made = object.__new__(Pardiso)
+        made.size, made.schur = self.size, self.schur
+        made._analysis, made._number = analysis, OF_ONE_ANALYSIS
+        made._values = np.ascontiguousarray(upper.data, dtype=np.float64)
+        made._refuse_too_large(0)
+        made._factorise()
+        analysis.second = weakref.finalize(made, analysis.release_second)
+        return made
+
+    def _factorise(self) -> None:
+        self._call(FACTORISE, np.zeros(1), self.schur if self.schur.size else np.zeros(1))
+        self.smallest_pivot = self._smallest_pivot() if self._analysis.kind == POSITIVE_DEFINITE else np.nan
 
     @property
     def order(self) -> Indices:
         """(n,) the unknowns in the order in which they were eliminated, where none is retained."""
-        return self._chosen.astype(np.intp)
+        return self._analysis.chosen.astype(np.intp)
 
     @property
     def entries_of_factors(self) -> int:
         """The number of entries of the factors by the analysis, whose predicted memory grows with its threads."""
-        return int(self._settings[ENTRIES])
+        return int(self._analysis.settings[ENTRIES])
 
     @property
     def predicted_memory(self) -> int:
         """Bytes that analysis, factors and solutions take at their peak, as the analysis tells."""
-        of_factors = int(self._settings[STAYS]) + int(self._settings[OF_FACTORS])
-        return 1024 * max(int(self._settings[PEAK_OF_ANALYSIS]), of_factors)
+        told = self._analysis.settings
+        return 1024 * max(int(told[PEAK_OF_ANALYSIS]), int(told[STAYS]) + int(told[OF_FACTORS]))
 
     def _refuse_too_large(self, retained: int) -> None:
         """Raise TooLarge rather than be ended by the system in the middle of a factorisation."""
@@ -214,14 +237,72 @@ class Pardiso:
         return solution
 
     def _call(self, phase: int, right: Array, solution: Array) -> None:
-        error = ctypes.c_int32(0)
-        one, kind = ctypes.c_int32(1), ctypes.c_int32(self._kind)
-        count = ctypes.c_int32(right.shape[1] if right.ndim == 2 else 1)
+        self._analysis.call(phase, self._number, self._values, right, solution)
+
+    def _smallest_pivot(self) -> float:
+        """Return the least pivot over its diagonal entry: that of the matrix with a diagonal of ones."""
+        pivots, before, error = np.zeros(self.size), np.zeros(self.size), ctypes.c_int32(0)
+        _library().pardiso_getdiag(
+            *(_pointer(self._analysis.handle), _pointer(pivots), _pointer(before)),
+            *(ctypes.byref(ctypes.c_int32(self._number)), ctypes.byref(error)),
+        )
+        if error.value:
+            raise BackendFailed(f"pardiso: error {error.value} when its pivots were asked for")
+        eliminated = self.size - len(self.schur)  # in the order of elimination, the retained unknowns last
+        return float(np.min(pivots[:eliminated] / before[:eliminated], initial=1.0))
+
+
+class _Analysis:
+    """What PARDISO keeps of the entries of a matrix, and the factors of up to two matrices that have these entries.
+
+    Attributes
+    ----------
+    kind : int
+        POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC.
+    handle, settings : (64,) arrays of int
+        PARDISO's pt and iparm.
+    chosen : (n,) array of int
+        Its perm.
+    second : callable, optional
+        What gives the factors of a second matrix back; None where there are none.
+    """
+
+    def __init__(self, entries: Any, kind: int, settings: NDArray[np.int32], chosen: NDArray[np.int32]) -> None:
+        self.kind, self.settings, self.chosen = kind, settings, chosen
+        self.handle = np.zeros(64, dtype=np.int64)
+        self._starts, self._columns = entries.indptr.astype(np.int32), entries.indices.astype(np.int32)
+        self.second: Any = None
+        self._release = weakref.finalize(self, _release, self.handle, settings, kind)
+
+    def is_of(self, entries: Any) -> bool:
+        """Whether a matrix has the entries that were analysed."""
+        return np.array_equal(entries.indptr, self._starts) and np.array_equal(entries.indices, self._columns)
+
+    def call(self, phase: int, number: int, values: Array, right: Array, solution: Array) -> None:
+        """Call PARDISO for the first or the second matrix.
+
+        Parameters
+        ----------
+        phase, number : int
+            ANALYSE and the like; 1 or OF_ONE_ANALYSIS.
+        values : array
+            The entries of that matrix.
+        right, solution : arrays
+            Right-hand sides (n,) or (n, q), and what is found for them.
+
+        Raises
+        ------
+        NotPositive, BackendFailed
+            As `Pardiso`.
+        """
+        error, size = ctypes.c_int32(0), len(self._starts) - 1
+        most = 1 if self.settings[SCHUR] else OF_ONE_ANALYSIS
+        count = right.shape[1] if right.ndim == 2 else 1
         _library().pardiso(
-            *(_pointer(self._handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind)),
-            *(ctypes.byref(ctypes.c_int32(phase)), ctypes.byref(ctypes.c_int32(self.size))),
-            *(_pointer(self._values), _pointer(self._starts), _pointer(self._columns), _pointer(self._chosen)),
-            *(ctypes.byref(count), _pointer(self._settings), ctypes.byref(ctypes.c_int32(0))),
+            _pointer(self.handle),
+            *(ctypes.byref(ctypes.c_int32(given)) for given in (most, number, self.kind, phase, size)),
+            *(_pointer(array) for array in (values, self._starts, self._columns, self.chosen)),
+            *(ctypes.byref(ctypes.c_int32(count)), _pointer(self.settings), ctypes.byref(ctypes.c_int32(0))),
             *(_pointer(right), _pointer(solution), ctypes.byref(error)),
         )
         if error.value == NOT_POSITIVE:
@@ -229,17 +310,10 @@ class Pardiso:
         if error.value:
             raise BackendFailed(f"pardiso: error {error.value} in phase {phase}")
 
-    def _smallest_pivot(self) -> float:
-        """Return the least pivot over its diagonal entry: that of the matrix with a diagonal of ones."""
-        pivots, before, error = np.zeros(self.size), np.zeros(self.size), ctypes.c_int32(0)
-        _library().pardiso_getdiag(
-            *(_pointer(self._handle), _pointer(pivots), _pointer(before)),
-            *(ctypes.byref(ctypes.c_int32(1)), ctypes.byref(error)),
-        )
-        if error.value:
-            raise BackendFailed(f"pardiso: error {error.value} when its pivots were asked for")
-        eliminated = self.size - len(self.schur)  # in the order of elimination, the retained unknowns last
-        return float(np.min(pivots[:eliminated] / before[:eliminated], initial=1.0))
+    def release_second(self) -> None:
+        """Give the memory of the second matrix's factors back, which makes place for others."""
+        nothing, self.second = np.zeros(1), None
+        self.call(RELEASE_ONE, OF_ONE_ANALYSIS, nothing, nothing, nothing)
 
 
 class EliminationOrder:
@@ -312,12 +386,19 @@ def _pointer(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
+def _entries_of(matrix: Any, kind: int) -> Any:
+    """The entries that PARDISO takes of a matrix, by rows and in the order of their columns."""
+    entries = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
+    entries.sort_indices()
+    return entries
+
+
 def upper_triangle(matrix: Any) -> Any:
     """The entries of a symmetric matrix on its diagonal and right of it, by rows."""
     by_rows = sp.csr_array(matrix.T if matrix.format == "csc" else matrix)
     rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
-    kept = by_rows.indices >= rows
-    starts = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=by_rows.shape[0]))])
+    right = by_rows.indices >= rows
+    kept, starts = np.flatnonzero(right), np.concatenate([[0], np.cumsum(right)])[by_rows.indptr]
     return sp.csr_array((by_rows.data[kept], by_rows.indices[kept], starts), shape=by_rows.shape)
 
 

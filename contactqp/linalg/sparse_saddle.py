@@ -22,10 +22,9 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
-from contactqp.linalg.equilibration import least_length, mostly_bare
-from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
+from contactqp.linalg.equilibration import least_length
+from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, plain_residuals, residuals_of
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
-from contactqp.linalg.iteration import held_by_hierarchy
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.schur import LARGE
@@ -35,6 +34,9 @@ from contactqp.model.problem import ContactProblem
 # What is added to the diagonal of the saddle point, whose entries are at most one: the largest first, which rounds
 # least. The next is taken where sweeps contract too slowly, as rows that nearly repeat make them.
 REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
+# Up to this part of the unknowns that closed contacts fix, eliminating these with the others costs less than an
+# analysis of what is left, in space too, where it takes a fifth of the time of a factorisation.
+FEW_FIXED = 0.2
 # Residuals at which no smaller one is tried, and the part of the residual that it must get below.
 FINE, WORTH_ANOTHER = 1e-22, 0.1
 # A sweep that makes the larger residual grow by more than this has failed.
@@ -44,6 +46,9 @@ SWEEPS, CONTRACTS = 20, 0.3
 # Corrections in double precision before residuals are formed in extended precision: with the first solution they come
 # near to what the rounding of doubles leaves.
 CORRECTIONS = 2
+# Residuals above this part of the forces and lengths that meet have half of their digits in doubles: as many as a
+# correction needs that is refined in doubles.
+FAR = 1e-8
 # Residuals of this part of the forces and lengths that meet are nothing in extended precision.
 SOLVED = 2.0**-88
 # Rows that leave more than this part of the largest length are not met: nothing solves them together.
@@ -54,14 +59,6 @@ MET_BESIDE_IMPOSED = 1e-10
 SIGNED = 1e-20
 # Beneath this part of what it takes to move the lengths that meet there is no force.
 NO_FORCE = 1e-12
-# Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, where a backend finds the
-# closed contacts, or of each entry, where a hierarchy does; of each operation of a sparse factorisation, in a backend,
-# by SuperLU and by PARDISO; operations per squared unknown in space. No more than SMALLEST is not worth looking at;
-# with more than OF_PLANES entries in a row a body fills its factors as one in space.
-PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
-SMALLEST, OF_PLANES = 3e7, 25
-# With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
-FRICTION_CONDENSED = 3.0
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
 # Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
@@ -73,85 +70,6 @@ WASTED = 25
 # Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
 # approach that is none.
 BLOCKING, STANDS_STILL = 50, 1e-9
-
-
-def constraints_are_many(problem: ContactProblem) -> bool:
-    """Return whether sparse saddle points, identification of contacts included, should cost less than condensing.
-
-    Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
-    like p, for residuals and steps, and like the operations of a sparse factorisation: p b^2 for a band of b,
-    10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where a hierarchy holds
-    the bodies, factorisations are few; the interior point of a backend takes one a step. Where K has no entry at more
-    unknowns than a body has rigid motions, condensing would take each of these for a motion.
-    """
-    known = problem._computed.constraints_are_many
-    if problem.frictional not in known:
-        known[problem.frictional] = _constraints_are_many(problem)
-    return known[problem.frictional]
-
-
-def condense_anyway(problem: ContactProblem) -> None:
-    """Condense a problem whatever is predicted, because sparse systems have not led to an answer."""
-    problem._computed.constraints_are_many[problem.frictional] = False
-
-
-def _constraints_are_many(problem: ContactProblem) -> bool:
-    if not (problem.contacts or problem.ties):
-        return False
-    if problem.frictional and not _in_the_plane(problem):
-        return False
-    if not problem.diagonal.all() and mostly_bare(problem):
-        return True
-    rows = [problem.normal, problem.tie]
-    if problem.frictional and problem.tangent is not None:
-        rows.append(problem.tangent)
-    times = FRICTION_CONDENSED if problem.frictional else 1.0
-    if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
-        return False  # a row touches an unknown by an entry
-    dense = times * float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
-    lengths = np.concatenate([some.indptr[1:] - some.indptr[:-1] for some in rows])
-    long = int(np.sum(lengths > 1))
-    size = float(problem.dimension + long)
-    if dense <= max(SMALLEST, PER_UNKNOWN * size):
-        return False
-    per_row = (problem.stiffness_rows.nnz + 2 * int(np.sum(lengths[lengths > 1]))) / size
-    grid = grid_operations(size, per_row)
-    by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
-
-    def predicted(operations: float) -> tuple[float, float]:
-        # Friction takes combinations of states: no interior point knows of them, nor does a body that floats.
-        with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
-        return with_backends, PER_ENTRY * per_row * size + by_solver * operations
-
-    if dense > max(predicted(grid)):
-        return True  # a narrower band only makes it cheaper
-    with_backends, with_hierarchy = predicted(min(grid, size * float(_band(problem)) ** 2))
-    if (dense > with_backends) == (dense > with_hierarchy):
-        return bool(dense > with_backends)
-    return bool(dense > (with_hierarchy if size > LARGE and held_by_hierarchy(problem) else with_backends))
-
-
-def grid_operations(size: float, per_row: float) -> float:
-    """Return the operations that factorising a plane grid of `size` unknowns takes, with `per_row` entries a row."""
-    plane, space = float(10 * size**1.5 * (per_row / 5) ** 2), IN_SPACE * size**2
-    return plane if per_row <= OF_PLANES else max(plane, space)
-
-
-def _in_the_plane(problem: ContactProblem) -> bool:
-    return problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
-
-
-def _band(problem: ContactProblem) -> int:
-    """Return the half bandwidth of K and all rows of more than one entry, in the reverse Cuthill-McKee order."""
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    rows = sp.vstack([problem.normal, problem.tie], format="csr")
-    rows = rows[np.flatnonzero(np.diff(rows.indptr) > 1)]
-    K = sp.csr_matrix(problem.stiffness_rows)
-    graph = sp.csr_matrix(sp.bmat([[K, rows.T], [rows, None]]) if rows.shape[0] else K)
-    place = np.argsort(reverse_cuthill_mckee(graph, symmetric_mode=True))
-    entries = graph.tocoo()
-    return int(np.max(abs(place[entries.row] - place[entries.col]), initial=0))
 
 
 class SparseSaddle:
@@ -173,15 +91,42 @@ class SparseSaddle:
         self._contacts = len(closed)
         self._fixing, self._fixed = rows_alone(self._rows)
         self._entries = self._rows.data[self._rows.indptr[self._fixing]]
-        self._free = np.delete(np.arange(problem.dimension), self._fixed)
         self._left = np.delete(np.arange(self._rows.shape[0]), self._fixing)
+        order = pardiso.elimination_order(problem)
+        self.factors = None if self._left.size else self._in_the_pattern_of_stiffness(order, regularisation)
+        if self.factors is not None:
+            self._free = np.arange(problem.dimension)
+            self._factor: Callable[[Vector], Vector] = self.factors.solve_all
+            return
+        self._free = np.delete(np.arange(problem.dimension), self._fixed)
         rows = self._rows[self._left][:, self._free]
         stiffness = self._K[self._free][:, self._free] if self._fixed.size else self._K
         upper = with_added_diagonal(stiffness, np.full(len(self._free), regularisation))
         lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
         kind = pardiso.INDEFINITE if rows.shape[0] else pardiso.POSITIVE_DEFINITE
-        self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), self._free)
+        self._factor = factorised(matrix, kind, order, self._free)
+
+    def _in_the_pattern_of_stiffness(
+        self, order: pardiso.EliminationOrder, regularisation: float
+    ) -> pardiso.Pardiso | None:
+        """Return the factors of K with the rows and columns of fixed unknowns replaced by those of the identity.
+
+        They have the entries of K, whose own factors, which the certificate asks for, take no other analysis. None
+        where so many unknowns are fixed that it costs less to leave them out, or PARDISO is not to be used.
+        """
+        n, fixed = self._K.shape[0], np.zeros(self._K.shape[0], dtype=bool)
+        if not (n > LARGE and pardiso.available() and len(self._fixed) <= FEW_FIXED * n):
+            return None
+        fixed[self._fixed] = True
+        lifted = with_added_diagonal(self._K, np.full(n, regularisation))
+        rows = np.repeat(np.arange(n), np.diff(lifted.indptr))
+        lifted.data[fixed[rows] | fixed[lifted.indices]] = 0.0
+        lifted.data[fixed[rows] & (lifted.indices == rows)] = 1.0
+        try:
+            return order.factorised(lifted, np.arange(n))
+        except pardiso.NotPositive:
+            return None
 
     def solve(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector]:
         """Return u (n,), l (c,) and nu (k,) of the regularised system with this right-hand side."""
@@ -190,8 +135,10 @@ class SparseSaddle:
         u[self._fixed] = lengths[self._fixing] / self._entries
         if self._fixed.size:
             force, lengths = force - self._K @ u, lengths - self._rows @ u
-        moved = np.zeros(len(force))
-        found = self._factor(np.concatenate([force[self._free], lengths[self._left]]))
+        right, moved = force[self._free], np.zeros(len(force))
+        if self.factors is not None:
+            right[self._fixed] = 0.0
+        found = self._factor(np.concatenate([right, lengths[self._left]]))
         moved[self._free], carried[self._left] = np.split(found, [len(self._free)])
         if self._fixed.size:
             left = force - self._K @ moved - self._rows.T @ carried
@@ -307,12 +254,19 @@ class ClosedState:
     unmet: float
 
     @classmethod
-    def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
-        """Return the state of an answer, its forces on open contacts left out."""
+    def started(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
+        """Return the state of an answer to start from; far from a solution its residuals are those of doubles."""
+        state = cls.of(problem, closed, answer, plain=True)
+        return state if state.residual > FAR else cls.of(problem, closed, answer)
+
+    @classmethod
+    def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer, plain: bool = False) -> ClosedState:
+        """Return the state of an answer, its forces on open contacts left out; with `plain` residuals in doubles."""
         force = answer.normal_force
         force = Extended(np.where(closed, force.hi, 0.0), np.where(closed, force.lo, 0.0))
         answer = ExtendedAnswer(answer.displacement, force, answer.tie_force)
-        left, doubles = residuals_of(extended_rows(problem), problem, answer), answer.double()
+        doubles = answer.double()
+        left = plain_residuals(problem, doubles) if plain else residuals_of(extended_rows(problem), problem, answer)
         u = abs(doubles.displacement)
         strain = problem.stiffness_sizes @ u
         forces = strain + outer_forces(problem, doubles)
@@ -375,7 +329,7 @@ def _part(value: float, size: float) -> float:
 
 def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
     """Return the answer with these contacts closed that is nearest to a start; `solved` says whether there is one."""
-    state = ClosedState.of(problem, closed, start)
+    state = ClosedState.started(problem, closed, start)
     for regularisation in REGULARISATIONS:
         try:
             saddle = _kept_saddle(problem, closed, regularisation, effort)
@@ -389,6 +343,12 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
         if state.residual <= FINE:
             break
     return state
+
+
+def factors_of_saddle(problem: ContactProblem) -> pardiso.Pardiso | None:
+    """Return the factors of the last saddle point of an equilibrated problem if they have the entries of K."""
+    kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
+    return next((saddle.factors for saddle in kept.values()), None)
 
 
 def _kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:

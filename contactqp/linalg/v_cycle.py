@@ -129,12 +129,18 @@ class HeldHierarchy:
         """
         E, columns = self.rows[0]
         strength = held_strength(E[held].multiply(E[held]) @ (1 / self.levels[0].diagonal[columns]))
-        parts = [sp.csr_matrix((strength, (np.arange(len(held)), held)), (len(held), E.shape[0]))]
-        factors = sp.vstack(parts if sprung is None else [*parts, sprung], format="csr")
-        rows = [LevelRows(sp.csr_matrix(factors @ row.entries), row.columns) for row in self.rows]
+        rows = [LevelRows(_springs(row.entries, held, strength, sprung), row.columns) for row in self.rows]
         levels = [_HeldLevel(*parts) for parts in zip(self.levels[:-1], rows[:-1], strict=True)]
         on_coarsest = rows[-1].entries
         return VCycle(levels, HeldCoarsestLevel(self.coarsest, (on_coarsest.T @ on_coarsest).toarray()).solve)
+
+
+def _springs(rows: Any, held: NDArray[np.intp], strength: Array, sprung: sp.csr_matrix | None) -> Any:
+    """Return the held ones of rows (a, unknowns) times the roots of their stiffness, and `sprung` times all rows."""
+    some = rows[held]
+    entries = some.data * np.repeat(strength, np.diff(some.indptr))
+    springs = sp.csr_matrix((entries, some.indices, some.indptr), some.shape)
+    return springs if sprung is None else sp.vstack([springs, sprung @ rows], format="csr")
 
 
 def held_strength(compliance: Array) -> Array:
@@ -150,13 +156,18 @@ class _HeldLevel(HeldLevel):
         self.diagonal, self.largest = level.diagonal, level.largest
         if not added.entries.shape[0]:
             return
-        own = np.asarray(added.entries.multiply(added.entries).sum(axis=0)).ravel()
+        E = added.entries
+        own = np.bincount(E.indices, E.data**2, E.shape[1])
         self.diagonal = self.diagonal.copy()
         self.diagonal[added.columns] += own
         # No eigenvalue of a sum exceeds those of both parts, each against its own diagonal; without a product by K.
-        W = added.entries[:, own > 0] @ sp.diags(1 / np.sqrt(own[own > 0]))
-        spread = W.T
-        self.largest = max(self.largest, largest_eigenvalue(lambda v: W @ (spread @ v), np.ones(W.shape[0])))
+        if E.nnz == np.count_nonzero(own):  # no unknown is held by two rows: W W' below counts the unknowns of each row
+            of_rows = float(np.max(np.diff(E.indptr)))
+        else:
+            W = E[:, own > 0] @ sp.diags(1 / np.sqrt(own[own > 0]))
+            spread = W.T
+            of_rows = largest_eigenvalue(lambda v: W @ (spread @ v), np.ones(W.shape[0]))
+        self.largest = max(self.largest, of_rows)
 
     def product(self, x: Array) -> Array:
         y: Array = self._level.matrix @ x

@@ -49,7 +49,7 @@ class Computed:
     condensation: Any = None  # linalg.condensation
     wider_condensation: Any = None  # linalg.condensation: that of more contacts, from which to go on
     dependent_ties: Any = None  # certificate.idle_rows
-    constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.sparse_saddle: with friction, without
+    constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
     sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
     equilibrated: Any = None  # linalg.equilibration: the problem in units of its own, and the way there

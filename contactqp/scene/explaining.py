@@ -15,8 +15,7 @@ from rich.markup import escape
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.iteration import LARGE, contacts_are_many, iterated
-from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.linalg.iteration import LARGE, constraints_are_many, contacts_are_many, iterated
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.blocks import BLOCKS

@@ -32,10 +32,9 @@ from contactqp.linalg.friction_states import (
     answer_in,
     condensed_frictional_rows,
 )
-from contactqp.linalg.iteration import frictional_iteration, iterated
+from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.linalg.runtime import on_one_thread
-from contactqp.linalg.sparse_saddle import constraints_are_many
 from contactqp.model.arrays import Array
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem

@@ -28,9 +28,15 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
-from contactqp.linalg.iteration import contacts_are_many, factorised, iterated, may_be_factorised
+from contactqp.linalg.iteration import (
+    condense_anyway,
+    constraints_are_many,
+    contacts_are_many,
+    factorised,
+    iterated,
+    may_be_factorised,
+)
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
-from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem

@@ -19,11 +19,17 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
-from contactqp.linalg.iteration import contacts_are_many, held_by_hierarchy, iterated, iteration
+from contactqp.linalg.iteration import (
+    constraints_are_many,
+    contacts_are_many,
+    held_by_hierarchy,
+    iterated,
+    iteration,
+)
 from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import on_one_thread, refuse_late, tell
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, constraints_are_many, uniqueness
+from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, uniqueness
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find

@@ -390,6 +390,26 @@ def test_an_order_that_would_fill_in_is_found_anew():
 
 
 @needs_pardiso
+def test_one_analysis_serves_two_matrices_with_the_same_entries():
+    K = pressed_block(20).stiffness_rows
+    n, right = K.shape[0], np.random.default_rng(0).standard_normal(K.shape[0])
+    first, other = EliminationOrder(n).factorised(K, np.arange(n)), with_added_diagonal(K, K.diagonal())
+    second = first.beside(other)
+    for factor, matrix in ((second, other), (first, K), (second, other)):
+        found = factor.solve_all(right)
+        assert np.max(abs(matrix @ found - right)) <= 1e-11 * np.max(abs(right))
+        assert factor.smallest_pivot == pytest.approx(Pardiso(matrix, np.zeros(0, dtype=int)).smallest_pivot, rel=0.5)
+    assert first.beside(K) is None  # two at a time
+    del second, factor
+    with pytest.raises(NotPositive):
+        first.beside(-K)
+    third = first.beside(K)
+    assert third.solve_all(right) == pytest.approx(first.solve_all(right), rel=1e-12)
+    del third
+    assert first.beside(sp.identity(n, format="csr")) is None
+
+
+@needs_pardiso
 def test_the_library_of_the_package_mkl_is_the_one_that_pypardiso_finds() -> None:
     """Where another were taken, two of them with threads of their own would be loaded in one process."""
     from pypardiso.scipy_aliases import pypardiso_solver

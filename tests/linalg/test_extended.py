@@ -7,14 +7,17 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import extended
-from contactqp.linalg.extended import Extended, ExtendedRows, images, residuals_of
+from contactqp.linalg import extended, factorization
+from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.extended import Extended, ExtendedRows, SparseRows, extended_rows, residuals_of
+from contactqp.linalg.factorization import images
+from contactqp.model.computed import OfStiffness
 
 
-@pytest.mark.parametrize("short", [0, extended.SHORT], ids=["pairs of doubles", "the longest floats there are"])
+@pytest.mark.parametrize("short", [0, factorization.SHORT], ids=["pairs of doubles", "the longest floats there are"])
 def test_images_are_right_where_doubles_cancel(monkeypatch, short):
     """K z of rows whose terms cancel but for the last digits: to half an eps of the sum of sizes, whoever adds."""
-    monkeypatch.setattr(extended, "SHORT", short)
+    monkeypatch.setattr(factorization, "SHORT", short)
     random = np.random.default_rng(0)
     matrix = sp.random(40, 40, 0.4, random_state=random, format="csr")
     matrix.data *= 2.0 ** random.integers(-20, 20, size=matrix.nnz)
@@ -32,7 +35,7 @@ def test_images_are_right_where_doubles_cancel(monkeypatch, short):
 
 def test_long_rows_are_added_in_pairs_of_doubles(monkeypatch):
     """So many terms in floats of 64 digits would lose what rounding of doubles is told by."""
-    monkeypatch.setattr(extended, "SHORT", 3)
+    monkeypatch.setattr(factorization, "SHORT", 3)
     row = np.array([[2.0**60, 1.0, -(2.0**60), 2.0**-20]])
     assert images(sp.csr_matrix(row), np.ones((4, 1)))[0, 0] == 1.0 + 2.0**-20
 
@@ -63,3 +66,24 @@ def test_rows_in_one_block_leave_the_residuals_of_rows_apart_to_the_last_bit(mon
         assert one.hi.tobytes() == other.hi.tobytes()
         assert one.lo.tobytes() == other.lo.tobytes()
         assert one.hi.size
+
+
+def test_rows_in_other_units_are_laid_out_once_and_equal_to_the_last_bit():
+    rng = np.random.default_rng(3)
+    n, m, k = 900, 60, 20
+    half = sp.random(n, n, 0.01, random_state=rng, format="csr")
+    units = 10.0 ** rng.uniform(-4, 4, n)
+    K = sp.diags(units) @ (half + half.T + 20 * sp.identity(n)) @ sp.diags(units)
+    rows = sp.random(m + k, n, 0.02, random_state=rng, format="csr") + sp.identity(n, format="csr")[: m + k]
+    problem = cq.ContactProblem(K, rng.normal(size=n), rows[:m], np.ones(m), tie=rows[m:], tie_value=np.ones(k))
+    twin, _ = equilibrated(problem)
+    found, expected = extended_rows(twin), ExtendedRows(twin.replace(load=twin.load))
+    expected._of_stiffness = OfStiffness()
+    vector = Extended(rng.normal(size=n), 1e-17 * rng.normal(size=n))
+    forces = Extended(rng.normal(size=m + k), 1e-17 * rng.normal(size=m + k))
+    for name, given in (("stiffness", vector), ("normal", vector), ("tie", vector), ("outward", forces)):
+        one, other = getattr(found, name) @ given, getattr(expected, name) @ given
+        assert isinstance(getattr(expected, name), SparseRows)
+        assert not isinstance(getattr(found, name), SparseRows)
+        assert np.array_equal(one.hi, other.hi)
+        assert np.array_equal(one.lo, other.lo)

@@ -15,8 +15,8 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg import pardiso, schur, sparse_saddle
-from contactqp.linalg.sparse_saddle import constraints_are_many
+from contactqp.linalg import extended, pardiso, schur, sparse_saddle
+from contactqp.linalg.iteration import constraints_are_many
 from contactqp.solving import sparse_run
 from contactqp.solving.methods import inexact_active_set
 from contactqp.solving.solve import _routes
@@ -159,6 +159,33 @@ def test_polish_and_certificate_share_a_factorisation(monkeypatch: pytest.Monkey
     monkeypatch.setattr(sparse_saddle, "SparseSaddle", counted)
     assert cq.solve(membrane(60, 0.03)).certificate.proven
     assert len(made) == 1
+
+
+@pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
+def test_a_strip_is_analysed_once_and_multiplied_exactly_only_where_digits_are_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The answer's factors and the certificate's have one analysis; K u takes part in five extended residuals."""
+    phases: list[int] = []
+    products: list[int] = []
+    call, product = pardiso._Analysis.call, extended._product
+
+    def called(self: object, phase: int, *given: object) -> None:
+        phases.append(phase)
+        call(self, phase, *given)
+
+    def multiplied(block: object, *given: object) -> object:
+        products.append(block.values.size)
+        return product(block, *given)
+
+    monkeypatch.setattr(pardiso._Analysis, "call", called)
+    monkeypatch.setattr(extended, "_product", multiplied)
+    problem = strip_on_a_floor(800)
+    entries = sum(block.values.size for block in extended.SparseRows(problem.stiffness_rows)._blocks)
+    assert cq.solve(problem).certificate.proven
+    assert phases.count(pardiso.ANALYSE) == 1
+    assert phases.count(pardiso.FACTORISE) == 2
+    assert sum(size for size in products if 4 * size > entries) == 5 * entries
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.equilibration import unknown_scale
-from contactqp.linalg.iteration import iterated
-from contactqp.linalg.sparse_saddle import grid_operations
+from contactqp.linalg.iteration import grid_operations, iterated
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution

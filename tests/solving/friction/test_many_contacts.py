@@ -11,7 +11,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg.sparse_saddle import condense_anyway, constraints_are_many
+from contactqp.linalg.iteration import condense_anyway, constraints_are_many
 from contactqp.linalg.sparse_states import MOST_CHANGES, ChangedStateSystem, SparseStateSystem, frictional_rows
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction import sparse_newton
