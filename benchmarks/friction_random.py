@@ -135,6 +135,7 @@ def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
     except cq.ContactQPError:
         return
     K = np.vectorize(Fraction, otypes=[object])(np.asarray(plain.stiffness_rows.toarray()))
+    near = K + np.diag(np.diag(K)) if _held_by_contacts(plain) else K  # the norm that a radius is stated in
     truths = [
         (_rational(one.displacement), np.column_stack([_rational(one.normal_force), _rational(one.friction_force)]))
         for one in exact
@@ -155,10 +156,20 @@ def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
             report.wrong.append(f"bounds: off by {part:g}, {error:.3g} below {distance:.3g}, or that of a force")
         if found.scope == "global" and len(truths) != 1:
             report.wrong.append(f"bounds: global beside {len(truths)} equilibria")
-        if found.scope == "local" and sum(one[0] < found.radius for one in apart) != 1:
+        away = [_energy(near, _rational(u) - v) for v, _ in truths]
+        if found.scope == "local" and sum(one < found.radius for one in away) != 1:
             report.wrong.append(f"bounds: not one equilibrium within {found.radius:.3g}")
         if part > 1e-13 and distance > 0:
             report.ratios.append(error / distance)
+
+
+def _held_by_contacts(problem: cq.ContactProblem) -> bool:
+    """Whether stiffness and ties alone leave a body free to move."""
+    scale = np.diag(1 / np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0)))
+    tie = problem.tie.toarray() @ scale
+    tie = tie / np.maximum(np.linalg.norm(tie, axis=1, keepdims=True), np.finfo(float).tiny)
+    held = scale @ problem.stiffness_rows.toarray() @ scale + tie.T @ tie
+    return bool(np.linalg.eigvalsh(held)[0] <= 1e-9) if len(held) else False
 
 
 def _rational(values: Any) -> np.ndarray:

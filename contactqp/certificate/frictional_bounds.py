@@ -28,11 +28,17 @@ combination of open, stick and slip, refined in twice double precision, for whic
 the candidate to that answer is added.
 
 Where kappa is not below 1 the combination itself is looked at. If every sign holds by a margin, an equilibrium nearer
-than r, the least margin over its V_i or w_i, has the same combination, and that has one answer: in the plane that of a
-linear system, in space where a smaller constant, in which slipping contacts alone count (`_kappa_nearby`), is below 1.
-Slips are then the only zero of a continuous, strongly monotone map on a ball, and one is there (Brouwer), since what
-the refined slips leave is less than the map grows by within the ball. `scope` is "local", `radius` is r in the energy
-norm.
+than r, the least margin over its V_i or w_i, has the same combination: what is open stays open, so that d acts on the
+closed contacts alone and V_i^2 is that of their rows. That combination has one answer: in the plane that of a linear
+system, in space where a smaller constant, in which slipping contacts alone count (`_kappa_nearby`), is below 1. Slips
+are then the only zero of a continuous, strongly monotone map on a ball, and one is there (Brouwer), since what the
+refined slips leave is less than the map grows by within the ball. `scope` is "local", `radius` is r in the energy norm.
+
+A body that contacts alone hold has no W. Nearer than r then means in the norm of M = S + A'A + Z Z' on the retained
+unknowns, in which springs hold the rigid motions Z (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with
+w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties B, which balance on Z, satisfy
+y'B M^-1 B'y <= y'B S^+ B'y = |v|_K^2, so that V_i^2 = ((B M^-1 B')^-1)_ii bounds them. As S_jj <= K_jj, |v|_M is at
+most the norm of v'Kv + sum K_jj v_j^2, in which `radius` is then stated.
 
 Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
 and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors. It is an a-posteriori
@@ -53,8 +59,8 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.measures import own_compliance
-from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import OPEN, STICK, directions, lengths, onto_discs
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths, onto_discs
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
@@ -77,13 +83,29 @@ class _Norms:
     force: Vector  # of the whole vector
     slip: Vector  # of (W d)_T; of (W d)_N it is one
 
+    allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
+
     @staticmethod
-    def of(compliance: ContactCompliance, contacts: int, allowance: float) -> _Norms | None:
-        """Return the norms with an allowance for rounding; None where W has no inverse."""
-        inverse = _inverse(compliance.W)
-        if inverse is None:
+    def of(compliance: ContactCompliance, condensation: Condensation, acting: Mask) -> _Norms | None:
+        """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
+
+        None where these rows depend on one another, or so nearly that rounding leaves nothing of their inverse.
+        """
+        contacts, d = acting.shape
+        rows = np.flatnonzero(acting)
+        operator = compliance.operator(rows, compliance.ties)
+        try:
+            factor = np.linalg.cholesky(operator)
+        except np.linalg.LinAlgError:
             return None
-        d = len(compliance.W) // contacts
+        pivots = np.diag(factor) ** 2 / np.diag(operator)
+        rounding = max(condensation.lost_digits, len(pivots) * np.finfo(float).eps)
+        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+        half = np.linalg.solve(factor, np.eye(len(factor)))
+        if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
+            return None
+        inverse = np.zeros((contacts * d, contacts * d))
+        inverse[np.ix_(rows, rows)] = (half.T @ half)[: len(rows), : len(rows)]
         own, response_of = (
             blocks.reshape(contacts, d, contacts, d)[np.arange(contacts), :, np.arange(contacts), :]
             for blocks in (inverse, compliance.W)
@@ -94,17 +116,8 @@ class _Norms:
             more * np.sqrt(_largest(own[:, 1:, 1:])),
             more * np.sqrt(_largest(own)),
             more * np.sqrt(_largest(response_of[:, 1:, 1:])),
+            allowance,
         )
-
-
-def _inverse(W: Array) -> Array | None:
-    try:
-        factor = np.linalg.cholesky(W)
-    except np.linalg.LinAlgError:
-        return None
-    half = np.linalg.solve(factor, np.eye(len(W)))
-    inverse = half.T @ half
-    return inverse if np.all(np.isfinite(inverse)) else None
 
 
 def _largest(blocks: Array) -> Vector:
@@ -136,50 +149,95 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     if (reason := too_many(problem, condensation)) is not None:
         return reason
     compliance = contact_compliance(problem, condensation)
-    if compliance.floats:
-        return FLOATS
     if compared.refined.redundant:
-        return DEPENDENT
-    allowance = _rounding_of(compliance, condensation)
-    norms = _Norms.of(compliance, problem.contacts, allowance) if allowance <= TOO_ROUNDED else None
-    if norms is None:
         return DEPENDENT
     refined = _refined(problem, condensation, compared, compliance)
     if refined is None:
         return "its refined answer leaves ties unmet"
-    kappa = critical(problem, condensation).kappa * (1 + allowance)
-    if kappa < 1:
-        error = _distance(problem, compared, refined, norms, kappa)
-        return _bounds(problem, answer, compared, norms, compliance, error)
-    nearby = _kappa_nearby(compliance.W, compared, _coefficient(problem, compared)) * (1 + allowance)
+    kappa = np.inf
+    if not compliance.floats:
+        every = np.ones((problem.contacts, len(compliance.W) // problem.contacts), dtype=bool)
+        norms = _Norms.of(compliance, condensation, every)
+        if norms is not None:
+            kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
+        if norms is not None and kappa < 1:
+            error = _distance(problem, compared, refined, norms, kappa)
+            return _bounds(problem, answer, compared, norms, compliance, error)
+    return _proven_nearby(problem, condensation, answer, compared, refined, kappa)
+
+
+def _proven_nearby(
+    problem: ContactProblem,
+    condensation: Condensation,
+    answer: Answer,
+    compared: Compared,
+    refined: _Refined,
+    kappa: float,
+) -> Bounds | str:
+    """Return the local statement where every sign holds by a margin, or the reason why there is none.
+
+    Parameters
+    ----------
+    refined : _Refined
+        The refined answer of the combination that the candidate was compared with.
+    kappa : float
+        Not below one, so that there is no global statement.
+    """
+    compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
+    width = len(compliance.W) // problem.contacts
+    closed, slides_or_sticks = compared.status != OPEN, (mu > 0)[:, None] & np.ones(width - 1, dtype=bool)
+    norms = _Norms.of(compliance, condensation, closed[:, None] & np.column_stack([closed, slides_or_sticks]))
+    if norms is None:
+        return DEPENDENT
+    others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
+    nearby = _kappa_nearby(compliance, compared, mu) * (1 + norms.allowance)
     if not nearby < 1:
-        return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({nearby:.3g})"
-    error = (2 * compared.last + refined.correction) / (1 - nearby)
-    around = max(compared.displacement, compared.force) + error
-    radius = _margin(problem, compared, refined, norms) - around
+        return f"{others}, nor others nearby ({nearby:.3g})"
+    uncertain, apart = refined.correction, 0.0
+    if compliance.floats:
+        uncertain += _rigid_rounding(compliance, compared, refined, mu)
+        moved = (extend(answer.displacement) - compared.refined.displacement).double()
+        apart = float(np.sqrt(problem.diagonal @ moved**2))
+    error = (2 * compared.last + uncertain) / (1 - nearby)
+    around = max(float(np.hypot(compared.displacement, apart)), compared.force) + error
+    radius = _margin(refined, norms, compared.status, mu) - uncertain - around
     if not radius > around:
-        return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
+        return f"{others}, and {NO_MARGIN}"
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
 
 
-def _kappa_nearby(W: Array, compared: Compared, mu: Vector) -> float:
+def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: _Refined, mu: Vector) -> float:
+    """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies."""
+    closed, sticks = compared.status != OPEN, (compared.status == STICK) & (mu > 0)
+    moved, tied = compliance.on_rigid_motions()
+    moved = moved.reshape(len(mu), -1, moved.shape[1])
+    held = np.vstack([moved[closed, 0], moved[sticks, 1:].reshape(-1, moved.shape[2]), tied])
+    missed = np.concatenate([refined.gap[closed], refined.slip[sticks].ravel()])
+    return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
+
+
+def _kappa_nearby(compliance: ContactCompliance, compared: Compared, mu: Vector) -> float:
     """Return kappa for two answers with the same states, 0 in the plane; infinite where W has no inverse.
 
     Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
     slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
-    of -W_cc^-1 W_cl S^-1 e.
+    of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
     """
     status, m = compared.status, len(mu)
-    d = len(W) // m
+    d = len(compliance.W) // m
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
     if d == 2 or not np.any(slides):
         return 0.0  # a linear system, whose refinement has settled
-    place = np.arange(len(W)).reshape(m, d)
+    place = np.arange(m * d).reshape(m, d)
     kept = np.concatenate([place[closed, 0], place[(status == STICK) & (mu > 0), 1:].ravel()])
     along = place[slides, 1:].ravel()
+    joints = len(compliance.J)
+    whole = compliance.operator(np.concatenate([kept, along]), joints)
+    order = np.arange(len(whole))
+    slips = (order >= len(kept)) & (order < len(kept) + len(along))
     try:
-        drawn = np.linalg.solve(W[np.ix_(kept, kept)], W[np.ix_(kept, along)])
-        S = W[np.ix_(along, along)] - W[np.ix_(along, kept)] @ drawn
+        drawn = np.linalg.solve(whole[np.ix_(~slips, ~slips)], whole[np.ix_(~slips, slips)])
+        S = whole[np.ix_(slips, slips)] - whole[np.ix_(slips, ~slips)] @ drawn
         factor = np.linalg.cholesky((S + S.T) / 2)
     except np.linalg.LinAlgError:
         return np.inf
@@ -191,16 +249,6 @@ def _kappa_nearby(W: Array, compared: Compared, mu: Vector) -> float:
     square = pushed.T @ ((own * weight)[:, None] * pushed)
     square = square + np.einsum("i,iwp,iwq->pq", own / weight, slip, slip)
     return float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2 if np.all(np.isfinite(square)) else np.inf
-
-
-def _rounding_of(compliance: ContactCompliance, condensation: Condensation) -> float:
-    """Return the relative error of W^-1 and of kappa by the rounding of W, from the pivots of its factors."""
-    try:
-        pivots = np.diag(np.linalg.cholesky(compliance.W)) ** 2 / np.diag(compliance.W)
-    except np.linalg.LinAlgError:
-        return np.inf
-    rounding = max(condensation.lost_digits, len(pivots) * np.finfo(float).eps)
-    return float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
 
 
 def _refined(
@@ -264,17 +312,19 @@ def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, no
     return float((b + np.sqrt(b * b + 4 * room * c)) / (2 * room) + more)
 
 
-def _margin(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms) -> float:
-    """Return the least distance in the energy norm at which a contact can be in another state."""
-    status, mu = compared.status, _coefficient(problem, compared)
+def _margin(refined: _Refined, norms: _Norms, status: Status, mu: Vector) -> float:
+    """Return the least distance at which a contact can be in another state, in the norm that forces and slips have."""
     closed, rubs = status != OPEN, mu > 0
-    margins = [np.where(closed, np.inf, refined.gap), np.where(closed, refined.normal / norms.normal_force, np.inf)]
-    room = mu * refined.normal - lengths(refined.friction)
-    sticking = room / (mu * norms.normal_force + norms.tangential_force)
-    margins.append(np.where((status == STICK) & rubs, sticking, np.inf))
-    along = np.sum(status[:, None] * refined.slip, axis=1)  # in the plane
-    margins.append(np.where((abs(status) == 1) & rubs, along / norms.slip, np.inf))
-    return float(np.min(margins, initial=np.inf)) - refined.correction
+    sticks, slides = closed & (status == STICK) & rubs, (abs(status) == 1) & rubs
+    room = (mu * refined.normal - lengths(refined.friction))[sticks]
+    along = np.sum(status[:, None] * refined.slip, axis=1)[slides]  # in the plane
+    margins = (
+        refined.gap[~closed],
+        refined.normal[closed] / norms.normal_force[closed],
+        room / (mu * norms.normal_force + norms.tangential_force)[sticks],
+        along / norms.slip[slides],
+    )
+    return float(np.min(np.concatenate(margins), initial=np.inf))
 
 
 def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:

@@ -39,11 +39,27 @@ class ContactCompliance:
     _factor: DenseCholesky | None
     _elimination: Array  # (d m, k + z - q): what eliminated joints take to the contacts
     _unknown_scale: Vector
+    _ties: int
 
     @property
     def floats(self) -> bool:
         """Whether a body is held by contacts alone."""
         return len(self.J) > 0
+
+    @property
+    def ties(self) -> int:
+        """The joints that are ties; the others are rigid motions. None where no body floats."""
+        return self._ties if self.floats else 0
+
+    def operator(self, rows: NDArray[np.intp], joints: int) -> Array:
+        """Return [[W, V], [V', J]] on some contact rows and the first of the joints."""
+        V = self.V[rows, :joints]
+        return np.block([[self.W[np.ix_(rows, rows)], V], [V.T, self.J[:joints, :joints]]])
+
+    def on_rigid_motions(self) -> tuple[Array, Array]:
+        """Return R Z (d m, r) and A Z (k, r): how far contact rows and ties move with the rigid motions."""
+        Z = -self._joints[self._ties :].T
+        return self._rows @ Z, self._joints[: self._ties] @ Z
 
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
         """Return R x (d m,) under a problem's load without contact forces, and the lengths that joints hold (q,)."""
@@ -94,7 +110,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
         elimination = V @ inverse
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
-    return ContactCompliance(W, V, J, size, R, C, factor, elimination, scale)
+    return ContactCompliance(W, V, J, size, R, C, factor, elimination, scale, len(tie))
 
 
 def _regular_inverse(J: Array, ties: int) -> Array | None:

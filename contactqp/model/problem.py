@@ -371,12 +371,12 @@ class ContactProblem:
         3.0
         """
         known = {f.name for f in fields(self)} - {*MEASURED, *CARRIED}
-        unknown = set(changes) - known
-        if unknown:
+        if unknown := set(changes) - known:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
         if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
-            unnamed = {"tie_names": None} if "tie" in changes else {}
-            made = ContactProblem(**{name: getattr(self, name) for name in known} | unnamed | changes)
+            unset = {"tie_names": None} if "tie" in changes else {}
+            unset |= {} if np.any(self.slip_origin) else {"slip_origin": None}
+            made = ContactProblem(**{name: getattr(self, name) for name in known} | unset | changes)
             for name in MEASURED if "stiffness" not in changes else ():
                 object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
             return made

@@ -83,6 +83,20 @@ def test_a_problem_cannot_be_changed_and_copies_its_data() -> None:
         problem.gap = 0  # type: ignore[misc]
 
 
+def test_replace_takes_other_contacts_with_friction() -> None:
+    one = problem_of_one_unknown()
+    two = one.replace(normal=[[1.0], [-1.0]], gap=[0.0, 1.0], tangent=[[0.5], [0.5]], friction=[0.3, 0.2])
+    assert two.slip_origin.tolist() == [[0.0], [0.0]]
+    with pytest.raises(cq.InvalidProblem, match="slip_origin: expected shape"):
+        one.replace(slip_origin=[[0.1]]).replace(
+            normal=[[1.0], [-1.0]], gap=[0.0, 1.0], tangent=[[0.5], [0.5]], friction=[0.3, 0.2]
+        )
+
+
+def problem_of_one_unknown() -> cq.ContactProblem:
+    return cq.ContactProblem([[1.0]], [5.0], [[1.0]], [0.0], tangent=[[0.5]], friction=[0.3])
+
+
 def test_replace_shares_the_factorisation_and_checks_what_is_new() -> None:
     problem = truss()
     first, second = cq.solve(problem), cq.solve(problem.replace(load=[30.0, -50.0], gap=[2e-3]))
