@@ -158,7 +158,7 @@ OPTIONAL = (
 
 
 def test_importing_the_package_imports_nothing_optional() -> None:
-    modules = f"[m for m in {(*OPTIONAL, 'scipy.linalg', 'pint', 'pydantic', 'click', 'rich')} if m in sys.modules]"
+    modules = f"[m for m in {(*OPTIONAL, 'scipy.linalg', 'pydantic', 'click', 'rich')} if m in sys.modules]"
     assert _run(f"import sys, contactqp; print({modules})") == "[]"
 
 

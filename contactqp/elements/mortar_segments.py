@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.surface import (
@@ -103,7 +103,7 @@ def _candidates(
     centres, radii = bounding_balls(positions)
     other_centres, other_radii = bounding_balls(others)
     if reach is None:
-        far = 3 * cKDTree(master.points[master.nodes]).query(centres)[0] + 2 * radii
+        far = 3 * scipy.spatial.cKDTree(master.points[master.nodes]).query(centres)[0] + 2 * radii
     else:
         far = np.full(len(centres), float(reach))
     half = radii + np.median(other_radii)

@@ -43,9 +43,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import KINDS, FacetKind, Surface, diameters, kind_of, normal_vectors, tangent_vectors
@@ -238,10 +238,10 @@ def same_facets(slave: Surface, master: Surface) -> bool:
 def nodes_over(slave: Surface, master: Surface) -> NDArray[np.int64] | None:
     """Return the master node that faces each of `slave.nodes`, where each has one: offsets along the side vanish."""
     points, others, normals = slave.points[slave.nodes], master.points[master.nodes], node_normals(slave)
-    _, nearest = cKDTree(others).query(points)
+    _, nearest = scipy.spatial.cKDTree(others).query(points)
     apart = others[nearest] - points
     along = apart - (apart * normals).sum(axis=1, keepdims=True) * normals
-    spacing = cKDTree(points).query(points, k=2)[0][:, 1]
+    spacing = scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1]
     return master.nodes[nearest] if (np.linalg.norm(along, axis=1) <= MATCHING * spacing).all() else None
 
 

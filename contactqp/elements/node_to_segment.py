@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from contactqp.elements.nodal_pressure import (
     faceting_notes,
@@ -96,7 +96,7 @@ def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float
     corner = surface.points[surface.nodes]
     everywhere = np.linalg.norm(points - corner.mean(axis=0), axis=1) + np.ptp(corner, axis=0).sum()
     limit = everywhere if reach is None else np.minimum(everywhere, reach)
-    search = np.minimum(cKDTree(corner).query(points)[0], limit)
+    search = np.minimum(scipy.spatial.cKDTree(corner).query(points)[0], limit)
     blocks = len(points) // max(PAIRS // len(surface.facets), 1000) + 1
     found = [
         part

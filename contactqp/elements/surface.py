@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from contactqp.elements.scalars import positive_number
 from contactqp.errors import InvalidProblem
@@ -393,7 +393,7 @@ def overlapping_balls(points: Array, reach: Array, centres: Array, radii: Array)
     size = np.frexp(radii)[1]
     for exponent in np.unique(size):
         group = np.flatnonzero(size == exponent)
-        near = cKDTree(centres[group]).query_ball_point(points, reach + radii[group].max())
+        near = scipy.spatial.cKDTree(centres[group]).query_ball_point(points, reach + radii[group].max())
         count = np.array([len(some) for some in near], dtype=np.int64)
         i = np.repeat(np.arange(len(points)), count)
         j = group[np.concatenate([np.asarray(some, dtype=np.int64) for some in near])] if len(i) else found_j[0]

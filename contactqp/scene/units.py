@@ -1,7 +1,7 @@
 """Quantities with their units, exactly: "15 cm^2" is Fraction(3, 2000) m^2. Nothing is ever evaluated as a program.
 
-pint reads the units, on a short list of its own making: the whole of pint's list takes longer to read than to solve a
-small case, and knows dozens of units that a typing error in a mechanics case would hit by accident.
+The list of units is short on purpose: a general one knows dozens that a typing error in a mechanics case would hit by
+accident, and takes longer to load than a small case takes to solve.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -18,16 +17,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from contactqp.errors import shown
-
-# pint imports dask where it is installed, which takes as long as all the rest of it. A command's process does without;
-# in somebody's own program pint stays as it is.
-if "contactqp.cli" in sys.modules and "dask" not in sys.modules:
-    sys.modules["dask"] = None  # type: ignore[assignment]
-    import pint
-
-    del sys.modules["dask"]
-else:
-    import pint
 
 # Powers and products of such numbers stay inside the range of a double.
 LARGEST_EXPONENT = 100
@@ -152,33 +141,6 @@ class _Reader:
         return match["sign"]
 
 
-_DEFINITIONS = (
-    "nano- = 1e-9 = n-",
-    "micro- = 1e-6 = µ- = u-",
-    "milli- = 1e-3 = m-",
-    "centi- = 1e-2 = c-",
-    "deci- = 1e-1 = d-",
-    "kilo- = 1e3 = k-",
-    "mega- = 1e6 = M-",
-    "giga- = 1e9 = G-",
-    "meter = [length] = m = metre",
-    "second = [time] = s",
-    "gram = [mass] = g",
-    "radian = [] = rad",
-    "newton = kilogram * meter / second ** 2 = N",
-    "pascal = newton / meter ** 2 = Pa",
-    "joule = newton * meter = J",
-    "tonne = 1000 * kilogram = t",
-    "bar = 100000 * pascal",
-    "kilogram_force = 9.80665 * newton = kgf",
-    "inch = 0.0254 * meter = in",
-    "foot = 12 * inch = ft",
-    "pound = 453.59237 * gram = lb",
-    "pound_force = 0.45359237 * kilogram_force = lbf",
-    "kip = 1000 * pound_force",
-    "psi = pound_force / inch ** 2",
-    "ksi = 1000 * psi",
-)
 COMMON_UNITS = (
     "m",
     "mm",
@@ -199,8 +161,11 @@ COMMON_UNITS = (
     "in",
     "ft",
 )
-# Names with an exponent of one digit, joined by *, / or a space: what pint is asked to read, and nothing else.
-_UNIT = re.compile(r"[^\W\d_]\w*(\s*(\^|\*\*)\s*-?\d)?(\s*[*/ ]\s*[^\W\d_]\w*(\s*(\^|\*\*)\s*-?\d)?)*")
+# One name of a unit, with an exponent of one digit, and what stands between it and the name before.
+_NAME = re.compile(
+    r"(?P<sign>\s*[*/]\s*|\s+)?(?P<name>[^\W\d_][^\W²³⁴]*)(\s*(\^|\*\*)\s*(?P<power>-?\d)|(?P<raised>[²³⁴]))?"
+)
+_RAISED = {"²": 2, "³": 3, "⁴": 4}
 
 
 class Dimension(NamedTuple):
@@ -209,6 +174,63 @@ class Dimension(NamedTuple):
     force: int
     length: int
     time: int
+
+    def power(self, exponent: int) -> Dimension:
+        """Return the dimension of a quantity of this one to a power."""
+        return Dimension(*(exponent * power for power in self))
+
+    def times(self, other: Dimension) -> Dimension:
+        """Return the dimension of a product."""
+        return Dimension(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
+
+
+NO_DIMENSION = Dimension(0, 0, 0)
+_LENGTH, _FORCE, _STRESS = Dimension(0, 1, 0), Dimension(1, 0, 0), Dimension(1, -2, 0)
+_MASS = Dimension(1, -1, 2)  # 1 kg is 1 N s^2/m
+
+PREFIXES = {
+    name: Fraction(10) ** exponent
+    for names, exponent in (
+        (("nano", "n"), -9),
+        (("micro", "µ", "u"), -6),
+        (("milli", "m"), -3),
+        (("centi", "c"), -2),
+        (("deci", "d"), -1),
+        (("kilo", "k"), 3),
+        (("mega", "M"), 6),
+        (("giga", "G"), 9),
+    )
+    for name in names
+}
+_INCH, _POUND = Fraction("0.0254"), Fraction("0.45359237")
+_POUND_FORCE = _POUND * Fraction("9.80665")
+# Each in newton, metre and second, by all of its names.
+UNITS = {
+    name: (Fraction(value), dimension)
+    for names, value, dimension in (
+        (("meter", "metre", "m"), 1, _LENGTH),
+        (("second", "s"), 1, Dimension(0, 0, 1)),
+        (("gram", "g"), Fraction(1, 1000), _MASS),
+        (("radian", "rad"), 1, NO_DIMENSION),
+        (("newton", "N"), 1, _FORCE),
+        (("pascal", "Pa"), 1, _STRESS),
+        (("joule", "J"), 1, Dimension(1, 1, 0)),
+        (("tonne", "t"), 1000, _MASS),
+        (("bar",), 100000, _STRESS),
+        (("kilogram_force", "kgf"), Fraction("9.80665"), _FORCE),
+        (("inch", "in"), _INCH, _LENGTH),
+        (("foot", "ft"), 12 * _INCH, _LENGTH),
+        (("pound", "lb"), _POUND, _MASS),
+        (("pound_force", "lbf"), _POUND_FORCE, _FORCE),
+        (("kip",), 1000 * _POUND_FORCE, _FORCE),
+        (("psi",), _POUND_FORCE / _INCH**2, _STRESS),
+        (("ksi",), 1000 * _POUND_FORCE / _INCH**2, _STRESS),
+    )
+    for name in names
+}
+# A name of fewer letters with an s is another unit or a slip: Pas is no pascal.
+_SHORTEST_PLURAL = 3
+_PLURALS = {"lbs": "lb"}
 
 
 @dataclass(frozen=True)
@@ -228,8 +250,8 @@ class Kind:
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind("number", Dimension(0, 0, 0), "0.3"),
-        Kind("angle", Dimension(0, 0, 0), "0.001 rad"),
+        Kind("number", NO_DIMENSION, "0.3"),
+        Kind("angle", NO_DIMENSION, "0.001 rad"),
         Kind("length", Dimension(0, 1, 0), "2 m"),
         Kind("area", Dimension(0, 2, 0), "15 cm^2"),
         Kind("second moment of area", Dimension(0, 4, 0), "2000 cm^4"),
@@ -304,45 +326,44 @@ def _power(unit: str, power: int) -> str:
 
 
 @cache
-def _registry() -> pint.UnitRegistry[Any]:
-    registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None, non_int_type=Fraction, cache_folder=None)
-    registry.load_definitions(_DEFINITIONS)
-    return registry
-
-
-def _first_unknown(error: pint.UndefinedUnitError) -> str:
-    names: Any = error.unit_names  # one name or several, as pint's versions have it
-    return names if isinstance(names, str) else str(next(iter(names)))
-
-
-@cache
 def read_unit(text: str) -> tuple[Fraction, Dimension]:
     """Return the value of one such unit in newton, metre and second, and its dimension.
 
     >>> read_unit("kN/m")
     (Fraction(1000, 1), Dimension(force=1, length=-1, time=0))
     """
-    if not text:
-        return Fraction(1), Dimension(0, 0, 0)
-    if not _UNIT.fullmatch(text):
-        raise NotANumber(f"{text!r} is no unit")
-    registry = _registry()
-    try:
-        quantity = registry.Quantity(Fraction(1), registry.parse_units(text)).to_root_units()
-    except KeyError:  # pint's own, of a unit to the power of zero
-        raise NotANumber(f"{text!r} is no unit") from None
-    except pint.UndefinedUnitError as error:
-        unknown = _first_unknown(error)
-        near = [name for name in COMMON_UNITS if name.lower() == unknown.lower()]
-        near = near or [f"{unknown[:i]}*{unknown[i:]}" for i in range(1, len(unknown)) if _are_units(unknown, i)]
-        near = near or difflib.get_close_matches(unknown, COMMON_UNITS, n=3, cutoff=0.5)
-        raise NotANumber(
-            f"the unit {unknown!r} is unknown" + (f" (nearest: {', '.join(near)})" if near else "")
-        ) from None
-    powers = {name: int(str(power)) for name, power in quantity.dimensionality.items()}
-    mass, length, time = powers.get("[mass]", 0), powers.get("[length]", 0), powers.get("[time]", 0)
-    # pint's root unit of mass is the gram; 1 kg = 1 N s^2/m.
-    return Fraction(quantity.magnitude) / Fraction(1000) ** mass, Dimension(mass, length - mass, time + 2 * mass)
+    value, dimension, place = Fraction(1), NO_DIMENSION, 0
+    while place < len(text):
+        match = _NAME.match(text, place)
+        if match is None or (match["sign"] is None) != (place == 0) or match["power"] in ("0", "-0"):
+            raise NotANumber(f"{text!r} is no unit")
+        exponent = _RAISED.get(match["raised"], int(match["power"] or 1)) * (-1 if "/" in (match["sign"] or "") else 1)
+        factor, one = _single_unit(match["name"])
+        value, dimension, place = value * factor**exponent, dimension.times(one.power(exponent)), match.end()
+    return value, dimension
+
+
+def _single_unit(name: str) -> tuple[Fraction, Dimension]:
+    """Return the value and dimension of one unit by its name, with a prefix or none.
+
+    Raises
+    ------
+    NotANumber
+        There is no such unit; the nearest are named.
+    """
+    for singular in (name, _PLURALS.get(name, name.removesuffix("s"))):
+        if singular != name and name not in _PLURALS and len(singular) < _SHORTEST_PLURAL:
+            break
+        if singular in UNITS:
+            return UNITS[singular]
+        for prefix, factor in PREFIXES.items():
+            unit = singular.removeprefix(prefix)
+            if unit != singular and unit in UNITS and (singular == name or len(unit) >= _SHORTEST_PLURAL):
+                return factor * UNITS[unit][0], UNITS[unit][1]
+    near = [unit for unit in COMMON_UNITS if unit.lower() == name.lower()]
+    near = near or [f"{name[:i]}*{name[i:]}" for i in range(1, len(name)) if _are_units(name, i)]
+    near = near or difflib.get_close_matches(name, COMMON_UNITS, n=3, cutoff=0.5)
+    raise NotANumber(f"the unit {name!r} is unknown" + (f" (nearest: {', '.join(near)})" if near else ""))
 
 
 def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
@@ -351,11 +372,10 @@ def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
     It knows every unit by name, which single units are of one of these dimensions, and powers of lengths. Of units that
     are joined, as in ``kN*m``, it does not know the dimension; `read_quantity` does.
     """
-    prefixes, units = _prefixes_and_units()
 
     def words(of: Sequence[Dimension] | None) -> str:
-        named = [name for name in units if of is None or read_unit(name)[1] in of]
-        return f"({'|'.join(prefixes)})?({'|'.join(named)})" if named else ""
+        named = [name for name, (_, dimension) in UNITS.items() if of is None or dimension in of]
+        return f"({'|'.join(PREFIXES)})?({'|'.join(named)})" if named else ""
 
     power = r"(\s*(\^|\*\*)\s*-?\d|[²³⁴])"
     allowed = [rf"{words(None)}{power}?(\s*[*/ ]\s*{words(None)}{power}?)+", words(dimensions)]
@@ -363,15 +383,8 @@ def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
         if dimension == Dimension(0, dimension.length, 0) and dimension.length > 1:
             raised = "²³⁴"[dimension.length - 2]
             allowed.append(rf"{words([Dimension(0, 1, 0)])}(\s*(\^|\*\*)\s*{dimension.length}|{raised})")
-    unit = f"({'|'.join(filter(None, allowed))})" + "?" * (Dimension(0, 0, 0) in dimensions)
+    unit = f"({'|'.join(filter(None, allowed))})" + "?" * (NO_DIMENSION in dimensions)
     return rf"^(?=[-+\s(]*(\d|\.\d|sqrt))(sqrt|[-+*/().\deE\s])+{unit}\s*$"
-
-
-def _prefixes_and_units() -> tuple[list[str], list[str]]:
-    """Return the names of prefixes and of units, the short ones and the long ones, as they are defined."""
-    written = [[part.strip() for part in definition.split("=")] for definition in _DEFINITIONS]
-    names = [name for parts in written for name in (parts[0], *parts[2:])]
-    return [name[:-1] for name in names if name.endswith("-")], [name for name in names if not name.endswith("-")]
 
 
 def _are_units(text: str, place: int) -> bool:
@@ -418,12 +431,12 @@ def read_quantity(value: Any, kinds: Sequence[Kind], *, roots: bool = False) -> 
 def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
     if isinstance(value, Quantity):
         value = value.text
-    dimensionless = any(kind.dimension == Dimension(0, 0, 0) for kind in kinds)
+    dimensionless = any(kind.dimension == NO_DIMENSION for kind in kinds)
     if not isinstance(value, str):
         number = read_number(value)
         if not dimensionless:
             raise NotANumber(f"{value}, a number without a unit")
-        return Quantity(number, Dimension(0, 0, 0), str(value))
+        return Quantity(number, NO_DIMENSION, str(value))
     number, unit = split_number(value, roots=roots)
     try:
         factor, dimension = read_unit(unit)

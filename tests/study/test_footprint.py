@@ -35,13 +35,24 @@ def test_a_bar_needs_no_factorisation_and_nothing_optional(wall):
     assert (wall.failure, wall.certified, wall.instants) == (None, True, 1)
     assert (wall.factorisations, wall.back_substitutions) == (0, 0)  # its one unknown is the contact's
     assert (wall.contacts.looked_at, wall.contacts.kept, wall.contacts.dropped) == (1, 1, 0)
-    assert {"numpy", "scipy", "pint", "pydantic"} <= set(wall.modules.packages)
+    assert {"numpy", "scipy", "pydantic"} <= set(wall.modules.packages)
     assert "contactqp" not in wall.modules.packages
     assert "json" not in wall.modules.packages
     named = {name for _, group in OPTIONAL for name in group}
     assert set(wall.modules.left_out) | set(wall.modules.missing) == named - set(wall.modules.packages)
-    # What pint brings in where it is installed, Dask and more, is not ours to leave out.
-    in_vain = {"skfem", "matplotlib", "osqp", "clarabel", "cvxpy", "flint", "plotly", "distributed", "rich"}
+    in_vain = {
+        "pint",
+        "dask",
+        "skfem",
+        "matplotlib",
+        "osqp",
+        "clarabel",
+        "cvxpy",
+        "flint",
+        "plotly",
+        "distributed",
+        "rich",
+    }
     assert not in_vain & set(wall.modules.packages)
 
 
