@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import warnings
 from collections.abc import Sequence
 from decimal import Decimal
 from numbers import Number
@@ -41,6 +43,10 @@ class InvalidProblem(ContactQPError, ValueError):
     """The data are no contact problem: wrong shape, NaN, asymmetric or indefinite stiffness, negative friction."""
 
     code = "invalid-problem"
+
+
+class WrongCall(InvalidProblem, TypeError):
+    """A call that does not fit the function's signature: an argument that is not there, one too many, one missing."""
 
 
 class SceneError(ContactQPError, ValueError):
@@ -127,6 +133,15 @@ class TimeStepWarning(UserWarning):
     """The time step of a motion is too long for what happens in it; the message has both times."""
 
 
+def warn(message: str, category: type[Warning]) -> None:
+    """Warn at the line that called this package, wherever in it the doubt arose."""
+    package = os.path.dirname(__file__) + os.sep
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
+
+
 def _made_again(kind: type[ContactQPError], args: tuple[Any, ...]) -> ContactQPError:
     """Return an exception without its attributes, which follow."""
     error = kind.__new__(kind, *args)
@@ -140,6 +155,9 @@ CURES = {
     "Surface": "; two bodies are paired by pair_mortar(slave, master) or pair_node_to_segment(slave, master)",
     "Scene": "; contactqp.run(scene) solves a scene, scene.problem() is its problem",
     "str": "; contactqp.run(file) solves a case file, contactqp.read_problem(file) reads matrices and programs",
+    "System": "; system.problem(contacts) is the problem of these bodies",
+    "Structure": "; structure.assemble(supports, loads).problem(contacts) is the problem of these bodies",
+    "ConstrainedEnergy": "; energy.solve() finds its minimum, energy.problem is its ContactProblem",
     "Problem": "; contactqp.ContactProblem.from_qp takes the arrays of a quadratic program",
 }
 
@@ -191,6 +209,46 @@ def shown(value: object) -> str:
         return type(value).__name__
 
 
+# What the symbols of textbooks, of QP solvers and of other codes are called here, the most likely first.
+SYMBOLS = {
+    "K": ("stiffness",),
+    "P": ("stiffness",),
+    "k": ("stiffness",),
+    "f": ("load",),
+    "F": ("load",),
+    "g": ("gap",),
+    "h": ("gap",),
+    "G": ("normal",),
+    "E": ("normal", "modulus"),
+    "E_N": ("normal",),
+    "E_T": ("tangent",),
+    "A": ("tie",),
+    "b": ("tie_value",),
+    "M": ("mass",),
+    "m": ("mass",),
+    "mu": ("friction",),
+    "nu": ("poisson",),
+    "rho": ("density",),
+    "t": ("thickness",),
+    "u": ("displacement",),
+    "u0": ("displacement",),
+    "v": ("velocity",),
+    "v0": ("velocity",),
+    "T": ("duration",),
+    "dt": ("time_step",),
+    "tol": ("tolerance",),
+}
+
+
+def no_argument(unknown: Sequence[str], known: Sequence[str]) -> str:
+    """Return the message about arguments that a function has not.
+
+    >>> no_argument(["K"], ["stiffness", "load"])
+    "no argument is called 'K' (do you mean 'stiffness'?)"
+    """
+    return f"no argument is called {' or '.join(map(repr, unknown))}{meant(unknown, known)}"
+
+
 def meant(unknown: Sequence[str], known: Sequence[str]) -> str:
     """Return the known names that are nearest to unknown ones, in words; all of them where none is near.
 
@@ -199,7 +257,11 @@ def meant(unknown: Sequence[str], known: Sequence[str]) -> str:
     """
     from difflib import get_close_matches
 
-    near = [one for name in unknown for one in get_close_matches(name, known, n=1)]
+    near = [
+        one
+        for name in unknown
+        for one in [one for one in SYMBOLS.get(name, ()) if one in known][:1] or get_close_matches(name, known, n=1)
+    ]
     if near:
         return f" (do you mean {' and '.join(map(repr, near))}?)"
     return f"; its arguments: {', '.join(known)}" if unknown else ""

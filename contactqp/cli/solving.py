@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option, whereabouts
-from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported
+from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
 from contactqp.linalg.runtime import cores, telling, within_time
 from contactqp.model.engines import ENGINES, SERIAL
 
@@ -186,7 +186,7 @@ class _Told:
     def print(self) -> _Told:
         """Print warnings, complaints and text, each to its stream, and return itself."""
         for doubt in self.doubts:
-            warnings.warn(doubt, StartWarning, stacklevel=2)
+            warn(doubt, StartWarning)
         for message in self.complaints if speakers.speaks else ():
             complain(message)
         click.echo(self.text, nl=False)

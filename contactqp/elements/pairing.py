@@ -6,7 +6,6 @@ obstacle has one unknown a node, u >= height(x) (`pair_scalar`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -19,7 +18,7 @@ from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tri
 from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
-from contactqp.errors import InvalidProblem, StartWarning
+from contactqp.errors import InvalidProblem, StartWarning, warn
 from contactqp.model.arguments import checked, checks
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
@@ -216,7 +215,7 @@ def pair(
     if isinstance(points, Surface):
         doubt = doubt_of_side(points, found.gap, found.direction, "the obstacle")
         if doubt:
-            warnings.warn(f"{points.name}: {doubt}", StartWarning, stacklevel=3)
+            warn(f"{points.name}: {doubt}", StartWarning)
     return found
 
 

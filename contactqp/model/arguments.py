@@ -20,7 +20,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem, cure_of, meant, shown
+from contactqp.errors import InvalidProblem, WrongCall, cure_of, no_argument, shown
 from contactqp.model.problem_data import is_whole
 
 P = ParamSpec("P")
@@ -42,7 +42,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     Raises
     ------
     InvalidProblem
-        An argument of another type. As ever TypeError, where a call does not fit the signature.
+        An argument of another type. It is a TypeError, too, where a call does not fit the signature.
     """
     signature = inspect.signature(function)
     stated: dict[str, Any] = {}
@@ -54,7 +54,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         try:
             given = signature.bind(*args, **kwargs)
         except TypeError as error:
-            raise TypeError(f"{_called(function, args, {})}: {error}{_meant(signature, kwargs)}") from None
+            raise WrongCall(f"{_called(function, args, {})}: {_misfit(signature, kwargs, error)}") from None
         for name in given.arguments.keys() & stated.keys():
             place = f"{_called(function, args, given.arguments)}: {name}"
             given.arguments[name] = _accepted(place, given.arguments[name], stated[name])
@@ -81,10 +81,11 @@ def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[
     return given["name"] if isinstance(given.get("name"), str) else kind
 
 
-def _meant(signature: inspect.Signature, given: Mapping[str, Any]) -> str:
-    """Return the arguments whose names are nearest to those that a function has not, in words."""
+def _misfit(signature: inspect.Signature, given: Mapping[str, Any], error: TypeError) -> str:
+    """Return why a call does not fit: the arguments that are not there first, which a missing one may be meant by."""
     names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
-    return meant([name for name in given if name not in names], names)
+    unknown = [name for name in given if name not in names]
+    return no_argument(unknown, names) if unknown else f"{error}; its arguments: {', '.join(names)}"
 
 
 def _stated_types(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:

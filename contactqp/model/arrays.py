@@ -13,7 +13,7 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, meant
+from contactqp.errors import InvalidProblem, WrongCall, no_argument
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]  # one number an unknown, contact, tie
@@ -76,7 +76,7 @@ def refuses_other_names(function: Callable[P, R]) -> Callable[P, R]:
 
     Raises
     ------
-    InvalidProblem
+    WrongCall
         There is no argument of that name; the nearest one is given.
     """
     names = [*signature(function).parameters][1:]
@@ -86,8 +86,7 @@ def refuses_other_names(function: Callable[P, R]) -> Callable[P, R]:
     def calling(*args: P.args, **kwargs: P.kwargs) -> R:
         if not kwargs.keys() <= known:
             unknown = [name for name in kwargs if name not in known]
-            called = " or ".join(map(repr, unknown))
-            raise InvalidProblem(f"{type(args[0]).__name__}: no argument is called {called}{meant(unknown, names)}")
+            raise WrongCall(f"{type(args[0]).__name__}: {no_argument(unknown, names)}")
         return function(*args, **kwargs)
 
     return calling

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import Obstacle, Plane
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
-from contactqp.errors import InvalidProblem, StartWarning
+from contactqp.errors import InvalidProblem, StartWarning, warn
 from contactqp.scene.units import number, vector
 
 if TYPE_CHECKING:
@@ -76,7 +75,7 @@ def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
     if doubt:
         file = f"{scene.file}: " if scene.file else ""
         name = scene.contacts[place].name
-        warnings.warn(f"{file}contacts[{place}] ({name!r}): {doubt}", StartWarning, stacklevel=2)
+        warn(f"{file}contacts[{place}] ({name!r}): {doubt}", StartWarning)
 
 
 def warn_of_nodes(scene: SceneData, gaps: Array) -> None:

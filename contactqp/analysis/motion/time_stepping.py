@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -33,6 +32,7 @@ from contactqp.errors import (
     NotConverged,
     SeveralEquilibria,
     TimeStepWarning,
+    warn,
 )
 from contactqp.linalg.runtime import CERTIFY, METHOD, stage
 from contactqp.model.arrays import Vector
@@ -226,7 +226,7 @@ class MotionRun:
 
     def _warn(self, message: str) -> None:
         self._notes.append(message)
-        warnings.warn(message, TimeStepWarning, stacklevel=4)
+        warn(message, TimeStepWarning)
 
 
 def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: float, velocity: Vector) -> float | None:
