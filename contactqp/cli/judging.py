@@ -16,7 +16,7 @@ from contactqp.cli.output import NOT_MET, OF_EXACT_NUMBERS, console, print_json,
 from contactqp.errors import InvalidProblem, SceneError
 
 
-@click.command("check")
+@click.command("check", short_help="Judge somebody else's answer to a problem.")
 @click.argument("problem", required=False)
 @click.argument("candidate", required=False)
 @click.option(
@@ -141,7 +141,7 @@ def _answer_file(candidate: str) -> Iterator[str]:
         yield str(file)
 
 
-@click.command("explain")
+@click.command("explain", short_help="Print what a case is made of, why, and its cost.")
 @click.argument("case")
 @strict_option
 @click.option("--no-solve", is_flag=True, help="Say what the case is made of, and not what its answer takes.")
@@ -185,7 +185,7 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
         print_footprint(console(), footprint)
 
 
-@click.command("oracle")
+@click.command("oracle", short_help="Print the exact answer of a case.")
 @click.argument("case")
 @click.option("--method", metavar="M", default="active-set", show_default=True, help="What proposes the contact set.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")

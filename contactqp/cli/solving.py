@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MANY = 4
 
 
-@click.command("run")
+@click.command("run", short_help="Solve cases, and compare with what they expect.")
 @click.argument("cases", nargs=-1, required=True, metavar="CASE...")
 @click.option("--method", "methods", multiple=True, metavar="M", help="A name of `contactqp methods`; may be repeated.")
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')

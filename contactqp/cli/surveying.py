@@ -19,6 +19,7 @@ from contactqp.errors import InvalidProblem
 
 if TYPE_CHECKING:
     from contactqp.oracle.gallery.problem import GalleryProblem
+    from contactqp.scene.shipped import ShippedCase
 
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:
@@ -39,7 +40,7 @@ def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:
 TIME_LIMIT = 600.0
 
 
-@click.command("methods")
+@click.command("methods", short_help="List the methods: what each can do, what is installed.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def methods_command(as_json: bool) -> None:
     """List every method: what it can do, and whether it is installed or how to install it."""
@@ -52,18 +53,24 @@ def methods_command(as_json: bool) -> None:
         print_methods(console(), methods())
 
 
-@click.command("cases")
+@click.command("cases", short_help="List the cases that come with contactqp.")
 @click.argument("words", nargs=-1, metavar="[WORD...]")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def cases_command(words: tuple[str, ...], as_json: bool) -> None:
-    """List the cases that come with contactqp, or those in which every WORD stands; `contactqp run NAME` runs one."""
-    from contactqp.scene.shipped import nearest_cases, shipped_cases
+    """List the cases that come with contactqp, or those in which every WORD stands.
+
+    Of a single one, as of a case's name, it prints what the case is about and where its file is, too. `contactqp run
+    NAME` runs a case, and `contactqp init FILE --like NAME` copies it.
+    """
+    from contactqp.scene.shipped import nearest_cases, nearest_words, shipped_cases
 
     found = shipped_cases(words)
     if not found and words:
         found, most = nearest_cases(words)
         if not found:
-            raise InvalidProblem(f"cases: no case has a word of {' '.join(words)}; without words all are listed")
+            near = nearest_words(words)
+            cure = f"nearest: {', '.join(near)}" if near else "without words all are listed"
+            raise InvalidProblem(f"cases: no case has a word of {' '.join(words)}; {cure}")
         complain(f"cases: no case has all of {' '.join(words)}; these have {most} of them")
     if as_json:
         print_json([{"name": case.name, "title": case.title, "file": str(case.file)} for case in found])
@@ -74,26 +81,38 @@ def cases_command(words: tuple[str, ...], as_json: bool) -> None:
     for case in found:
         table.add_row(case.name, escape(case.title))
     console().print(table)
+    if len(found) == 1:
+        _print_case(found[0])
 
 
-@click.command("init")
+def _print_case(case: ShippedCase) -> None:
+    """Print what one case is about, where its file is, and what may be done with it."""
+    if case.about:
+        console().print(escape(case.about))
+    console().print(f"file: {case.file}", soft_wrap=True, highlight=False, markup=False)
+    console().print(f"contactqp run {case.name}; contactqp init my_case.toml --like {case.name}", soft_wrap=True)
+
+
+@click.command("init", short_help="Write a first case with comments, or copy one.")
 @click.argument("file", default="case.toml")
-def init_command(file: str) -> None:
+@click.option("--like", metavar="CASE", help="Copy a case that comes with contactqp, by its name, instead.")
+def init_command(file: str, like: str | None) -> None:
     """Write a first case with comments to FILE, case.toml by default; a file that is there stays as it is."""
-    from contactqp.scene.shipped import first_case
+    from contactqp.scene.shipped import first_case, shipped_case
 
     path = Path(file)
     if path.suffix != ".toml":
         raise InvalidProblem(f"{file}: expected a name that ends in .toml")
+    text = first_case(file) if like is None else shipped_case(like).file.read_text(encoding="utf-8")
     try:
         with path.open("x", encoding="utf-8") as new:
-            new.write(first_case(file))
+            new.write(text)
     except FileExistsError:
         raise InvalidProblem(f"{file}: expected a name that is free, and a file is there") from None
     click.echo(f"written: {file}; contactqp run {shlex.quote(file)}")
 
 
-@click.command("schema")
+@click.command("schema", short_help="Print the JSON schema of case files, for editors.")
 def schema_command() -> None:
     """Print the JSON schema of case files, by which editors check and complete their keys.
 
@@ -107,7 +126,7 @@ def schema_command() -> None:
     print_json(case_schema())
 
 
-@click.command("report")
+@click.command("report", short_help="Hold error against run time of every method: a page.")
 @click.argument("cases", nargs=-1, metavar="[CASE...]")
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
 @click.option("--full", is_flag=True, help="Every case by every method and every value of its knob.")
@@ -161,7 +180,7 @@ def report_command(
     sys.exit(code)
 
 
-@click.command("gallery")
+@click.command("gallery", short_help="Write problems with exact answers, for tests of codes.")
 @click.argument("folder", required=False, metavar="[DIR]")
 @click.option(
     "--kind", metavar="K", help="named, well-posed, degenerate, redundant, floating, frictional, ...; or all."

@@ -9,15 +9,20 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
+from contactqp.errors import SceneError
+
 SUFFIX = ".toml"
+# Words that begin with as many letters alike are likely of one family: spherical and sphere.
+LEAST_STEM = 4
 
 
 @dataclass(frozen=True)
 class ShippedCase:
-    """One case: its file, its name on the command line, its title, and all that stands in the file."""
+    """One case: its file, its name on the command line, its title, its `about`, and all that stands in the file."""
 
     file: Path
     title: str
+    about: str = ""
     text: str = ""
 
     @property
@@ -28,8 +33,11 @@ class ShippedCase:
     def has(self, word: str) -> bool:
         """Say whether a word of the name or the file begins so, or as that of which it is a plural, in any case.
 
-        Parts of words that do not begin them are not looked at: ``ring`` is not in ``string``.
+        Parts of words that do not begin them are not looked at: ``ring`` is not in ``string``. A name with underscores
+        is that of one case.
         """
+        if "_" in word:
+            return self.name == word.casefold().removesuffix(SUFFIX)
         known = f" {self.name} {self.text}".casefold().replace("_", " ")
         return any(
             re.search(rf"\b{re.escape(one)}", known) for one in (word.casefold(), word.casefold().removesuffix("s"))
@@ -71,7 +79,9 @@ def _all_cases() -> list[ShippedCase]:
     found = []
     for file in shipped_files():
         text = file.read_text(encoding="utf-8")
-        found.append(ShippedCase(file, str(tomllib.loads(text).get("title", "")), " ".join(text.split())))
+        data = tomllib.loads(text)
+        about = " ".join(str(data.get("about", "")).split())
+        found.append(ShippedCase(file, str(data.get("title", "")), about, " ".join(text.split())))
     return found
 
 
@@ -87,6 +97,23 @@ def case_path(named: str | Path) -> Path:
     return next((file for file in shipped_files() if file.stem == path.stem), path)
 
 
+def shipped_case(name: str) -> ShippedCase:
+    """Return the case of that name.
+
+    Raises
+    ------
+    SceneError
+        There is none; the nearest are named.
+    """
+    for case in _all_cases():
+        if case.name == name.removesuffix(SUFFIX):
+            return case
+    near = nearest_names(name)
+    raise SceneError(
+        f"{name}: no case that comes with contactqp is called so" + (f"; nearest: {', '.join(near)}" if near else "")
+    )
+
+
 def first_case(name: str) -> str:
     """Return the text of the commented case that `contactqp init` writes to a file of that name."""
     text = (Path(__file__).parent / "first_case.toml").read_text(encoding="utf-8")
@@ -96,3 +123,19 @@ def first_case(name: str) -> str:
 def nearest_names(named: str | Path) -> list[str]:
     """Return the names of shipped cases that a name may mean."""
     return difflib.get_close_matches(Path(named).stem, [file.stem for file in shipped_files()], n=3)
+
+
+def nearest_words(words: tuple[str, ...]) -> list[str]:
+    """Return the words of names and titles that are nearest to words which no case has.
+
+    >>> nearest_words(("spherical", "cantilver"))
+    ['sphere', 'cantilever']
+    """
+    known = {
+        one: None for case in _all_cases() for one in re.findall(r"[^\W\d_]+", f"{case.name}_{case.title}".casefold())
+    }
+    near = []
+    for word in map(str.casefold, words):
+        stem = [one for one in known if len(one) >= LEAST_STEM and one.startswith(word[:LEAST_STEM])]
+        near += difflib.get_close_matches(word, stem or known, n=1, cutoff=0 if stem else 0.6)
+    return [*dict.fromkeys(near)]

@@ -79,3 +79,25 @@ def test_a_name_of_five_hundred_letters_is_not_repeated_whole(tmp_path: Path) ->
         cq.load_scene(tmp_path / "long.toml")
     assert "there is no unknown '9999" in str(refused.value)
     assert len(str(refused.value)) < 300 + len(str(tmp_path))
+
+
+def test_a_case_is_found_by_its_name_and_says_what_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "cases", "truss_floor")
+    assert code == 0
+    assert "truss_floor_printed" not in out
+    assert f"file: {CASES / 'truss_floor.toml'}" in out
+    assert "contactqp run truss_floor; contactqp init my_case.toml --like truss_floor" in out
+    assert "nearest: sphere" in run(capsys, "cases", "spherical")[2]
+
+
+def test_a_case_is_copied_to_be_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "init", "mine.toml", "--like", "bar_wall")[0] == 0
+    assert Path("mine.toml").read_text("utf-8") == (CASES / "bar_wall.toml").read_text("utf-8")
+    assert run(capsys, "init", "mine.toml", "--like", "bar_wall")[0] == 2  # it stays as it is
+    code, _, err = run(capsys, "init", "other.toml", "--like", "bar_wal")
+    assert code == 2
+    assert "nearest: bar_wall" in err
+    assert not Path("other.toml").exists()
