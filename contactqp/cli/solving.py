@@ -81,7 +81,8 @@ def run_command(
 
     --plot, --vtu and --csv show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
-    displacements, forces and energies with its events, to FILE with "history" before the suffix.
+    displacements, forces and energies with its events, to FILE with "history" before the suffix; a problem of matrices
+    as forces and gaps.
 
     With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
     the first one prints and writes the files.
@@ -95,10 +96,12 @@ def run_command(
     with speakers.together():
         if checkpoint is not None and engine == SERIAL:
             raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
-        knobs = read_knobs(penalty, perturbation, options)
+        knobs = read_knobs(penalty, perturbation, options, bare=not named)
         if csv is not None and engine != SERIAL:
             raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
         scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
+        if foreign and vtu is not None:
+            raise InvalidProblem(f"{foreign[0]}: --vtu needs a case file, this file has no geometry")
         if knobs and scenes and not methods and engine == SERIAL:
             raise InvalidProblem(f"run: {', '.join(knobs)} belong to a method; state it by --method")
         if time_limit is not None and not time_limit > 0:
@@ -118,15 +121,17 @@ def run_command(
     if asked.in_a_line and not as_json and speakers.speaks and not (quiet and met):
         click.echo(f"{whole} of {len(scenes)} met{'' if quiet else ' (--verbose prints the answers)'}")
     if foreign:
-        from contactqp.study.friction_files import run_files
+        from contactqp.study.friction_files import run_files, write_files
 
         shows = speakers.speaks and sys.stderr.isatty()
-        drawn = bool(plot or vtu or csv)
+        drawn = files is not None
         solved = run_files(foreign, methods, knobs, drawn=drawn, progress=shows, engine=engine, time_limit=time_limit)
         speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
             data += _print_files(solved, as_json)
+            for file in [] if files is None else write_files(solved, files.plot, files.csv):
+                click.echo(f"written: {file}", err=as_json)
     if as_json and speakers.speaks:
         print_json(data)
     sys.exit(0 if met else NOT_MET)

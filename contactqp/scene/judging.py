@@ -440,13 +440,19 @@ def case_files(arguments: Iterable[str]) -> list[str]:
     return files
 
 
-def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[str]) -> dict[str, Knob]:
-    """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method."""
+def read_knobs(
+    penalty: str | None, perturbation: str | None, options: Iterable[str], *, bare: bool = False
+) -> dict[str, Knob]:
+    """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method.
+
+    With `bare` a stiffness may be a number without a unit, as problems of matrices have them.
+    """
     knobs: dict[str, Knob] = {}
     for name, text in (("penalty", penalty), ("perturbation", perturbation)):
         if text is not None:
             try:
-                knobs[name] = read_quantity(text, [KINDS["stiffness"]])
+                alone = bare and isinstance(_value(text), int | float)
+                knobs[name] = float(text) if alone else read_quantity(text, [KINDS["stiffness"]])
             except NotANumber as error:
                 raise SceneError(f"--{name}: {error}") from None
     for option in options:

@@ -375,12 +375,12 @@ class AnswerFiles:
     def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
         written = []
         if self.plot is not None:
-            written.append(_named(self.plot, names))
+            written.append(named_file(self.plot, names))
             title = f"{judgement.scene.title}, {judgement.trial}"
             save(answer_figure(judgement.scene, judgement.solution, title=title), written[-1])
             written += self._write_history(judgement.history, title, names)
         if self.vtu is not None:
-            written.append(_named(self.vtu, names))
+            written.append(named_file(self.vtu, names))
             write_vtu(fields_of(judgement.scene, judgement.solution), written[-1])
         return [*written, *self._write_table(judgement, names)]
 
@@ -389,7 +389,7 @@ class AnswerFiles:
         history = outcome.history
         if self.csv is None or history is None:
             return []
-        file = _named(self.csv, names)
+        file = named_file(self.csv, names)
         write_whole(file, history.write_csv)
         return [file]
 
@@ -397,7 +397,7 @@ class AnswerFiles:
         """Draw a path or a motion and return the file; a history of one instant has none."""
         if self.plot is None or len(history) < 2:
             return []
-        file = _named(self.plot, [*names, HISTORY])
+        file = named_file(self.plot, [*names, HISTORY])
         draw_history(history, file, title=title, time_unit=TIME_UNIT)
         return [file]
 
@@ -430,7 +430,7 @@ def answer_files(
         asked = Path(next(str(file) for file in (plot, vtu, csv) if file is not None))
         raise InvalidProblem(
             f"{asked}: expected cases whose files have distinct names, got {twice!r} more than once: they would all be "
-            f"written to {_named(asked, [twice])}"
+            f"written to {named_file(asked, [twice])}"
         )
     return AnswerFiles(
         None if plot is None else check_picture(plot),
@@ -450,5 +450,6 @@ def _slug(trial: Trial) -> str:
     return re.sub(r"[^\w.+=-]+", "-", str(trial))
 
 
-def _named(file: Path, names: Sequence[str]) -> Path:
+def named_file(file: Path, names: Sequence[str]) -> Path:
+    """Return a file with names put before its suffix: ``bar.png`` becomes ``bar.truss_floor.lemke.png``."""
     return file.with_name(".".join([file.stem, *names]) + file.suffix)

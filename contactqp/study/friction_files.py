@@ -16,6 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from contactqp.analysis.contact_table import contact_table
+from contactqp.analysis.history import History
 from contactqp.distributed.distributing import ProblemRows, problem_from_share, rows_of_problem, share_from_first_rank
 from contactqp.distributed.problem import DistributedSolution
 from contactqp.distributed.ranks import Ranks
@@ -36,15 +38,16 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
-from contactqp.exchange.files import naming
+from contactqp.exchange.files import naming, write_whole
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.linalg.runtime import within_time
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
-from contactqp.model.problem import ContactProblem
+from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
 from contactqp.scene.tables import ENDLESS, print_noted
+from contactqp.scene.units import Quantity, UnitSystem, number
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
 from contactqp.study.rows import finite
@@ -204,7 +207,7 @@ def run_files(
     knobs : mapping
         Options of the methods.
     drawn : bool
-        Whether a picture or another file of the answer was asked for, which these files cannot have.
+        Whether a picture or a table of the answer was asked for, which problems in local form have not.
     progress : bool
         Show a bar on stderr.
     engine : str
@@ -215,15 +218,14 @@ def run_files(
     Raises
     ------
     InvalidProblem
-        A picture was asked for, or a stiffness with a unit: these files have no geometry and no units.
+        A stiffness with a unit for a problem that states none.
+    Unsupported
+        A picture or a table of a problem in local form, or of one that is dealt out to ranks.
     """
-    if files and drawn:
-        raise InvalidProblem(f"{files[0]}: --plot, --vtu and --csv need a case file, this file has no geometry")
-    stiffness = next((name for name in ("penalty", "perturbation") if files and name in knobs), None)
-    if stiffness is not None:
-        raise InvalidProblem(f"{files[0]}: --{stiffness} needs a case file, this file has no units")
     if not files:
         return []
+    if drawn and engine != SERIAL:
+        raise Unsupported(f"{files[0]}: --plot and --csv in one process alone; --json tells the answer of all ranks")
     from rich.console import Console
     from rich.progress import track
 
@@ -232,12 +234,18 @@ def run_files(
     outcomes = []
     for file, method in shown:
         with within_time(time_limit):
-            outcomes.append(run_file(file, method, options_of(method, methods or (method,), knobs), engine))
+            chosen = options_of(method, methods or (method,), knobs)
+            outcomes.append(run_file(file, method, chosen, engine, drawn=drawn))
     return outcomes
 
 
 def run_file(
-    file: str, method: str | None = None, options: Mapping[str, Any] | None = None, engine: str = SERIAL
+    file: str,
+    method: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    engine: str = SERIAL,
+    *,
+    drawn: bool = False,
 ) -> FileOutcome:
     """Solve a file's problem.
 
@@ -251,6 +259,8 @@ def run_file(
         Options of the method.
     engine : str
         "serial", or the engine that solves on ranks: then the call is collective, and the first rank has the answer.
+    drawn : bool
+        Whether a picture or a table of the answer is wanted, as in `run_files`.
 
     Raises
     ------
@@ -258,8 +268,12 @@ def run_file(
         The file, the method or its options are invalid. That a method finds no answer is an outcome.
     """
     if engine != SERIAL:
-        return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
-    problem, chosen = solvable_form(file), dict(options or {})
+        return run_file_on_ranks(file, method or DEFAULT_METHOD, _in_units(file, None, options or {}))
+    problem = solvable_form(file)
+    units = problem.units if isinstance(problem, ContactProblem) else None
+    chosen = _in_units(file, units, options or {})
+    if drawn and isinstance(problem, LocalProblem):
+        raise Unsupported(f"{file}: --plot and --csv need displacements; a problem in local form has forces in --json")
     solution: Any = None
     failure: ContactQPError | None = None
     began = time.perf_counter()
@@ -271,6 +285,48 @@ def run_file(
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         failure = error
     return _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
+
+
+def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with their stiffnesses as numbers in a problem's units.
+
+    Raises
+    ------
+    InvalidProblem
+        A stiffness with a unit, and the problem states none.
+    """
+    numbers = dict(options)
+    for name, value in options.items():
+        if isinstance(value, Quantity):
+            if units is None or not units.length:
+                raise InvalidProblem(
+                    f"{file}: --{name}: expected a number, as this file states no units, got {value.text!r}"
+                )
+            numbers[name] = number(UnitSystem(units.length, units.force), value)
+    return numbers
+
+
+def write_files(outcomes: Sequence[FileOutcome], plot: Path | None, csv: Path | None) -> list[Path]:
+    """Draw forces and gaps of answers, write the tables of their contacts, and return the files.
+
+    Of several files or methods their names are put before the suffix.
+    """
+    from contactqp.study.answer_pictures import draw, named_file
+
+    found = [(outcome, outcome.solution) for outcome in outcomes if isinstance(outcome.solution, Solution)]
+    stems = {Path(outcome.file).stem for outcome, _ in found}
+    written = []
+    for outcome, solution in found:
+        stem = Path(outcome.file).stem
+        names = [stem] if len(stems) > 1 else []
+        names += [solution.method] if len(found) > len(stems) else []
+        if plot is not None:
+            written.append(named_file(plot, names))
+            draw(solution, written[-1], title=f"{stem}, {solution.method}")
+        if csv is not None:
+            written.append(named_file(csv, names))
+            write_whole(written[-1], contact_table([solution], [1.0], History.time_label).write_csv)
+    return written
 
 
 def figures(certificate: LocalCertificate | Certificate) -> dict[str, float]:
@@ -343,14 +399,16 @@ PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
 def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
     """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish.
 
-    Of energies without friction: the energy, and what is proven of it. The answer of a single one follows, its largest
-    displacements and forces.
+    Of energies without friction: the energy, and what is proven of it. Of a single answer with displacements that is
+    its own table, the largest displacements and forces.
     """
     energies = [outcome for outcome in outcomes if outcome.problem.is_energy]
+    if len(outcomes) == 1 and isinstance(outcomes[0].solution, Solution):
+        console.print(f"[bold]{escape(outcomes[0].file)}[/bold]", soft_wrap=True)
+        console.print(escape(outcomes[0].solution.summary()))
+        return
     if energies:
         _print_energies(console, energies)
-    if len(outcomes) == 1 and isinstance(outcomes[0].solution, Solution):
-        console.print(escape(outcomes[0].solution.summary()))
     outcomes = [outcome for outcome in outcomes if not outcome.problem.is_energy]
     if not outcomes:
         return
@@ -378,21 +436,22 @@ def _print_rows(
 
 
 def _print_energies(console: Console, outcomes: Sequence[FileOutcome]) -> None:
-    header = ["file", "unknowns", "contacts", "ties", "method", "energy", "known to", "determined", "worst figure"]
+    header = ["file", "method", "energy", "unknowns", "contacts", "ties", "error at most", "unique", "worst figure"]
     rows: list[list[str | Text]] = []
     for outcome in outcomes:
         problem, solution = outcome.problem, outcome.solution
-        sizes = Path(outcome.file).name, f"{problem.unknowns}", f"{problem.contacts}", f"{problem.ties}"
-        found = ["", "", "", "", ""]
+        file, sizes = Path(outcome.file).name, map(str, (problem.unknowns, problem.contacts, problem.ties))
+        found, sized = ["", ""], ["", "", ""]
         if isinstance(solution, Solution):
             certificate, values = solution.certificate, figures(solution.certificate)
             worst = max(values, key=lambda name: values[name])
             known = "not proven" if certificate.energy_error is None else f"{certificate.energy_error:.1e}"
             about = f"{values[worst]:.1e} {worst.replace('_', ' ')}" if values[worst] > 0 else "0"
-            found = [solution.method, f"{solution.energy:.12g}", known, certificate.determined or "", about]
+            found = [solution.method, f"{solution.energy:.12g}"]
+            sized = [known, certificate.determined or "", about]
         verdict = PASSED if outcome.passed else REFUSED
-        rows.append([*sizes, *found, f"{outcome.seconds:.2f}", verdict])
-    short = ["file", "unknowns", "contacts", "ties", "energy", "seconds", "certificate"]
+        rows.append([file, *found, *sizes, *sized, f"{outcome.seconds:.2f}", verdict])
+    short = ["file", "method", "energy", "seconds", "certificate"]
     _print_rows(console, [*header, "seconds", "certificate"], rows, short)
 
 

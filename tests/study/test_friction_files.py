@@ -132,8 +132,14 @@ def test_bad_files_and_options_without_meaning_are_exit_2(capsys, tmp_path, slid
             tmp_path / "none.hdf5",
         ): "none.hdf5: expected a folder or .npz of matrices, a file of FCLIB (HDF5) or "
         "Siconos (text), or a quadratic program, and there is none",
-        ("run", sliding, "--penalty", "1e8 kN/m"): "--penalty needs a case file, this file has no units",
-        ("run", sliding, "--plot", tmp_path / "a.png"): "--plot, --vtu and --csv need a case file",
+        (
+            "run",
+            sliding,
+            "--penalty",
+            "1e8 kN/m",
+        ): "--penalty: expected a number, as this file states no units, got '1e8 kN/m'",
+        ("run", sliding, "--plot", tmp_path / "a.png"): "a problem in local form has forces in --json",
+        ("run", sliding, "--vtu", tmp_path / "a.vtu"): "--vtu needs a case file, this file has no geometry",
         ("run", sliding, "--option", "algorithm=magic"): "sliding.dat: algorithm: expected one of",
     }.items():
         code, _, err = run(capsys, *arguments)
@@ -173,3 +179,31 @@ def test_published_files_run(capsys, name):
     (data,) = json.loads(out)
     assert code == 0
     assert data["certificate"]["natural_map"] < 1e-9
+
+
+def test_a_folder_of_matrices_prints_its_answer_and_draws_forces_and_gaps(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = dict(stiffness=[[2.0, -1.0], [-1.0, 1.0]], load=[0.0, 3.0], normal=[[0.0, 1.0]], gap=[1.0])
+    cq.write_problem("bare", cq.ContactProblem(**data))
+    cq.write_problem("stated", cq.ContactProblem(**data, units={"length": "mm", "force": "N"}))
+    code, out, _ = run(capsys, "run", "bare", "--plot", "a.png", "--csv", "a.csv")
+    assert code == 0
+    assert out.startswith("bare\nactive-set: passed, proven")
+    assert out.endswith("written: a.png\nwritten: a.csv\n")
+    assert (tmp_path / "a.png").stat().st_size > 1000
+    assert (tmp_path / "a.csv").read_text().splitlines()[1].startswith("0,1.0,contact 0,closed,2.5,")
+    run(capsys, "run", "bare", "--method", "osqp", "--method", "lemke", "--csv", "b.csv")
+    assert {file.name for file in tmp_path.glob("b*.csv")} == {"b.osqp.csv", "b.lemke.csv"}
+
+
+def test_a_stiffness_of_a_method_is_a_number_in_the_units_of_the_matrices(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = dict(stiffness=[[2.0]], load=[3.0], normal=[[1.0]], gap=[1.0])
+    cq.write_problem("bare", cq.ContactProblem(**data))
+    cq.write_problem("stated", cq.ContactProblem(**data, units={"length": "mm", "force": "N"}))
+    for folder, penalty in (("bare", "8"), ("stated", "8"), ("stated", "8 kN/m")):
+        out = run(capsys, "run", folder, "--method", "penalty", "--penalty", penalty, "--json")[1]
+        assert json.loads(out)[0]["normal_force"] == pytest.approx([0.8])  # (3 - 2) 8 / (2 + 8)
+    code, _, err = run(capsys, "run", "bare", "--method", "penalty", "--penalty", "8 kN/m")
+    assert code == 2
+    assert "bare: --penalty: expected a number, as this file states no units, got '8 kN/m'" in err
