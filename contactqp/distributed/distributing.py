@@ -137,6 +137,7 @@ class ProblemRows:
     contact_names: NDArray[np.str_]  # (m_here, 1) or (m_here, 0)
     tie: Any
     tie_value: Vector
+    tie_names: NDArray[np.str_]  # (k_here, 1) or (k_here, 0)
     from_near_null_space: bool  # whether `motions` are the problem's near_null_space
     units: Units
 
@@ -159,6 +160,7 @@ def rows_of_problem(problem: ContactProblem) -> ProblemRows:
         contact_names=_names(problem.contact_names, m),
         tie=sp.csr_matrix(problem.tie),
         tie_value=problem.tie_value,
+        tie_names=_names(problem.tie_names, problem.ties),
         from_near_null_space=near is not None,
         units=problem.units,
     )
@@ -201,7 +203,7 @@ class _Sharing:
         width = self._shared(None if whole is None else whole.slip_origin.shape[1])
         unknowns, contacts, ties = self._counts(n, _WHOLE_BLOCKS), self._counts(m), self._counts(k)
         fields: dict[str, Any] = {name: self._shared(getattr(whole, name, None)) for name in _FACTS}
-        for names, counts in ((_OF_UNKNOWNS, unknowns), (_OF_CONTACTS, contacts), (("tie_value",), ties)):
+        for names, counts in ((_OF_UNKNOWNS, unknowns), (_OF_CONTACTS, contacts), (_OF_TIES, ties)):
             fields |= {name: self._rows(counts, getattr(whole, name, None)) for name in names}
         matrices = {"stiffness": unknowns, "normal": contacts, "tangent": width * contacts, "tie": ties}
         for name, counts in matrices.items():
@@ -237,6 +239,7 @@ class _Sharing:
 # The fields of ProblemRows that are no matrices.
 _FACTS = ("from_near_null_space", "units")
 _OF_UNKNOWNS = ("load", "body", "motions", "dof_names")
+_OF_TIES = ("tie_value", "tie_names")
 _OF_CONTACTS = ("gap", "friction", "slip_origin", "contact_names")
 
 
@@ -261,7 +264,9 @@ def problem_from_share(ranks: Ranks, share: ProblemRows) -> DistributedProblem:
         rows = _moved(ranks, share.tangent, columns, np.repeat(owner, width))
         tangential = {"tangent": Rows.from_csr(rows, stiffness), "friction": friction, "slip_origin": origin}
     columns, owner = _new_columns(share.tie, numbering)
-    tie_value, tie_number = ranks.exchanged(owner, share.tie_value, _numbers(ranks, share.tie_value))
+    tie_value, tie_names, tie_number = ranks.exchanged(
+        owner, share.tie_value, share.tie_names, _numbers(ranks, share.tie_value)
+    )
     hinted = share.from_near_null_space
     return DistributedProblem(
         ranks=ranks,
@@ -281,7 +286,7 @@ def problem_from_share(ranks: Ranks, share: ProblemRows) -> DistributedProblem:
         units=share.units,
         dof_name=_namer("unknown {}", dof_names, dof_number),
         contact_name=_namer("contact {}", contact_names, contact_number),
-        tie_name=_namer("tie {}", dof_names[:0], tie_number),
+        tie_name=_namer("tie {}", tie_names, tie_number),
         **tangential,
     )
 

@@ -5,7 +5,6 @@ A format is one module with a `READER`, and its line in `READERS` here; `registe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path as FilePath
 
 from contactqp.exchange import ansys, calculix_results, own_answers
@@ -25,7 +24,7 @@ READERS: list[AnswerReader] = [
 ]
 
 
-def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | None = None) -> AnswerFile:
+def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return the answer in a file: its parts, the ledger, and which parts came by name.
 
     Parameters
@@ -33,9 +32,8 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     path : path
         A file; or a folder of files called displacement, normal_force, ..., or one with an answer.json.
     problem : ContactProblem
-        Whose names and sizes the file is held against. Lists keep the file's order and length.
-    tie_names : sequence of str, optional
-        What the ties are called, beside "tie 0", "tie 1", ...; as the problem names them by default.
+        Whose names and sizes the file is held against; its ties are also called "tie 0", "tie 1", ... . Lists keep the
+        file's order and length.
 
     Raises
     ------
@@ -57,14 +55,14 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     """
     file = FilePath(path)
     if file.is_dir() and (file / ANSWER_FILE).is_file():
-        return read_answer(file / ANSWER_FILE, problem, tie_names)
+        return read_answer(file / ANSWER_FILE, problem)
     read = own_answers.read_folder_answer if file.is_dir() else reader_of(path).read
     found = read(path, problem)
     if found.tie_names is None:
         return found
     names = [f"tie {k}" for k in range(problem.ties)]
     if set(found.tie_names) != set(names):
-        names = list(tie_names or map(problem.tie_name, range(problem.ties)))
+        names = list(map(problem.tie_name, range(problem.ties)))
     order = places(path, "tie_force", found.tie_names, names, found.ledger)
     return found._replace(parts={**found.parts, "tie_force": found.parts["tie_force"][order]})
 

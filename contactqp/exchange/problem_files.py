@@ -10,7 +10,7 @@ from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, is_hdf5, read_
 from contactqp.exchange.files import Ledger, Path, read_bytes, wrong
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP
-from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder, tie_names
+from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder
 from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.quadratic_programs import MATLAB, QPS, is_quadratic_program, read_quadratic_program
 from contactqp.exchange.siconos import read_siconos
@@ -51,14 +51,6 @@ def read_problem_with_ledger(
     hdf5 = is_hdf5(read_bytes(path, EXPECTED, HEAD)) or FilePath(path).suffix.lower() in HDF5
     problem = read_fclib(path, as_stored=as_stored) if hdf5 else read_siconos(path, as_stored=as_stored)
     return problem, _ledger(path, problem, "FCLIB" if hdf5 else "Siconos")
-
-
-def read_tie_names(path: Path) -> list[str] | None:
-    """Return what the ties of a problem of matrices are called, None where nothing says it; raises as
-    `read_problem`.
-    """
-    folder = _folder(path)
-    return tie_names(folder) if folder.is_dir() else None
 
 
 def is_of_matrices(path: Path) -> bool:

@@ -1,6 +1,7 @@
 """A problem as a folder of matrices: with a problem.json that says what is what, or by the names of its files alone.
 
-    problem.json   format, version, name, description, unknowns, contacts, ties, units, dof_names, contact_names, files
+    problem.json   format, version, name, description, unknowns, contacts, ties, units, files, dof_names, contact_names,
+                   tie_names
     stiffness.mtx  normal.mtx  tangent.mtx  tie.mtx                           coordinates
     load.mtx  gap.mtx  friction.mtx  slip_origin.mtx  tie_value.mtx           arrays n x 1
     answer.json    displacement, normal_force, ..., and exact: the same as fractions
@@ -38,7 +39,6 @@ from contactqp.exchange.tables import (
     is_table,
     read_contact_rows,
     read_load_rows,
-    read_tie_names,
     read_tie_rows,
 )
 from contactqp.model.problem import ContactProblem
@@ -47,10 +47,10 @@ from contactqp.model.unknown_names import plain_name
 # A problem in one .npz file: arrays called stiffness (K), load (f), normal (E_N), gap (g), ..., dense or sparse.
 #
 # A sparse matrix is K_data, K_indices, K_indptr, K_shape (and K_format where it is not csr), as `scipy.sparse.save_npz`
-# names them. dof_names and contact_names may be there too, as arrays of text.
+# names them. dof_names, contact_names and tie_names may be there too, as arrays of text.
 
 OF_SPARSE = ("data", "indices", "indptr", "shape", "format", "row", "col")
-NAMES = ("dof_names", "contact_names")
+NAMES = ("dof_names", "contact_names", "tie_names")
 
 
 def read_problem_archive(path: Path) -> tuple[ContactProblem, Ledger]:
@@ -75,11 +75,9 @@ def read_problem_archive(path: Path) -> tuple[ContactProblem, Ledger]:
         parts[part] = value
         used |= {called, *(f"{called}_{piece}" for piece in OF_SPARSE)}
         ledger.read.append(f"{part}: {called}, shape {value.shape}")
-    names = {name: _texts(path, name, arrays[name]) for name in NAMES if name in arrays}
+    names: dict[str, Any] = {name: _texts(path, name, arrays[name]) for name in NAMES if name in arrays}
     ledger.ignored.extend(name for name in arrays if name not in used)
-    return problem_of(
-        path, parts, ledger, dof_names=names.get("dof_names"), contact_names=names.get("contact_names")
-    ), ledger
+    return problem_of(path, parts, ledger, **names), ledger
 
 
 def _value(path: Path, arrays: Mapping[str, NDArray[Any]], name: str) -> Any:
@@ -94,11 +92,10 @@ def _texts(path: Path, name: str, values: NDArray[Any]) -> list[str]:
     return [str(one) for one in values.ravel()]
 
 
-NAME_FILES = ("dof_names", "contact_names")
 TABLES = ("contacts", "ties")
 # Of problem.json: what is read, and what is for people, also of the gallery's problems.
 ABOUT = ("kind", "difficulty", "source", "formula", "unique_displacement", "unique_forces", "exact_data", "rounding")
-KEYS = ("format", "version", "unknowns", "contacts", "ties", "units", "dof_names", "contact_names", "files")
+KEYS = ("format", "version", "unknowns", "contacts", "ties", "units", *NAMES, "files")
 WORDS = ("name", "description", "signs", *ABOUT)
 UNLISTED = f"not among the files of {PROBLEM_FILE}"
 
@@ -158,13 +155,6 @@ def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
     return problem, ledger
 
 
-def tie_names(folder: Path) -> list[str] | None:
-    """Return what a folder's ties.csv calls its ties, None where it has none; raises as `read_problem_folder`."""
-    file = FilePath(folder, "ties.csv")
-    listed = (FilePath(folder) / PROBLEM_FILE).exists() and "files" in _stated(FilePath(folder) / PROBLEM_FILE)
-    return read_tie_names(file) if file.is_file() and not listed else None
-
-
 def _stated(path: FilePath, ledger: Ledger | None = None) -> dict[str, Any]:
     """problem.json, checked."""
     data = load_json(path, "a problem in JSON")
@@ -173,7 +163,7 @@ def _stated(path: FilePath, ledger: Ledger | None = None) -> dict[str, Any]:
     if data.get("version") != VERSION:
         raise wrong(path, "version", f"{VERSION}", repr(data.get("version"))[:60])
     stated = {key: value for key, value in data.items() if value is not None}
-    for key in ("dof_names", "contact_names"):
+    for key in NAMES:
         names = stated.get(key, [])
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise wrong(path, key, "a list of names", repr(names)[:60])
@@ -210,7 +200,7 @@ def _by_names(root: FilePath) -> Found:
         part = part_called(file.stem)
         if file.suffix.lower() in stiffness_suffixes():
             part = "stiffness"
-        elif file.stem in NAME_FILES or (file.stem in TABLES and file.suffix.lower() == ".csv"):
+        elif file.stem in NAMES or (file.stem in TABLES and file.suffix.lower() == ".csv"):
             part = file.stem
         if part is None or file.is_dir() or file.suffix.lower() in (".json", *companions()):
             if file.name not in (PROBLEM_FILE, ANSWER_FILE) and file.suffix.lower() not in companions():
@@ -223,14 +213,13 @@ def _by_names(root: FilePath) -> Found:
 def _read_parts(
     root: FilePath, found: Found, stated: Mapping[str, Any], ledger: Ledger
 ) -> tuple[dict[str, Any], dict[str, Sequence[str] | None]]:
-    """Return the parts; and dof_names and contact_names."""
+    """Return the parts; and the names of unknowns, contacts and ties."""
     files = dict(found.files)
     stiffness = files.pop("stiffness")
     K, labels, of_stiffness = read_matrix(stiffness)
     _add(ledger, stiffness, of_stiffness, "stiffness")
-    given = {name: _given_names(root, name, files.pop(name, None), stated.get(name), ledger) for name in NAME_FILES}
+    given = {name: _given_names(root, name, files.pop(name, None), stated.get(name), ledger) for name in NAMES}
     names = _unknown_names(root, given["dof_names"], labels, K.shape[0], ledger)
-    contact_names = given["contact_names"]
     parts: dict[str, Any] = {"stiffness": K}
     unknowns = None
     for part, file in files.items():
@@ -238,11 +227,11 @@ def _read_parts(
             unknowns = unknowns or Unknowns(names, K.shape[0])
             own = Ledger(str(file))
             new, rows = _tabled(part, file, unknowns, own)
-            if rows is not None and contact_names is not None and list(contact_names) != rows:
-                raise wrong(
-                    root, "contact_names", f"those of {file.name}, in its order", ", ".join(contact_names)[:100]
-                )
-            contact_names = contact_names or rows
+            named = "tie_names" if part == "ties" else "contact_names"
+            stated_names = given[named]
+            if rows is not None and stated_names is not None and list(stated_names) != rows:
+                raise wrong(root, named, f"those of {file.name}, in its order", ", ".join(stated_names)[:100])
+            given[named] = stated_names or rows
             _add(ledger, file, own, part)
         else:
             new = {part: _matrix(file, part, ledger)}
@@ -252,7 +241,7 @@ def _read_parts(
         parts |= new
     if "load" not in parts:
         _load_of(stiffness, parts, ledger)
-    return parts, {"dof_names": names, "contact_names": contact_names}
+    return parts, given | {"dof_names": names}
 
 
 def _given_names(
@@ -287,9 +276,9 @@ def _unknown_names(
 
 
 def _tabled(part: str, file: FilePath, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str] | None]:
-    """Parts from a table, and what it calls the contacts."""
+    """Parts from a table, and what it calls the contacts or ties."""
     if part == "ties":
-        return read_tie_rows(file, unknowns, ledger), None
+        return read_tie_rows(file, unknowns, ledger)
     if part == "load":
         return {"load": read_load_rows(file, unknowns, ledger)}, None
     return read_contact_rows(file, unknowns, ledger)

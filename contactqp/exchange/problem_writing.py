@@ -54,6 +54,7 @@ def problem_of(
     *,
     dof_names: Sequence[str] | None = None,
     contact_names: Sequence[str] | None = None,
+    tie_names: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
     ties: Any = None,
 ) -> ContactProblem:
@@ -73,7 +74,8 @@ def problem_of(
     if "friction" in given and given["friction"].size == 1:
         given["friction"] = float(given["friction"][0])
     with naming(path):
-        problem = ContactProblem(**given, dof_names=dof_names, contact_names=contact_names, units=units)
+        named: dict[str, Any] = dict(dof_names=dof_names, contact_names=contact_names, tie_names=tie_names)
+        problem = ContactProblem(**given, **named, units=units)
     _say(problem, given, ledger, ties)
     return problem
 
@@ -163,6 +165,7 @@ def write_problem(
         "units": {"length": problem.units.length, "force": problem.units.force},
         "dof_names": problem.dof_names,
         "contact_names": problem.contact_names,
+        "tie_names": problem.tie_names,
         "signs": SIGNS,
         "files": files,
     }

@@ -193,20 +193,15 @@ def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[d
     return parts, names
 
 
-def read_tie_names(path: Path) -> list[str]:
-    """Return what the ties of a table are called, in the order of their rows; raises as `read_contact_rows`."""
-    return _grouped(_tie_table(path))[0]
-
-
-def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> dict[str, Any]:
-    """tie and, where its column is there, tie_value; raises as `read_contact_rows`."""
-    table = _tie_table(path)
+def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str]]:
+    """Return tie, tie_value where its column is there, and the ties' names; raises as `read_contact_rows`."""
+    table = _table(path, "tie", ("dof", "coefficient"), ("value",))
     names, row = _grouped(table)
     parts: dict[str, Any] = {"tie": _rows(table, "coefficient", row, len(names), unknowns)}
     if "value" in table.columns:
         parts["tie_value"] = np.array(_of_group(table, "value", row, names))
     _say(table, names, "ties", unknowns, ledger)
-    return parts
+    return parts, names
 
 
 def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np.float64]:
@@ -221,10 +216,6 @@ def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np
         ledger.assumed.append(f"load: none at the {unknowns.count - len(places)} unknowns that are not in the table")
     unknowns.say("load", ledger)
     return load
-
-
-def _tie_table(path: Path) -> Table:
-    return _table(path, "tie", ("dof", "coefficient"), ("value",))
 
 
 def _table(path: Path, key: str, needed: Sequence[str], possible: Sequence[str]) -> Table:

@@ -267,6 +267,7 @@ def _rounded(scene: SceneData, exact: ExactProblem) -> ContactProblem:
         tie_value=[float(tie.value) for tie in exact.ties] if exact.ties else None,
         dof_names=free,
         contact_names=[contact.name for contact in exact.contacts],
+        tie_names=[tie.name for tie in exact.ties] if exact.ties else None,
         units=Units(length=scene.units.length, force=scene.units.force),
     )
 

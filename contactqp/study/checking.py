@@ -22,7 +22,7 @@ from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
 from contactqp.exchange.files import Ledger, naming, wrong
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
-from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
+from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -66,16 +66,10 @@ def check_case(problem_file: str, candidate_file: str, options: CheckOptions) ->
         raise Unsupported(f"{problem_file}: check: a load path with friction has no answer of its own at its end")
     ledger = Ledger(problem_file)
     ledger.read.append(f"case file: {problem.dimension} unknowns, {problem.contacts} contacts, {problem.ties} ties")
-    return check_problem(problem, ledger, candidate_file, options, [tie.name for tie in scene.ties])
+    return check_problem(problem, ledger, candidate_file, options)
 
 
-def check_problem(
-    problem: ContactProblem,
-    ledger: Ledger,
-    candidate_file: str,
-    options: CheckOptions,
-    tie_names: Sequence[str] | None = None,
-) -> AnswerVerdict:
+def check_problem(problem: ContactProblem, ledger: Ledger, candidate_file: str, options: CheckOptions) -> AnswerVerdict:
     """Judge an answer against a problem.
 
     Parameters
@@ -87,8 +81,6 @@ def check_problem(
         The file of the answer.
     options : CheckOptions
         Tolerances, sign of compression, areas and maps.
-    tie_names : sequence of str, optional
-        Names of the ties, by which the answer may give their forces.
 
     Raises
     ------
@@ -99,7 +91,7 @@ def check_problem(
     """
     dofs = read_order(options.dof_map, names_of(problem, "displacement"))
     contacts = read_order(options.contact_map, names_of(problem, "normal_force"))
-    found = read_answer(candidate_file, _renamed(problem, dofs, contacts), tie_names)
+    found = read_answer(candidate_file, _renamed(problem, dofs, contacts))
     given: dict[str, Any] = dict(found.parts)
     given |= {"dof_map": _map(dofs, found, "displacement"), "contact_map": _map(contacts, found, "normal_force")}
     if options.pressure_areas is not None:
@@ -333,7 +325,7 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
         return check_forces(problem, candidate, options)
     stored, ledger = read_problem_with_ledger(problem)
     assert isinstance(stored, ContactProblem)
-    return check_problem(stored, ledger, candidate, options, read_tie_names(problem))
+    return check_problem(stored, ledger, candidate, options)
 
 
 def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> None:

@@ -404,7 +404,8 @@ def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
     """
     energies = [outcome for outcome in outcomes if outcome.problem.is_energy]
     if len(outcomes) == 1 and isinstance(outcomes[0].solution, Solution):
-        console.print(f"[bold]{escape(outcomes[0].file)}[/bold]", soft_wrap=True)
+        energy = f": energy {outcomes[0].solution.energy:.12g}" if outcomes[0].problem.is_energy else ""
+        console.print(f"[bold]{escape(outcomes[0].file)}[/bold]{energy}", soft_wrap=True)
         console.print(escape(outcomes[0].solution.summary()))
         return
     if energies:

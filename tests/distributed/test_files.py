@@ -20,7 +20,8 @@ def gallery(tmp_path_factory):
     folder = tmp_path_factory.mktemp("gallery")
     for known in problems():
         if known.name in NAMES:
-            cq.write_problem(folder / known.name, known.problem)
+            tied = tuple(f"joint {k}" for k in range(known.problem.ties))
+            cq.write_problem(folder / known.name, known.problem.replace(tie_names=tied) if tied else known.problem)
     return folder
 
 

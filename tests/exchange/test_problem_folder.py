@@ -24,7 +24,7 @@ PARTS = dict(
     units={"length": "m", "force": "kN"},
 )
 RUBBING = dict(tangent=[[1.0, 0.0, 0.0], [0.5, -0.5, 0.0]], friction=[0.25, 0.3], slip_origin=[[0.0], [1e-4]])
-TIED = dict(tie=[[1.0, -1.0, 0.0]], tie_value=[1e-5])
+TIED = dict(tie=[[1.0, -1.0, 0.0]], tie_value=[1e-5], tie_names=["rigid link"])
 
 
 def same(a: cq.ContactProblem, b: cq.ContactProblem) -> bool:
@@ -37,7 +37,7 @@ def same(a: cq.ContactProblem, b: cq.ContactProblem) -> bool:
             one, other = (x.toarray() if sp.issparse(x) else x for x in (one, other))
             if one.shape != other.shape or not np.array_equal(one, other):
                 return False
-    return a.dof_names == b.dof_names and a.contact_names == b.contact_names and a.units == b.units
+    return all(getattr(a, name) == getattr(b, name) for name in ("dof_names", "contact_names", "tie_names", "units"))
 
 
 @pytest.mark.parametrize("more", [{}, RUBBING, TIED, RUBBING | TIED], ids=["plain", "friction", "ties", "both"])
@@ -132,6 +132,7 @@ def test_contacts_by_the_names_of_unknowns(tmp_path):
         tie_value=[0.002],
         dof_names=["a.x", "b.x", "c.x"],
         contact_names=["left", "right"],
+        tie_names=["one"],
     )
     assert same(read, expected)
     assert any("load: none at the 2 unknowns" in line for line in ledger.assumed)

@@ -188,7 +188,7 @@ def test_a_folder_of_matrices_prints_its_answer_and_draws_forces_and_gaps(capsys
     cq.write_problem("stated", cq.ContactProblem(**data, units={"length": "mm", "force": "N"}))
     code, out, _ = run(capsys, "run", "bare", "--plot", "a.png", "--csv", "a.csv")
     assert code == 0
-    assert out.startswith("bare\nactive-set: passed, proven")
+    assert out.startswith("bare: energy -2.75\nactive-set: passed, proven")
     assert out.endswith("written: a.png\nwritten: a.csv\n")
     assert (tmp_path / "a.png").stat().st_size > 1000
     assert (tmp_path / "a.csv").read_text().splitlines()[1].startswith("0,1.0,contact 0,closed,2.5,")
