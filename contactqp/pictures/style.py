@@ -6,7 +6,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -293,16 +292,25 @@ PALETTE_SIZE = 64
 
 
 # Pixels of the longer side of the smallest picture.
-THUMBNAIL = 180
+THUMBNAIL, DPI_OF_THUMBNAIL = 240, 60
+THICKER = 2.0  # lines of it, which would vanish
 
 
-@lru_cache(maxsize=256)
-def thumbnail(png: bytes) -> bytes:
-    """Return a PNG in the size of a stamp."""
+def thumbnail(figure: Figure) -> bytes:
+    """Return the first axes of a figure without letters, as a PNG in the size of a stamp. The figure is changed."""
     from PIL import Image
 
-    small = io.BytesIO()
-    with Image.open(io.BytesIO(png)) as image:
+    first, *others = figure.axes
+    legend = first.get_legend()
+    for part in (*others, *figure.texts, *figure.legends, *first.texts, *([legend] if legend is not None else [])):
+        part.remove()
+    for line in first.lines:
+        line.set_linewidth(THICKER * line.get_linewidth())
+    first.set_title("")
+    first.set_axis_off()
+    drawn, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=DPI_OF_THUMBNAIL, bbox_inches="tight")
+    with Image.open(drawn) as image:
         reduced = image.convert("RGB")
         reduced.thumbnail((THUMBNAIL, THUMBNAIL))
         reduced.quantize(PALETTE_SIZE, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
@@ -319,7 +327,7 @@ def small_png(figure: Figure, dpi: float) -> bytes:
 
     drawn, small = io.BytesIO(), io.BytesIO()
     figure.draw_without_rendering()  # the layout is right from the second time on
-    figure.savefig(drawn, format="png", dpi=dpi)
+    figure.savefig(drawn, format="png", dpi=dpi, bbox_inches="tight")
     with Image.open(drawn) as image:
         plain = image.convert("RGB")
         reduced = plain.quantize(PALETTE_SIZE, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)

@@ -23,7 +23,7 @@ from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
 from contactqp.scene.judging import Comparison, Failure, Judgement
-from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, bars, print_table, shown, written
+from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, bars, print_table, print_wrapped, shown, written
 from contactqp.scene.unknowns import is_rotation
 
 # What a table calls them where that is not the key of the JSON.
@@ -47,6 +47,7 @@ def print_judgements(console: Console, judgements: Sequence[Judgement], verbose:
     claimed = [judgement for judgement in others if judgement.expectations or judgement.published]
     for judgement in (judgement for judgement in others if judgement not in claimed):
         console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+        _print_failures(console, judgement)
     refused = [one for one in judgements if not (one.expectations or one.published or one.met)]
     if refused:
         console.print(f"the case says nothing of {escape(str(refused[0].trial.method))}: its certificate decides")
@@ -63,6 +64,8 @@ def print_case_line(console: Console, outcomes: Sequence[Judgement | Failure]) -
     said += [f"{failed} of {len(outcomes)} without an answer"] if failed else []
     name = (scene.file or Path(scene.title)).stem
     console.print(f"{escape(name):40} {'; '.join(said)}", soft_wrap=True)
+    if judgements:
+        _print_failures(console, judgements[0])
     _print_comparisons(console, judgements, ["method", "certificate"], unmet_alone=True)
 
 
@@ -87,6 +90,7 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
             f" ({len(judgement.history)} equilibria, the last at {time_label(scene)} {judgement.history.times[-1]:.6g})"
         )
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
+    _print_failures(console, judgement)
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
     if not isinstance(judgement.model, NodeModel):
@@ -217,7 +221,12 @@ def _verdict(judgement: Judgement) -> str:
     if certificate.passed:
         rest = _proven(certificate) if certificate.proven else _unproven(certificate)
         return f"[green]certificate passed[/green]{rest}"
-    return f"[yellow]certificate refuses[/yellow] {escape('; '.join(certificate.failures))}"
+    return "[yellow]certificate refuses[/yellow]"
+
+
+def _print_failures(console: Console, judgement: Judgement) -> None:
+    """Print what the certificate refuses the answer for, one in a line."""
+    print_wrapped(console, [f"  {failure}" for failure in judgement.solution.certificate.failures])
 
 
 def _proven(certificate: Certificate) -> str:
@@ -281,8 +290,8 @@ def _comparison(row: Comparison) -> list[str | Text]:
         shown(row.expected),
         shown(row.got),
         row.unit,
-        f"{row.error:.1e}",
-        f"{row.tolerance:.1e}",
+        f"{row.error:.1e}" if row.error else "0",
+        f"{row.tolerance:.1e}" if row.tolerance else "0",
         mark,
     ]
 

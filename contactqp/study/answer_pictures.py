@@ -13,8 +13,8 @@ import numpy as np
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.solid import Body
 from contactqp.elements.structure import Assembly, System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.files import check_file, check_installed, write_whole
@@ -22,12 +22,12 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
-from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields, fields_of_solid
+from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields, contacts_of, fields_of_solid
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
-from contactqp.pictures.style import check_picture, save, small_png
+from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.building import exact_problem
 from contactqp.scene.judging import Failure, Judgement, Trial
@@ -81,16 +81,20 @@ def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
     from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
-    structure, pairings = model.structure, [contact.pairing for contact in model.contacts]
-    w, kept = model.system.expand(solution.displacement), model.system.free_contacts(pairings)
-    position = np.concatenate([np.zeros((0, 3)), *(pairing.points for pairing in pairings)])
+    return _membranes(model.system, [contact.pairing for contact in model.contacts], solution)
+
+
+def _membranes(system: System, pairings: Sequence[Pairing], solution: Solution) -> MembraneFields:
+    kept = contacts_of(solution, system, pairings)
+    structure, w = system.structure, system.expand(solution.displacement)
+    position = np.concatenate([np.zeros((0, 2)), *(pairing.points[:, :2] for pairing in pairings)])
     force, status = np.full(len(position), np.nan), np.full(len(position), HELD, dtype="<U8")
     force[kept], status[kept] = solution.normal_force, solution.contact_status
     first = [structure.first(body.name) for body in structure.bodies]
     return MembraneFields(
         meshes=tuple(body.mesh for body in structure.bodies),
         deflections=tuple(w[i : i + body.size] for i, body in zip(first, structure.bodies, strict=True)),
-        position=position[:, :2],
+        position=position,
         force=force,
         status=status,
         units=solution.problem.units,
@@ -274,11 +278,11 @@ def _drawn(
         return answer_figure(read, solution, title=title or read.title, scale=scale)
     if system is not None:
         _refuse_another("system", len(system.free), solution)
-        return figure(contact_fields(system, contacts, solution), title=title, scale=scale)
+        return _figure_of_system(system, contacts, solution, title, scale)
     assembly = solution.problem._computed.assembly
-    if isinstance(assembly, Assembly) and all(isinstance(one, Body) for one in assembly.system.structure.bodies):
+    if isinstance(assembly, Assembly):
         of_load = assembly.under(solution.problem.load)
-        return figure(contact_fields(of_load, assembly.pairings, solution), title=title, scale=scale)
+        return _figure_of_system(of_load, assembly.pairings, solution, title, scale)
     solid = fields_of_solid(solution)
     if solid is not None:
         return figure(solid, title=title, scale=1.0 if scale is None else scale)
@@ -286,6 +290,15 @@ def _drawn(
     if solution.problem.near_null_space is not None:
         drawn.text(0.01, 0.005, HOW_BODIES, fontsize="x-small", color="0.3", gid="how bodies are drawn")
     return drawn
+
+
+def _figure_of_system(
+    system: System, pairings: Sequence[Pairing], solution: Solution, title: str, scale: float | None
+) -> Figure:
+    """Return the figure of elastic bodies, or of membranes, which a structure has not together."""
+    if any(isinstance(body, Membrane) for body in system.structure.bodies):
+        return membrane_figure(_membranes(system, pairings, solution), title=title)
+    return figure(contact_fields(system, pairings, solution), title=title, scale=scale)
 
 
 HOW_BODIES = "draw(solution, system=..., contacts=[...]) draws the bodies, scene=... those of a case file"
@@ -306,6 +319,7 @@ class AnswerPictures:
 
     answer: bytes | None = None
     history: bytes | None = None  # of a path or a motion
+    thumbnail: bytes | None = None
     why_not: str = ""  # why there is no picture of the answer
 
 
@@ -320,7 +334,8 @@ def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
         drawn = answer_figure(outcome.scene, outcome.solution)
     except ContactQPError as error:
         return AnswerPictures(history=history, why_not=str(error))
-    return AnswerPictures(small_png(drawn, DPI_OF_BODIES if outcome.scene.meshed else DPI), history)
+    answer = small_png(drawn, DPI_OF_BODIES if outcome.scene.meshed else DPI)
+    return AnswerPictures(answer, history, thumbnail(drawn))
 
 
 def _history(history: History) -> bytes | None:

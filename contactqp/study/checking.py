@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from contactqp.certificate.local_certificate import certify_local, contact_figures, velocity_of
-from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, counts
 from contactqp.exchange.answer_files import read_answer
 from contactqp.exchange.answer_reader import AnswerFile, names_of
 from contactqp.exchange.candidate_forces import read_candidate_forces
@@ -65,7 +65,8 @@ def check_case(problem_file: str, candidate_file: str, options: CheckOptions) ->
     if scene.path is not None and problem.frictional:
         raise Unsupported(f"{problem_file}: check: a load path with friction has no answer of its own at its end")
     ledger = Ledger(problem_file)
-    ledger.read.append(f"case file: {problem.dimension} unknowns, {problem.contacts} contacts, {problem.ties} ties")
+    sizes = counts(unknown=problem.dimension, contact=problem.contacts, tie=problem.ties)
+    ledger.read.append(f"case file: {sizes}")
     return check_problem(problem, ledger, candidate_file, options)
 
 

@@ -18,6 +18,7 @@ from contactqp.errors import (
     NotCertified,
     NotConverged,
     Unsupported,
+    counted,
     shown,
 )
 from contactqp.linalg.iteration import contacts_are_many, iterated
@@ -25,7 +26,7 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
-from contactqp.model.summary import Printed, counted
+from contactqp.model.summary import Printed
 from contactqp.solving.methods import Method, meant_option, registered_name, takes
 from contactqp.solving.solve import begin, solve
 from contactqp.study import rows

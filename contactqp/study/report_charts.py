@@ -254,7 +254,7 @@ def _bar(shown: Sequence[Rates], column: str, colour: str, pattern: str, words: 
 
 
 def _bars_layout(shown: Sequence[Any], title: str, xaxis: Mapping[str, Any]) -> dict[str, Any]:
-    ordered = dict(type="category", autorange="reversed", automargin=True, title=METHOD)
+    ordered = dict(type="category", autorange="reversed", automargin=True, dtick=1, title=METHOD)
     across = dict(title=dict(text=title)) | dict(xaxis)
     above = legend("", y=1.0, yanchor="bottom", traceorder="normal")
     return layout(across, ordered, BAR_HEIGHT * len(shown) + AROUND_BARS, barmode="group", legend=above)
@@ -268,9 +268,17 @@ def _rate_cells(rates: Rates) -> tuple[str, ...]:
 
 
 def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
-    """Return the chart of wrong answers that methods called solved or that passed the certificate."""
+    """Return the chart of wrong answers that methods called solved or that passed the certificate; words if none is."""
     found = [rates for rates in method_rates(all_rows) if rates.installed]
     total, ours = sum(rates.silently_wrong for rates in found), sum(rates.wrong_but_passed for rates in found)
+    name, title = "silently-wrong", "Wrong answers that were called right"
+    if not total and not ours:
+        claimed, passed = sum(rates.claimed for rates in found), sum(rates.certifiable for rates in found)
+        words = f"None: of {claimed} raw answers that their methods called solved, none has an error above 1e-6 and "
+        words += (
+            f"above 100 times the tolerance that was asked, and of {passed} answers that were certified none passed "
+        )
+        return Chart(name, title, words + "that is wrong. The table of methods counts them.", {})
     counts = {
         "silently_wrong": (VERMILION, "x", "called solved by the method itself, and wrong", "own"),
         "wrong_but_passed": (GREY, "", "passed by the certificate, and wrong (must be 0)", "certifiable"),
@@ -292,8 +300,8 @@ def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
     ]
     most = max((rates.silently_wrong for rates in found), default=0)
     return Chart(
-        name="silently-wrong",
-        title="Wrong answers that were called right",
+        name=name,
+        title=title,
         caption=f"Over all cases, tolerances and ways: {total} raw answers that their methods called solved are wrong, "
         "with an error above 1e-6 and above 100 times the tolerance that was asked. Wrong answers that passed the "
         f"certificate: {ours}.",
@@ -402,7 +410,7 @@ def means_chart(found: Overview) -> Chart:
     data = [_mean_point(times, mean) for times, mean in shown]
     routes = dict.fromkeys((times.route.variant, times.route.whole) for times, _ in shown)
     legend_keys = [route_key(*route) for route in routes]
-    methods = dict(type="category", categoryorder="array", categoryarray=order[::-1], automargin=True)
+    methods = dict(type="category", categoryorder="array", categoryarray=order[::-1], automargin=True, dtick=1)
     axis = log_axis("shifted geometric mean of the run times [ms]", [1e3 * mean for _, mean in shown])
     return Chart(
         name="mean-times",

@@ -72,6 +72,7 @@ class CaseRecord:
     remarks: tuple[Remark, ...]  # sentences of the source and our verdicts on them
     picture: bytes | None = None  # PNG of geometry, deformed shape and contact forces
     history_picture: bytes | None = None  # PNG of a path or a motion
+    thumbnail: bytes | None = None  # PNG of the geometry alone, in the size of a stamp
     no_picture: str = ""  # why there is no picture
     contradicted: bool = False  # whether the proven solution contradicts the case's exact values
     physics: str = ""  # what it is about: one of `contactqp.scene.schema.PHYSICS`
@@ -90,6 +91,7 @@ def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
         unmet=tuple(f"{study.name}: {text}" for outcome in judged for text in _unmet(outcome)),
         picture=drawn.answer,
         history_picture=drawn.history,
+        thumbnail=drawn.thumbnail,
         no_picture=drawn.why_not,
     )
 

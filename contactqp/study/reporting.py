@@ -35,7 +35,7 @@ from contactqp.study.page.case_view import stability_bars
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report_charts import case_charts, overview_charts
 from contactqp.study.report_data import ReportData, Summary, as_json, changes, read_report, summarise
-from contactqp.study.rows import CRASHED, Row, aligned, to_csv
+from contactqp.study.rows import CRASHED, Row, folded, to_csv
 from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_after, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
@@ -50,7 +50,8 @@ DEFAULT_CASES = "cases"
 PAGE = "index.html"
 # Seconds between two pages of an unfinished report, at least; and so many times what writing one takes.
 EVERY, SHARE = 5.0, 20.0
-WIDTH = 100  # letters of a line of prose on the terminal
+WIDTH = 80  # letters of a line on the terminal
+NAMES = 25  # of these for the names of methods
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,12 @@ def report(
     for note in result.notes:
         print(f"contactqp: {note}", file=sys.stderr)
     found = conclude(result.rows)
-    print(aligned(found.cells()))
+    print(folded(found.cells(), NAMES))
     if found.note:
-        print(textwrap.fill(found.note, WIDTH))
+        print(f"\n{textwrap.fill(found.note, WIDTH)}")
     print(f"\n{textwrap.fill(found.sentence, WIDTH)}\n")
     for text in result.summary.unmet_lines():
-        print(f"not met: {text}")
+        print(textwrap.fill(f"not met: {text}", WIDTH, subsequent_indent="  "))
     print(f"{len(result.rows)} rows; {result.summary}")
     print(f"written: {', '.join(map(str, result.files))}")
     if old is not None:

@@ -8,6 +8,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from itertools import zip_longest
 from typing import Any
 
 from contactqp.model.summary import WIDTH as COLUMNS_OF_TEXT
@@ -182,7 +183,7 @@ def _rounded(name: str, value: Any) -> str:
         return "yes" if value else "no"
     if name == "seconds":
         return f"{1e3 * value:.3g}"
-    return f"{value:.1e}" if isinstance(value, float) else str(value)
+    return "0" if value == 0 else f"{value:.1e}" if isinstance(value, float) else str(value)
 
 
 def brief_comparison(rows: Sequence[Row], truth: str) -> str:
@@ -253,6 +254,29 @@ def aligned(cells: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, cell)) for cell in shown]
     padded = [[cell.ljust(width) for cell in column] for column, width in zip(shown, widths, strict=True)]
     return "\n".join("  ".join(line).rstrip() for line in zip(*padded, strict=True))
+
+
+def folded(cells: Sequence[Sequence[str]], first: int) -> str:
+    """Return the same with the first column folded at so many letters, and headings at the width of what they head.
+
+    >>> print(folded([("method", "error of the force"), ("penalty, best of 6", "1e-06"), ("osqp", "1e-16")], 9))
+    method     error
+               of the
+               force
+    penalty,   1e-06
+      best of
+      6
+    osqp       1e-16
+    """
+    widths = [first, *(max(map(len, column[1:])) for column in list(zip(*cells, strict=True))[1:])]
+    lines: list[Sequence[str]] = []
+    for line in cells:
+        parts = [
+            textwrap.wrap(cell, max(width, 6), subsequent_indent="" if i else "  ", break_long_words=False) or [""]
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        lines += zip_longest(*parts, fillvalue="")
+    return aligned(lines)
 
 
 def shortened_text(text: str, widest: int) -> str:

@@ -191,8 +191,11 @@ def _labels(drawn: Sequence[Curve], arranged: Mapping[str, Any]) -> list[dict[st
     return list(found.values())
 
 
-def left_out_lines(case: CaseRecord, all_rows: Sequence[Row]) -> Iterator[str]:
-    """Yield what the problem of a case left out, and what that saved there and over all rows."""
+def left_out_lines(case: CaseRecord, all_rows: Sequence[Row], titles: Mapping[str, str]) -> Iterator[str]:
+    """Yield what the problem of a case left out, and what that saved there and over all rows.
+
+    `titles` are those of the cases, by their names.
+    """
     left = [block.name for block in case.explanation.blocks if not block.included]
     if left:
         yield f"{case.title}: left out, as nothing of it is in the case: {', '.join(left)}."
@@ -201,7 +204,7 @@ def left_out_lines(case: CaseRecord, all_rows: Sequence[Row]) -> Iterator[str]:
             f"{case.title}: its {case.sizes.unknowns} unknowns are condensed onto those of {case.sizes.contacts} "
             "contacts before a method is called."
         )
-    yield from _saved(all_rows)
+    yield from _saved(all_rows, titles)
     count = case.footprint.contacts if case.footprint else None
     if count is not None and count.dropped:
         yield (
@@ -213,7 +216,7 @@ def left_out_lines(case: CaseRecord, all_rows: Sequence[Row]) -> Iterator[str]:
         yield f"{case.title}: installed and not imported: {', '.join(modules.left_out)}."
 
 
-def _saved(all_rows: Sequence[Row]) -> Iterator[str]:
+def _saved(all_rows: Sequence[Row], titles: Mapping[str, str]) -> Iterator[str]:
     """Yield how many times as long right answers take on all unknowns as on those of the contacts."""
     condensed = {_answer(row): row for row in all_rows if row.condensed == rows.CONDENSED and solved(row)}
     for case in dict.fromkeys(row.case for row in all_rows):
@@ -226,8 +229,8 @@ def _saved(all_rows: Sequence[Row]) -> Iterator[str]:
         if factors and (whole[0].unknowns or 0) >= BODY:
             mean = float(np.exp(np.mean(np.log(list(factors.values())))))
             yield (
-                f"{case}: on all {whole[0].unknowns} unknowns the same answers take {mean:.2g} times as long "
-                f"(geometric mean of {', '.join(factors)})."
+                f"{titles.get(case, case)}: on all {whole[0].unknowns} unknowns the same answers take {mean:.2g} times "
+                f"as long (geometric mean of {', '.join(factors)})."
             )
 
 

@@ -103,3 +103,11 @@ def test_why_there_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (failed.answer, failed.history, failed.why_not) == (None, None, "did not converge")
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     assert "pip install matplotlib" in answer_pictures(judged).why_not
+
+
+def test_a_thumbnail_is_the_geometry_without_letters() -> None:
+    small = answer_pictures(_judged("truss_floor")).thumbnail
+    image = _read(small)
+    assert max(image.size) <= 240
+    assert min(image.size) > 60
+    assert len(small or b"") < 10_000

@@ -186,6 +186,14 @@ def test_wrong_flags_are_counted_beside_our_own() -> None:
     assert chart.caption.endswith("certificate: 0.")
 
 
+def test_where_nothing_is_wrong_a_sentence_says_so_and_no_chart() -> None:
+    data = report()
+    clean = tuple(replace(row, flag_wrong=False) for row in data.rows)
+    chart = next(c for c in overview_charts(replace(data, rows=clean)) if c.name == "silently-wrong")
+    assert not chart.figure
+    assert chart.caption.startswith("None: of 8 raw answers that their methods called solved, none has an error above")
+
+
 def test_a_wrong_answer_that_passes_is_not_hidden() -> None:
     data = report()
     spoiled = (replace(data.rows[0], verdict=rows.WRONG), *data.rows[1:])

@@ -114,10 +114,10 @@ def test_what_condensation_saves_is_that_of_the_same_answers() -> None:
         right("body", "daqp", 1.0, condensed="yes", variant="polished", **body),
     ]
     case = replace(charted().cases[0], sizes=Sizes(1000, 10, 0, 0, 7000))
-    condensed, saved = left_out_lines(case, rows)
+    condensed, saved = left_out_lines(case, rows, {"body": "A body"})
     assert "its 1000 unknowns are condensed onto those of 10 contacts" in condensed
-    assert saved == "body: on all 1000 unknowns the same answers take 6 times as long (geometric mean of osqp, scs)."
-    assert [text for text in left_out_lines(replace(case, sizes=Sizes(3, 3, 0, 0, 7)), rows[:1])] == []
+    assert saved == "A body: on all 1000 unknowns the same answers take 6 times as long (geometric mean of osqp, scs)."
+    assert [text for text in left_out_lines(replace(case, sizes=Sizes(3, 3, 0, 0, 7)), rows[:1], {})] == []
 
 
 def test_no_name_in_the_first_chart_lies_over_another() -> None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from contactqp.pictures.style import thumbnail
 from contactqp.scene.explaining import shortened
 from contactqp.scene.tables import MOST_ROWS, shown, written
 from contactqp.study import rows
@@ -31,7 +30,7 @@ FACETS: Mapping[str, tuple[str, ...]] = {
     "verdict": ("verdict",),
 }
 # Letters of a message that a table shows; results.csv has the whole message.
-WIDEST_MESSAGE = 160
+WIDEST_MESSAGE = 300
 # Signs of verdicts, which are not distinguished by colour alone.
 MARKS: Mapping[str, str] = {
     rows.RIGHT: "✓",
@@ -49,10 +48,11 @@ OTHER_MARK = "?"
 
 @dataclass(frozen=True)
 class Line:
-    """The cells of a line, and whether they are highlighted."""
+    """The cells of a line, whether they are highlighted, and what stands below them."""
 
     cells: tuple[str, ...]
     bad: bool = False
+    note: str = ""  # a line of its own below the cells
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,13 @@ def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
     """Return a table of rows with their readable columns, without those that are empty throughout."""
     cells = [readable(row) for row in chosen]
     cells = [line | _shown_otherwise(row) for row, line in zip(chosen, cells, strict=True)]
-    shown = [name for name in READABLE if any(line[name] for line in cells)]
+    shown = [name for name in READABLE if name != "message" and any(line[name] for line in cells)]
     lines = (
-        Line(tuple(line[name] for name in shown), row.verdict == rows.WRONG or bool(row.expectations_unmet))
+        Line(
+            tuple(line[name] for name in shown),
+            row.verdict == rows.WRONG or bool(row.expectations_unmet),
+            line["message"],
+        )
         for row, line in zip(chosen, cells, strict=True)
     )
     headings = dict(READABLE) | {"variant": "answer"}
@@ -158,8 +162,8 @@ class CaseView:
 
     @property
     def thumbnail(self) -> str:
-        """The picture, small, as a data URL; empty where there is none."""
-        return _url(None if self.case.picture is None else thumbnail(self.case.picture))
+        """The picture of the geometry alone, small, as a data URL; empty where there is none."""
+        return _url(self.case.thumbnail)
 
     @property
     def history_picture(self) -> str:
@@ -232,7 +236,7 @@ def _comparison(trial: str, line: Mapping[str, Any]) -> Line:
 
 
 def _number(value: float | None) -> str:
-    return "not finite" if value is None else f"{value:.1e}"
+    return "not finite" if value is None else f"{value:.1e}" if value else "0"
 
 
 def _verdict(line: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 (() => {
   // CSS pixels: below this a legend stands under its chart; width and height of a chart on paper; a line and a letter of a legend.
   const NARROW = 720, PAPER = 960, PAPER_HEIGHT = 530, LINE = 20, LETTER = 6.5;
+  const LINES = "tbody tr:not(.note-of-row)";  // without what stands below one
   const CONFIG = { responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   const hidden = { method: new Set(), variant: new Set(), verdict: new Set() };
   const all = (selector, from = document) => [...from.querySelectorAll(selector)];
@@ -141,11 +142,11 @@
 
   // Filters.
   const texts = new Map(cases.map((one) => [one, all("[data-searched]", one).map((part) => part.textContent).join(" ").toLowerCase()]));
-  const rowsOf = new Map(cases.map((one) => [one, all(".rows tbody tr", one)]));
+  const rowsOf = new Map(cases.map((one) => [one, all(`.rows ${LINES}`, one)]));
   const lines = [];
   for (const table of all("table:has(th[data-facet])")) {
     const facets = all("thead th", table).map((heading) => heading.dataset.facet);
-    for (const line of all("tbody tr", table)) {
+    for (const line of all(LINES, table)) {
       lines.push(line);
       // A verdict has its sign in front.
       facets.forEach((facet, i) => { if (facet) line.dataset[facet] = line.cells[i].textContent.replace(/^[^\p{L}\p{N}]+/u, ""); });
@@ -157,7 +158,11 @@
     for (const facet of Object.keys(hidden)) {
       hidden[facet] = new Set(all(`input[name="${facet}"]:not(:checked)`).map((box) => box.value));
     }
-    for (const line of lines) line.hidden = isOff(line.dataset);
+    for (const line of lines) {
+      line.hidden = isOff(line.dataset);
+      const below = line.nextElementSibling;
+      if (below?.matches(".note-of-row")) below.hidden = line.hidden;
+    }
     let count = 0;
     for (const one of cases) {
       const rows = rowsOf.get(one);

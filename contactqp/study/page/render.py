@@ -226,7 +226,8 @@ def _left_out(data: ReportData) -> Iterator[str]:
     """Yield what was left out of the largest case whose footprint is known, or of the largest."""
     measured = [case for case in data.cases if case.footprint is not None] or data.cases
     largest = max(measured, key=lambda case: case.sizes.unknowns, default=None)
-    return iter(()) if largest is None else left_out_lines(largest, data.rows)
+    titles = {case.name: case.title for case in data.cases}
+    return iter(()) if largest is None else left_out_lines(largest, data.rows, titles)
 
 
 def _by_physics(views: Iterable[CaseView]) -> Iterator[tuple[str, list[CaseView]]]:
@@ -321,7 +322,19 @@ def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:
     single = {name: value for name, value in facts.items() if not isinstance(value, Mapping)}
     groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}
     for name, group in ({"report": single} | groups).items():
-        yield plain_table(name, (name, ""), group.items())
+        yield plain_table(name, (name, ""), [(_spaced(key), _fact(value)) for key, value in group.items()])
+
+
+def _spaced(key: str) -> str:
+    """Return a key in words; names of environment variables stay as they are."""
+    return key.replace("_", " ") if key.islower() else key
+
+
+def _fact(value: Any) -> str:
+    """Return a fact as text: what is listed with commas between, numbers to four digits."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return ", ".join(map(_fact, value))
 
 
 @dataclass(frozen=True)

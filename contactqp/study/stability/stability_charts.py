@@ -258,7 +258,11 @@ class _Grid:
         layout = dict(
             xaxis=sideways(self._axis),
             yaxis=dict(
-                autorange="reversed", automargin=True, title=dict(text="method", standoff=STANDOFF), type="category"
+                autorange="reversed",
+                automargin=True,
+                dtick=1,
+                title=dict(text="method", standoff=STANDOFF),
+                type="category",
             ),
             height=FRAME + ROW_HEIGHT * len(self._methods),
         )

@@ -185,6 +185,21 @@ def test_methods_variants_and_verdicts_are_hidden_in_charts_and_tables(browser: 
     assert _count(browser, ".rows tr[data-method=penalty]") == penalties
 
 
+def test_messages_stand_whole_below_their_rows_and_are_hidden_with_them(browser: Any) -> None:
+    browser.execute_script("document.querySelectorAll('.case').forEach((one) => { one.open = true; })")
+    notes = _count(browser, ".rows .note-of-row")
+    assert notes > 0
+    tall = "[...document.querySelectorAll('.rows tbody tr:not(.note-of-row)')].map((e) => e.clientHeight)"
+    assert max(browser.execute_script(f"return {tall}")) < 60  # one or two lines
+    ends = "[...document.querySelectorAll('.note-of-row div')].map((e) => e.getBoundingClientRect().right)"
+    assert max(browser.execute_script(f"return {ends}")) <= 1280
+    browser.execute_script(
+        "document.querySelectorAll('input[name=method]').forEach((box) => { box.checked = false; });"
+        "document.getElementById('choices').dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    assert _count(browser, ".rows .note-of-row") == 0
+
+
 def test_a_link_opens_its_case(browser: Any) -> None:
     links = browser.find_elements("css selector", ".contents a")
     links[1].click()

@@ -194,6 +194,19 @@ def test_every_verdict_has_a_mark_of_its_own() -> None:
     assert len({marked(verdict)[0] for verdict in VERDICTS}) == len(VERDICTS)
 
 
+def test_facts_are_told_in_words() -> None:
+    facts = dict(
+        created="today",
+        left_out=["a: no answer", "b: another"],
+        load=dict(at_end=3.169921875),
+        machine=dict(OMP_NUM_THREADS=1),
+    )
+    single, load, machine = pages.fact_tables(facts)
+    assert [line.cells for line in single.lines] == [("created", "today"), ("left out", "a: no answer, b: another")]
+    assert load.lines[0].cells == ("at end", "3.17")
+    assert machine.lines[0].cells == ("OMP_NUM_THREADS", "1")
+
+
 def test_sections_of_another_study_and_a_chart_without_a_figure() -> None:
     told = Chart("ranges", "Safe ranges", "Where each method ends.", {}, ("method", "β"), (("penalty", "1e16"),))
     table = PartTable("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
