@@ -209,6 +209,24 @@ def shown(value: object) -> str:
         return type(value).__name__
 
 
+def counted(what: str, count: int) -> str:
+    """Return how many there are of something.
+
+    >>> counted("contact", 1), counted("contact", 2)
+    ('1 contact', '2 contacts')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def counts(**numbers: int) -> str:
+    """Return how many there are of several things.
+
+    >>> counts(unknown=3, contact=1)
+    '3 unknowns, 1 contact'
+    """
+    return ", ".join(counted(what, count) for what, count in numbers.items())
+
+
 # What the symbols of textbooks, of QP solvers and of other codes are called here, the most likely first.
 SYMBOLS = {
     "K": ("stiffness",),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.number_range import near_one
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
@@ -29,7 +29,7 @@ from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import number
+from contactqp.model.summary import folded, number
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300
@@ -42,6 +42,8 @@ SINGULAR = 1e-12
 SINGULAR_SYSTEM = 1e-11
 
 
+# What `CriticalFriction.examined` calls the bound that holds of any number of contacts.
+KAPPA = "kappa"
 # What messages call `CriticalFriction.contraction`.
 LARGEST_RATIO = "largest ratio of a contact's friction coefficient to its critical value"
 
@@ -77,6 +79,27 @@ class CriticalFriction(ReadOnly):
             f"CriticalFriction({alone}, contraction {number(self.contraction)}, kappa {number(self.kappa)}, {words}: "
             f"{self.examined})"
         )
+
+    def __str__(self) -> str:
+        least = float(np.min(self.single, initial=np.inf))
+        at = f", at contact {int(np.argmin(self.single))}" if np.isfinite(least) else ""
+        lines = [
+            f"critical friction coefficient: {number(least)}{at}, the least of {counted('contact', len(self.single))}",
+            f"{LARGEST_RATIO}: {number(self.contraction)}"
+            + (": some load has several answers" if self.contraction >= 1 else ""),
+            ("one answer to every load" if self.unique else "several answers are not excluded") + f": {self._reason}",
+        ]
+        return "\n".join(line for text in lines for line in folded(text, "", "  "))
+
+    @property
+    def _reason(self) -> str:
+        """Return what the uniqueness of the answer was found out by, in words."""
+        if self.examined != KAPPA:
+            signs = "of one sign" if self.unique else "not all of one sign"
+            return f"the {self.examined} are {signs}"
+        if not np.isfinite(self.kappa):
+            return "the bound kappa needs bodies that are held and contacts that are independent"
+        return f"the bound kappa is {number(self.kappa)}, {'below' if self.unique else 'and not below'} 1"
 
 
 @checked
@@ -134,9 +157,9 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
 def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
     """Return the reason why a problem is too large for dense operators of all contacts, or None."""
     if problem.contacts > MOST_CONTACTS:
-        return f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
+        return f"{counted('contact', problem.contacts)}, at most {MOST_CONTACTS} are examined"
     if len(condensation.retained) > MOST_UNKNOWNS:
-        return f"{len(condensation.retained)} contact unknowns, at most {MOST_UNKNOWNS} are examined"
+        return f"{counted('contact unknown', len(condensation.retained))}, at most {MOST_UNKNOWNS} are examined"
     return None
 
 
@@ -168,7 +191,7 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
     coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
     single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
     kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
-    unique, examined = kappa < 1.0, "kappa"
+    unique, examined = kappa < 1.0, KAPPA
     if not unique and d == 2 and m <= MOST_COMBINED and not floats:
         unique, examined = _one_sign(W, mu), "determinants of all combinations of open, stick and slip"
     contraction = float(np.max(ratio(mu, single), initial=0.0))

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
@@ -62,7 +62,7 @@ def local_uniqueness(
             "by it as given, what a minimisation makes of it is that far off"
         )
     if problem.contacts > MOST_CONTACTS:
-        reason = f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
+        reason = f"{counted('contact', problem.contacts)}, at most {MOST_CONTACTS} are examined"
         return Uniqueness((UNKNOWN,), (*notes, f"uniqueness was not examined: {reason}"))
     findings = []
     if _dependent(problem, closed, stuck, along):

@@ -211,7 +211,7 @@ class DistributedBodyModel(ContactEntries):
         stated = self.supports[support]
         nodes = node_numbers(self.structure.solid(stated.body), stated.nodes)
         places = self.system.own_places(stated.body, nodes)
-        return float(self.ranks.sum(float(residual.reshape(-1, d)[places, stated.axis].sum())))
+        return float(self.ranks.sum(float(residual.reshape(-1, d)[places, int(stated.axis)].sum())))
 
 
 def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:

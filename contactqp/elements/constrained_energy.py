@@ -17,12 +17,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Vector, computes
+from contactqp.model.arrays import Vector, computes, own_floating_point
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_stiffness, read_vector
 from contactqp.model.solution import Certificate, Solution
+from contactqp.model.summary import Printed, Table, headline, largest, number, unknowns_table, verdict_of
 from contactqp.solving.solve import solve
 
 # A linear form of the unknowns by their names.
@@ -290,11 +291,26 @@ class ConstrainedEnergy:
 
 @computes
 @dataclass(frozen=True, eq=False)
-class ConstrainedMinimum(ReadOnly):
-    """The minimum of the energy and the state of every part there; `minimum["x"]` is an unknown."""
+class ConstrainedMinimum(ReadOnly, Printed):
+    """The minimum of the energy and the state of every part there; `minimum["x"]` is an unknown.
+
+    `print(minimum)` shows the verdict, the unknowns, and the parts: of many those with the largest forces.
+    """
 
     of: ConstrainedEnergy
     solution: Solution
+
+    def __repr__(self) -> str:
+        parts = counted("part", len(self.of.parts))
+        return f"ConstrainedMinimum({parts}, {counted('unknown', len(self.of.names))}, {verdict_of(self.certificate)})"
+
+    @own_floating_point
+    def __str__(self) -> str:
+        tables = [
+            unknowns_table(self.solution, len(self.of.names)),
+            _parts_table(self.parts, self.solution.problem.units),
+        ]
+        return "\n".join([*headline(self.solution, self.energy), *(table.text() for table in tables if table.rows)])
 
     @property
     def certificate(self) -> Certificate:
@@ -332,6 +348,17 @@ class ConstrainedMinimum(ReadOnly):
             multiplier=_by_name(problem.contact_names or (), solution.normal_force)
             | _by_name(ties, solution.tie_force),
         )
+
+
+def _parts_table(parts: Mapping[str, PartState], units: Units) -> Table:
+    """Return the table of parts with their status, force and deformation; of many those of the largest forces."""
+    states = list(parts.items())
+    shown = largest(np.array([abs(state.force) for _, state in states]))
+    rows = [(name, state.status, number(state.force), number(state.deformation)) for name, state in states]
+    force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
+    few = f", the {len(shown)} of the largest forces" if len(shown) < len(states) else ""
+    columns = ("", "status", f"force{force}", f"deformation{length}")
+    return Table(f"{counted('part', len(states))}{few}", columns, tuple(rows[i] for i in shown))
 
 
 def _by_name(names: Iterable[str], values: NDArray[np.float64]) -> dict[str, float]:

@@ -18,11 +18,11 @@ from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tri
 from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
-from contactqp.errors import InvalidProblem, StartWarning, warn
+from contactqp.errors import InvalidProblem, StartWarning, counted, warn
 from contactqp.model.arguments import checked, checks
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
-from contactqp.model.summary import counted, number
+from contactqp.model.summary import number
 
 # The part of the size of a body that no interference fit overlaps by.
 DEEP = 0.25

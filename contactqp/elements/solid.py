@@ -81,6 +81,9 @@ class Body(ReadOnly):
     thickness: float = 1.0
     name: str = "body"
 
+    def __repr__(self) -> str:
+        return f"Body({self.name}: {self.mesh!r}, {self.model})"
+
     def __post_init__(self) -> None:
         if (self.model == "3d") != (self.mesh.dimension == 3):
             raise InvalidProblem(f"{self.name}: a {self.mesh.dimension}D mesh and the model {self.model!r}")

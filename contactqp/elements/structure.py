@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,12 +20,11 @@ from contactqp.elements.pairing import Pairing
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_coefficient
-from contactqp.model.summary import counted
 
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
@@ -47,16 +46,20 @@ class Support:
     body : str
     nodes : str, int or sequence of int
         A named set (of nodes, or a side), or node numbers.
-    axis : int
-        0, 1 or 2 for x, y or z; 0 for the one axis of a membrane.
+    axis : int or str
+        0, 1 or 2, or "x", "y" or "z"; 0 for the one axis of a membrane.
     value : float, or a function of (p, d) points that returns (p,)
         The displacement [length], of each node where it starts; 0 holds the nodes.
     """
 
     body: str
     nodes: str | int | Sequence[int]
-    axis: int
+    axis: int | Literal["x", "y", "z"]
     value: Field = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.axis, str):
+            object.__setattr__(self, "axis", "xyz".index(self.axis))
 
 
 @checks
@@ -76,6 +79,9 @@ class Structure:
     """
 
     bodies: Sequence[Part]
+
+    def __repr__(self) -> str:
+        return f"Structure({', '.join(body.name for body in self.bodies)}; {counted('unknown', self.size)})"
 
     def __post_init__(self) -> None:
         names = [body.name for body in self.bodies]
@@ -184,20 +190,21 @@ class Structure:
         prescribed = np.full(self.size, np.nan)
         for support in supports:
             body = self.body(support.body)
-            d = len(body.axes)
-            if support.axis not in range(d):
-                raise InvalidProblem(f"support of {body.name!r}: expected an axis below {d}, got {support.axis}")
+            d, axis = len(body.axes), int(support.axis)
+            if axis not in range(d):
+                which = " or ".join(f"{number} ({letter})" for number, letter in enumerate(body.axes))
+                raise InvalidProblem(f"support of {body.name!r}: expected the axis {which}, got {axis}")
             nodes = node_numbers(body, support.nodes)
             values = field_values(f"support of {body.name!r}", support.value, body.mesh.points[nodes], ())
-            places = self.first(body.name) + d * nodes + support.axis
+            places = self.first(body.name) + d * nodes + axis
             before = prescribed[places]
             size = np.max(abs(values), initial=np.nanmax(abs(before), initial=0.0))  # a sine may end at 1e-16
             other = np.flatnonzero(abs(before - values) > ROUNDING * size)
             if other.size:
                 i = other[0]
-                node, axis = body.mesh.number(nodes[i]), body.axes[support.axis]
+                node, along = body.mesh.number(nodes[i]), body.axes[axis]
                 raise InvalidProblem(
-                    f"support of {body.name!r}: node {node} along {axis} is to move by {values[i]:.12g} and, by "
+                    f"support of {body.name!r}: node {node} along {along} is to move by {values[i]:.12g} and, by "
                     f"another support, by {before[i]:.12g}"
                 )
             prescribed[places] = values

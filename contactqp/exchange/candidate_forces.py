@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import counted
 from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, StoredAnswer, is_hdf5, read_solution_for
 from contactqp.exchange.files import (
     Ledger,
@@ -53,7 +54,7 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnsw
     """
     ledger = Ledger(str(path))
     found, form = _read(path, problem, ledger)
-    ledger.read.append(f"{form}: the forces of {problem.contacts} contacts, in the order (N, T1, T2)")
+    ledger.read.append(f"{form}: the forces of {counted('contact', problem.contacts)}, in the order (N, T1, T2)")
     others = {"joint_force": found.joint_force, "velocity": found.velocity, "motion": found.motion}
     held = [name for name, value in others.items() if value is not None]
     if held:

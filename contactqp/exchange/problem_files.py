@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path as FilePath
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, is_hdf5, read_fclib
 from contactqp.exchange.files import Ledger, Path, read_bytes, wrong
 from contactqp.exchange.matrix_files import stiffness_suffixes
@@ -98,11 +98,11 @@ def _folder(path: Path) -> FilePath:
 def _ledger(path: Path, problem: ContactProblem | LocalProblem | GlobalProblem, code: str) -> Ledger:
     ledger = Ledger(str(path))
     if isinstance(problem, LocalProblem):
-        ledger.read.append(f"{code}, local form: {problem.contacts} contacts in {problem.dimension}D")
+        ledger.read.append(f"{code}, local form: {counted('contact', problem.contacts)} in {problem.dimension}D")
     elif isinstance(problem, GlobalProblem):
-        ledger.read.append(f"{code}, global form: {len(problem.load)} unknowns, {len(problem.friction)} contacts")
+        ledger.read.append(f"{code}, global form: {counts(unknown=len(problem.load), contact=len(problem.friction))}")
     else:
-        ledger.read.append(f"{code}, global form: {problem.dimension} unknowns, {problem.contacts} contacts")
+        ledger.read.append(f"{code}, global form: {counts(unknown=problem.dimension, contact=problem.contacts)}")
         ledger.converted.append("E_N = -H_N', g = w_N, E_T = H_T', slip_origin = -w_T, ties G' u = -b")
     if problem.asymmetry > 0:
         became = "symmetrised" if isinstance(problem, ContactProblem) else "it stays as it is"

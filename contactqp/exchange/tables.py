@@ -21,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.errors import counted
 from contactqp.exchange.files import HEAD, Ledger, Path, no_number, number, read_bytes, read_text, wrong
 from contactqp.model.unknown_names import plain_name
 
@@ -213,7 +214,7 @@ def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np
     load[places] = table.numbers("load")
     ledger.read.append(f"load: {len(places)} of {unknowns.count} unknowns")
     if len(places) < unknowns.count:
-        ledger.assumed.append(f"load: none at the {unknowns.count - len(places)} unknowns that are not in the table")
+        ledger.assumed.append(f"load: none at the {counted('unknown', unknowns.count - len(places))} not in the table")
     unknowns.say("load", ledger)
     return load
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.errors import InvalidProblem, shown
+from contactqp.errors import InvalidProblem, counts, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -178,7 +178,9 @@ class GlobalProblem(ReadOnly):
 
     def __repr__(self) -> str:
         joints = f", {len(self.joint_offset)} joints" if len(self.joint_offset) else ""
-        return f"GlobalProblem({self.matrix.shape[0]} unknowns, {self.contacts} contacts in {self.dimension}D{joints})"
+        return (
+            f"GlobalProblem({counts(unknown=self.matrix.shape[0], contact=self.contacts)} in {self.dimension}D{joints})"
+        )
 
 
 def _asymmetry(M: Any) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, shown
+from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arrays import Vector, computes, own_floating_point, refuses_other_names
 from contactqp.model.problem_data import (
     Matrix,
@@ -33,7 +33,7 @@ from contactqp.model.problem_data import (
     read_vector,
 )
 from contactqp.model.solution import LocalCertificate
-from contactqp.model.summary import Printed, counted, local_summary
+from contactqp.model.summary import Printed, local_summary
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -236,7 +236,7 @@ class LocalProblem(ReadOnly):
 
     def __repr__(self) -> str:
         joints = f", {self.joints} joints" if self.joints else ""
-        return f"LocalProblem({self.contacts} contacts in {self.dimension}D{joints})"
+        return f"LocalProblem({counted('contact', self.contacts)} in {self.dimension}D{joints})"
 
 
 def _mean_size(parts: NDArray[np.float64]) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, counts
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import inverse_root, own_floating_point, refuses_other_names
 from contactqp.model.computed import Computed
@@ -497,4 +497,5 @@ class ContactProblem:
 
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""
-        return f"ContactProblem({self.dimension} unknowns, {self.contacts} contacts, {self.ties} ties{friction})"
+        sizes = counts(unknown=self.dimension, contact=self.contacts, tie=self.ties)
+        return f"ContactProblem({sizes}{friction})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem, shown
+from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem_data import is_whole
 from contactqp.model.unknown_names import plain_name
@@ -28,8 +29,8 @@ FEW_EVENTS, MOST_EVENTS = 8, 16
 ROUNDING = 1e-14
 # Forces below this part of the largest of a history are the rounding of zero.
 ROUNDING_OF_FORCES = 1e-12
-# Characters of a line of text.
-WIDTH = 80
+# Characters of a line of text, and a space at which no line ends.
+WIDTH, UNBROKEN = 80, "\xa0"
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,29 @@ def html_of(solution: Any) -> str:
     return f"<p>{lines}</p>" + "".join(table.html() for table in tables_of(solution))
 
 
-def headline(solution: Any) -> list[str]:
-    """Return the method with its verdict, and what the certificate says if it refuses the answer or notes something."""
+def headline(solution: Any, energy: float | None = None) -> list[str]:
+    """Return the method with its verdict, and what the certificate says if it refuses the answer or notes something.
+
+    `energy` is that to be told, of the solution by default.
+    """
     certificate = solution.certificate
-    energy = f"energy {number(solution.energy)}{_energy_unit(solution)}"
-    first = f"{solution.method}: {verdict_of(certificate)}; {energy}; {1e3 * solution.seconds:.3g} ms"
+    size = number(solution.energy if energy is None else energy)
+    energy_text = f"energy {size}{_energy_unit(solution)}".replace(" ", UNBROKEN)
+    first = f"{solution.method}: {verdict_of(certificate)}; {energy_text}; {1e3 * solution.seconds:.3g} ms"
     said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     said += [f"free to move: {motion}" for motion in solution.free_motions]
     return [*_first_lines(first), *(line for text in said for line in wrapped(text))]
 
 
 def _first_lines(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent="  ")
+    return folded(text, "", "  ")
+
+
+def folded(text: str, first: str, others: str) -> list[str]:
+    """Return a text as lines of at most 80 columns with these indents, none of which parts a number from its unit."""
+    bound = re.sub(r"(?<=\d) (?=[^\W\d])", UNBROKEN, text)
+    lines = textwrap.wrap(bound, WIDTH, initial_indent=first, subsequent_indent=others)
+    return [line.replace(UNBROKEN, " ") for line in lines]
 
 
 def verdict_of(certificate: Any) -> str:
@@ -113,15 +125,22 @@ def tables_of(solution: Any) -> list[Table]:
     found = []
     if problem.contacts:
         found.append(_contacts(solution, _named("force", force), _named("gap", length), _named("slip", length)))
-    u = solution.displacement
-    shown = _largest(abs(u) * np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0)))
-    rows = tuple((problem.dof_name(j), number(u[j])) for j in shown)
-    found.append(Table(_counted("unknown", len(u), len(shown)), ("", _named("displacement", length)), rows))
+    found.append(unknowns_table(solution, problem.dimension))
     if problem.ties:
-        shown = _largest(abs(solution.tie_force))
+        shown = largest(abs(solution.tie_force))
         rows = tuple((problem.tie_name(i), number(solution.tie_force[i])) for i in shown)
         found.append(Table(_counted("tie", problem.ties, len(shown)), ("", _named("force", force)), rows))
     return found
+
+
+def unknowns_table(solution: Any, count: int) -> Table:
+    """Return the table of the first unknowns of a solution; of many those whose displacement has the largest energy."""
+    problem, u = solution.problem, solution.displacement[:count]
+    diagonal = problem.diagonal[:count]
+    shown = largest(abs(u) * np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+    rows = tuple((problem.dof_name(j), number(u[j])) for j in shown)
+    columns = ("", _named("displacement", problem.units.length))
+    return Table(_counted("unknown", len(u), len(shown)), columns, rows)
 
 
 def _contacts(solution: Any, force: str, gap: str, slip: str) -> Table:
@@ -158,7 +177,7 @@ def _place(point: Vector) -> str:
 def _most_telling(status: Any, force: Vector, gap: Vector | None = None) -> Sequence[int]:
     """Return the contacts to be shown in their own order: of many those that slip, then those of the largest forces."""
     nearness = [] if gap is None else [-np.where(np.isfinite(gap), gap, np.inf)]
-    return _largest((np.asarray(status) == "slip").astype(float), force, *nearness)
+    return largest((np.asarray(status) == "slip").astype(float), force, *nearness)
 
 
 def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
@@ -223,7 +242,7 @@ def _nothing_below(sizes: Array, values: Array) -> Array:
     return np.asarray(np.where(abs(values) <= ROUNDING * sizes, 0.0, values))
 
 
-def _largest(*sizes: Vector) -> Sequence[int]:
+def largest(*sizes: Vector) -> Sequence[int]:
     """Return the places of the largest numbers, by the first sizes and then the others, in their own order."""
     order = np.lexsort([-size for size in reversed(sizes)])[:MOST]
     return [int(i) for i in np.sort(order)]
@@ -231,15 +250,6 @@ def _largest(*sizes: Vector) -> Sequence[int]:
 
 def _counted(what: str, count: int, shown: int) -> str:
     return counted(what, count) + (f", the {shown} largest" if shown < count else "")
-
-
-def counted(what: str, count: int) -> str:
-    """Return how many there are of something.
-
-    >>> counted("contact", 1), counted("contact", 2)
-    ('1 contact', '2 contacts')
-    """
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _named(what: str, unit: str) -> str:
@@ -262,7 +272,7 @@ def number(value: float) -> str:
 
 def wrapped(text: str) -> list[str]:
     """Return a text as lines of at most 80 columns, set in by two and then by four."""
-    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
+    return folded(text, "  ", "    ")
 
 
 @own_floating_point

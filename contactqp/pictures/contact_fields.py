@@ -254,6 +254,24 @@ def contact_facets(fields: ContactFields, pairing: PairingFields) -> Iterator[tu
             yield block.kind, here[(here >= 0).all(axis=1)]
 
 
+def contacts_of(solution: Solution, system: System, pairings: Sequence[Pairing]) -> NDArray[np.intp]:
+    """Return the places of the contacts of a solution among the rows of the pairings that its problem is made of.
+
+    Raises
+    ------
+    InvalidProblem
+        The solution is not one of this system and these pairings.
+    """
+    kept = system.free_contacts(pairings)
+    expected, got = (len(system.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
+    if expected != got:
+        raise InvalidProblem(
+            f"solution: expected {expected[0]} unknowns and {expected[1]} contacts, as the system and the pairings "
+            f"have, got {got[0]} and {got[1]}: contacts=[...] are the pairings of its problem, in their order"
+        )
+    return kept
+
+
 def contact_fields(
     system: System, pairings: Sequence[Pairing], solution: Solution, *, names: Sequence[str] | None = None
 ) -> ContactFields:
@@ -274,13 +292,7 @@ def contact_fields(
     InvalidProblem
         The solution is not one of this system and these pairings, or there is not one name for each pairing.
     """
-    kept = system.free_contacts(pairings)
-    expected, got = (len(system.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
-    if expected != got:
-        raise InvalidProblem(
-            f"solution: expected {expected[0]} unknowns and {expected[1]} contacts, as the system and the pairings "
-            f"have, got {got[0]} and {got[1]}: contacts=[...] are the pairings of its problem, in their order"
-        )
+    kept = contacts_of(solution, system, pairings)
     names = _default_names(len(pairings)) if names is None else names
     if len(names) != len(pairings):
         raise InvalidProblem(f"names: expected one for each of {len(pairings)} pairings, got {len(names)}")

@@ -302,7 +302,8 @@ class BodyModel(ContactEntries):
         """Return the places in u of the unknowns that an entry of the scene's supports holds."""
         entry = self.supports[support]
         body = self.structure.body(entry.body)
-        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, entry.nodes) + entry.axis
+        nodes = loads.node_numbers(body, entry.nodes)
+        return self.structure.first(body.name) + len(body.axes) * nodes + int(entry.axis)
 
 
 def body_model(scene: SceneData) -> BodyModel:

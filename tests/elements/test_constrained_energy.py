@@ -206,3 +206,30 @@ BAD_PARTS = [
 def test_bad_parts_are_refused_by_their_name(make: Any) -> None:
     with pytest.raises(cq.InvalidProblem, match=r"^c: "):
         make()
+
+
+def test_the_minimum_is_printed_with_the_states_of_its_parts() -> None:
+    parts = [cq.Cable("strap", {"u": 1.0}, 100.0, slack=0.01), cq.Spring("spring", 50.0, {"u": 1.0})]
+    energy = cq.ConstrainedEnergy(["u"], load=[5.0], parts=parts, units={"length": "mm", "force": "N"})
+    minimum = energy.solve()
+    first, *rest = str(minimum).splitlines()
+    assert first.startswith("active-set: passed, proven; energy -0.115 N mm; ")  # 0.09/2 + 0.04 - 0.2
+    assert rest == [
+        "1 unknown",
+        "     displacement [mm]",
+        "  u               0.04",
+        "2 parts",
+        "           status  force [N]  deformation [mm]",
+        "  strap      taut          3              0.04",
+        "  spring  elastic          2              0.04",
+    ]
+    assert repr(minimum) == "ConstrainedMinimum(2 parts, 1 unknown, passed, proven)"
+    assert "spring" in minimum._repr_html_()
+
+
+def test_of_many_parts_those_of_the_largest_forces_are_printed() -> None:
+    bed = [cq.Strut(f"strut {i}", {"w": 1.0}, float(i + 1)) for i in range(30)]
+    printed = str(cq.ConstrainedEnergy(["w"], load=[-1.0], parts=bed).solve())
+    assert "30 parts, the 10 of the largest forces" in printed
+    assert "strut 29" in printed
+    assert "strut 19 " not in printed

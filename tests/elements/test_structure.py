@@ -160,7 +160,7 @@ def test_friction_brings_the_tangents_of_the_kept_contacts_and_where_slip_starts
     [
         ([Support("plate", "left", 0)], "there is no body 'plate'; it has 'block'"),
         ([Support("block", "front", 0)], "there is no set 'front'"),
-        ([Support("block", "left", 2)], "support of 'block': expected an axis below 2, got 2"),
+        ([Support("block", "left", 2)], r"support of 'block': expected the axis 0 \(x\) or 1 \(y\), got 2"),
         ([Support("block", "left", 0, float("nan"))], "support of 'block': expected finite numbers, got nan"),
         (
             [Support("block", "left", 0, lambda x: x)],
@@ -207,3 +207,14 @@ def test_supported_nodes_that_touch_by_the_rounding_of_coordinates_do_not_overla
     else:
         with pytest.raises(cq.InvalidProblem, match="overlap by 1e-09; nothing can part them"):
             system.problem([pairing])
+
+
+def test_axes_have_letters_and_structures_are_shown_in_a_line() -> None:
+    body = Body(rectangle(2.0, 1.0, (2, 1), "quad4"), STEEL, "plane-strain", name="block")
+    structure = Structure([body])
+    by_letter, by_number = (structure.prescribed([Support("block", "left", axis, 0.1)]) for axis in ("y", 1))
+    assert np.array_equal(by_letter, by_number, equal_nan=True)
+    assert repr(structure) == "Structure(block; 12 unknowns)"
+    assert repr(body) == "Body(block: Mesh(6 nodes, 2 quad4, sides bottom, left, right, top), plane-strain)"
+    with pytest.raises(InvalidProblem, match="Support: axis: expected a whole number or one of 'x', 'y', 'z'"):
+        Support("block", "left", "w")

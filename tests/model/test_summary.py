@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.model.summary import history_table
+from contactqp.model.summary import history_table, wrapped
 
 TRUSS = cq.ContactProblem(
     stiffness=[[59803.0, 6883.1], [6883.1, 77443.0]], load=[60.0, -100.0], normal=[[0.0, -1.0]], gap=[1e-3],
@@ -24,7 +24,7 @@ def floor_of(solution: cq.Solution) -> list[str]:
 
 def test_the_method_of_an_answer_with_friction_is_told_in_the_fields_words() -> None:
     lines = str(cq.solve(TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3), algorithm="tresca")).splitlines()
-    assert lines[0].startswith("Tresca fixed-point iteration, each step by active-set: passed; ")
+    assert lines[0].startswith("Tresca fixed-point iteration, each step by active-set: passed;")
     assert max(map(len, lines)) <= 80
 
 
@@ -317,7 +317,7 @@ def test_what_is_shown_in_a_line_has_no_arrays() -> None:
         repr(motion): "MotionHistory(11 solutions, times 0 to 1)",
         repr(motion[-1]): "Moving(moreau-jean with active-set, 1 unknown, 1 contact, passed, proven)",
         repr(motion.motion): "Motion(moreau-jean, 11 states a time step of 0.1 apart, "
-        "ContactProblem(1 unknowns, 1 contacts, 0 ties))",
+        "ContactProblem(1 unknown, 1 contact, 0 ties))",
         repr(judged): "JudgedAnswer(passed, proven)",
         repr(local): f"LocalSolution({local.method}, 1 contact, passed)",
         repr(cq.exact_equilibria(klarbring)[-1]): "ExactEquilibrium(2 unknowns, contacts: slip)",
@@ -329,3 +329,13 @@ def test_what_is_shown_in_a_line_has_no_arrays() -> None:
         "CriticalFriction(least 1.65906 at contact 20, contraction 0.180825, kappa 0.970311, one "
     )
     assert "\n" not in critical + repr(cq.compare(TRUSS, "active-set"))
+
+
+def test_no_line_ends_between_a_number_and_its_unit() -> None:
+    units = {"length": "mm", "force": "N"}
+    problem = cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0], units=units, contact_names=["left"])
+    long = replace(cq.solve(problem), method="Tresca fixed-point iteration, each step by active-set")
+    first, second, *_ = str(long).splitlines()
+    assert len(first) <= 80
+    assert second.startswith("  energy -2 N mm; ")
+    assert wrapped("word " * 14 + "123.456 mm (0.5 of the lengths)")[1].strip().startswith("123.456 mm")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.elements.membrane import Membrane
 from contactqp.pictures.space_drawing import DOTS, membrane_figure
 from contactqp.study.answer_pictures import fields_of_membranes
 
@@ -37,3 +38,20 @@ def test_supported_nodes_have_no_force() -> None:
     scene = cq.load_scene(CASE)
     fields = fields_of_membranes(scene, cq.solve(scene.problem()))
     assert np.all(np.isnan(fields.force) == (fields.status == "held"))
+
+
+def test_a_membrane_made_in_python_is_drawn_as_one() -> None:
+    mesh = cq.rectangle(2.0, 2.0, (8, 8), "quad4", corner=(-1.0, -1.0))
+    structure = cq.Structure([Membrane(mesh, tension=1.0, name="skin")])
+    sides = [cq.Support("skin", side, 0) for side in ("left", "right", "bottom", "top")]
+    dome = 0.2 - np.sum(mesh.points**2, axis=1) / 2
+    system, contacts = structure.assemble(sides), [cq.pair_scalar(mesh.points, dome)]
+    solution = cq.solve(system.problem(contacts))
+    assert any(solution.normal_force > 0)
+    with pytest.raises(
+        cq.InvalidProblem,
+        match="expected 49 unknowns and 0 contacts, as the system and the pairings have, got 49 and 49",
+    ):
+        cq.draw(solution, system=system)
+    for drawn in (cq.draw(solution), cq.draw(solution, system=system, contacts=contacts)):
+        assert [item for item in drawn.axes[0].collections if item.get_gid() == "surface"]

@@ -16,13 +16,13 @@ from contactqp.analysis.history import Energies, Event, History, LazySolutions, 
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.certificate.certificate import compute_certificate, contact_status
-from contactqp.errors import Unsupported
+from contactqp.errors import Unsupported, counted
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
-from contactqp.model.summary import counted, wrapped
+from contactqp.model.summary import wrapped
 
 # Steps whose energies are found at once.
 BLOCK = 256

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import counted
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import FreeMotion
-from contactqp.model.summary import counted
 
 if TYPE_CHECKING:
     from rich.console import Console

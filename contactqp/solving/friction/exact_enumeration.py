@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
@@ -30,7 +30,6 @@ from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.summary import counted
 from contactqp.solving.friction.enumeration import refuse_many
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.

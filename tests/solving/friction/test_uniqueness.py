@@ -244,6 +244,21 @@ def test_a_sticking_contact_beside_a_tie_along_it_is_redundant_in_its_friction()
     assert FORCES in cq.solve(tied).certificate.uniqueness
 
 
+def test_what_the_critical_coefficients_say_is_printed_in_words() -> None:
+    data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], load=[-1.0, 0.65], normal=[[-1.0, 0.0]], gap=[0.0])
+    several, one = (
+        str(cq.critical_friction(cq.ContactProblem(**data, tangent=[[0.0, 1.0]], friction=mu))) for mu in (0.8, 0.1)
+    )
+    assert several.splitlines() == [
+        "critical friction coefficient: 0.5, at contact 0, the least of 1 contact",
+        "largest ratio of a contact's friction coefficient to its critical value: 1.6:",
+        "  some load has several answers",
+        "several answers are not excluded: the determinants of all combinations of open,",
+        "  stick and slip are not all of one sign",
+    ]
+    assert "one answer to every load: the bound kappa is 0.25, below 1" in one
+
+
 def test_contraction_is_that_of_the_bounds() -> None:
     """One sliding contact: mu |W_NT| / W_NN = mu/mu_c; nothing contracts where nothing slides."""
     sliding = cq.solve(one_contact(KLARBRING, (-7.0, -17.0), 0.8))
@@ -300,7 +315,7 @@ def test_foreign_and_large_answers_are_still_certified(monkeypatch: pytest.Monke
     monkeypatch.setattr("contactqp.certificate.critical_friction.MOST_CONTACTS", 0)
     skipped = cq.solve(problem, algorithm="tresca").certificate
     assert skipped.uniqueness == (UNKNOWN,)
-    assert skipped.notes == ("uniqueness was not examined: 1 contacts, at most 0 are examined",)
+    assert skipped.notes == ("uniqueness was not examined: 1 contact, at most 0 are examined",)
     with pytest.raises(cq.Unsupported, match="at most 0"):
         cq.critical_friction(problem)
     with pytest.raises(cq.InvalidProblem, match="with friction"):
