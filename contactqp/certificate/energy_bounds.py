@@ -13,8 +13,9 @@ at most. So, of all solutions within a distance R of U, unknown by unknown, J* a
 
     J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 8 w,    w = |L|'|c| + |N|'|t| + sum_j min(|r_j| R_j, r_j^2 / d_j).
 
-R is REACH times the size of the answer: the residuals of extended precision are so small that w stays far beneath any
-tolerance all the same. An answer u is |u - U|_K + sqrt(8 w) away from u* at most, in the part of it that K sees; and
+R is REACH times the size of the answer, or the way that contacts and ties of unknown j alone leave it in the direction
+of r_j: the residuals of extended precision are so small that w stays far beneath any tolerance all the same. An answer
+u is |u - U|_K + sqrt(8 w) away from u* at most, in the part of it that K sees; and
 
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w    up to what it penetrates or leaves of ties,
 
@@ -40,13 +41,22 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import settled
 from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, factors_of_saddle, rows_alone, uniqueness
+from contactqp.linalg.sparse_saddle import (
+    ClosedState,
+    Effort,
+    bounds_of_unknowns,
+    factors_of_saddle,
+    rows_alone,
+    uniqueness,
+)
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
 
 # Solutions are looked for within so many times the size of the answer.
 REACH = 1e3
+# A bound of an unknown is a quotient of doubles, which rounds it by at most this part of itself.
+ROUNDED_BOUND = float(np.finfo(float).eps)
 # Diagonals exceed the sum of the other entries where they do so by more than rounding.
 DOMINANT = 1e-12
 # Energies and forces that lengths rounded to this part of themselves would have are none, nor what such forces do
@@ -192,10 +202,23 @@ def _width(state: ClosedState) -> float:
     answer = state.answer.double()
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
-    reach = REACH * (abs(answer.displacement) + np.max(abs(answer.displacement), initial=0.0))
-    residual, dominance = abs(state.left.force.double()), diagonal_dominance(state.problem)
-    resisted = np.divide(residual, dominance, out=np.full(len(reach), np.inf), where=dominance > 0)
-    return float(contacts + ties + residual @ np.minimum(reach, resisted))
+    left, dominance = state.left.force.double(), diagonal_dominance(state.problem)
+    farthest, residual = reach(state.problem, answer.displacement, left), abs(left)
+    resisted = np.divide(residual, dominance, out=np.full(len(farthest), np.inf), where=dominance > 0)
+    return float(contacts + ties + residual @ np.minimum(farthest, resisted))
+
+
+def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Vector:
+    """Return R (n,), how far each unknown may go on from U in the direction in which a residual drives it [length].
+
+    Contacts and ties of one unknown alone say how far; where there are none it is REACH times the size of the answer.
+    """
+    farthest = REACH * (abs(displacement) + np.max(abs(displacement), initial=0.0))
+    lower, upper = bounds_of_unknowns(problem)
+    left = np.where(residual > 0, upper - displacement, displacement - lower)
+    rounding = ROUNDED_BOUND * np.where(residual > 0, abs(upper), abs(lower))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.minimum(farthest, np.maximum(left, 0.0) + rounding))
 
 
 def diagonal_dominance(problem: ContactProblem) -> Vector:

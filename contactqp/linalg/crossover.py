@@ -14,7 +14,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, nearest_state, solved_on
+from contactqp.linalg.runtime import refuse_late
+from contactqp.linalg.sparse_saddle import (
+    BALANCED,
+    ClosedState,
+    Effort,
+    nearest_state,
+    solved_on,
+    with_right_signs,
+)
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 
@@ -26,6 +34,8 @@ MET_TOGETHER = 1e-20
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
 SECONDS = 20.0
+# Forces of so many times what is unbalanced stay; and how often what remains is balanced anew.
+LARGE_FORCE, ROUNDS = 1e6, 6
 
 
 def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
@@ -95,6 +105,63 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     of_ties = -size * found.eqlin.marginals if problem.ties else np.zeros(0)
     start = ExtendedAnswer(answer.displacement + extend(length * found.x), extend(force), extend(of_ties))
     return nearest_state(problem, closed, start, effort)
+
+
+def refined(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return a state in which contacts carry what the forces of a state leave unbalanced, if there is one.
+
+    Forces far beneath the largest decide which contacts close at a degenerate vertex, and neither an interior point nor
+    a linear program in the units of the problem tells them from nothing. In units d of the residual
+    r = f - K u - E'l - A'nu and D of a length, the change v of u solves
+
+        minimise  -(r + E_w' l_w)' v / d    subject to    E_s v = (g - E u)_s / D,    E_w v <= (g - E u)_w / D,
+                                                          A v = (b - A u) / D,    |v_j| <= FARTHEST, d / (D K_jj)
+
+    s being the contacts whose forces are large beside d, w the others, whose forces the multipliers replace.
+    """
+    problem = state.problem
+    for _ in range(ROUNDS):
+        if state.holds and state.force_residual <= BALANCED:
+            break
+        refuse_late("a vertex was found")
+        force, length = state.left.force.double(), state.length / FARTHEST
+        size = float(np.max(abs(force)))
+        start = _vertex_in_units(state, size, length) if size > 0 else None
+        if start is None:
+            break
+        closed = start.normal_force.double() > 0
+        after = with_right_signs(solved_on(problem, closed, start, effort), effort)
+        if not after.holds or (state.holds and not after.better_than(state)):
+            break
+        state = after
+    return state
+
+
+def _vertex_in_units(state: ClosedState, size: float, length: float) -> ExtendedAnswer | None:
+    """Return the answer that the linear program of `refined` leads to in units of a force and a length."""
+    problem, answer = state.problem, state.answer
+    carried, gap = answer.normal_force.double(), state.left.gap.double() / length
+    large = carried > LARGE_FORCE * size
+    kept, others = np.flatnonzero(large), np.flatnonzero(~large)
+    cost = -state.left.force.double() / size - problem.normal[others].T @ (carried[others] / size)
+    equal = sp.vstack([problem.normal[kept], problem.tie], format="csr")
+    yields = size / length / np.where(problem.diagonal > 0, problem.diagonal, np.finfo(float).tiny)
+    farthest = np.minimum(FARTHEST, yields)
+    found = _solved(
+        cost,
+        **_given("ub", problem.normal[others], gap[others]),
+        **_given("eq", equal, np.concatenate([gap[kept], state.left.tie.double() / length])),
+        bounds=np.column_stack([-farthest, farthest]),
+    )
+    if found is None:
+        return None
+    change, tie = np.zeros(problem.contacts), -size * found.eqlin.marginals if equal.shape[0] else np.zeros(0)
+    change[others] = -size * found.ineqlin.marginals - carried[others] if len(others) else 0.0
+    change[kept] = tie[: len(kept)]
+    force = (answer.normal_force + extend(change)).positive_part()
+    return ExtendedAnswer(
+        answer.displacement + extend(length * found.x), force, answer.tie_force + extend(tie[len(kept) :])
+    )
 
 
 def _carried(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:

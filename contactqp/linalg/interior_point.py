@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.crossover import vertex_near, with_least_forces, without_conflict
+from contactqp.linalg.crossover import refined, vertex_near, with_least_forces, without_conflict
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, factorised, nearest_state
@@ -109,8 +109,8 @@ def _off(problem: ContactProblem, answer: Answer) -> float:
 
 
 def solved_from(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
-    """Return `settled`, at a vertex where closed contacts conflict, with least forces where they press each other."""
-    state = without_conflict(settled(problem, answer, effort, driven), effort)
+    """Return `settled` and `refined`, at a vertex where contacts conflict, with least forces where they press."""
+    state = without_conflict(refined(settled(problem, answer, effort, driven), effort), effort)
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     acting = max(acting, float(np.max(problem.load_size, initial=0.0)))
     if state.holds and state.force > PRESSED * acting:

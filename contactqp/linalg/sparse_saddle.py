@@ -174,6 +174,18 @@ def rows_alone(rows: Any) -> tuple[Indices, Indices]:
     return single[alone], unknown[alone].astype(np.intp)
 
 
+def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
+    """Return the least and the largest value (n,) that contacts and ties of one unknown alone leave each [length]."""
+    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
+    for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
+        single = np.flatnonzero(np.diff(rows.indptr) == 1)
+        unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
+        value = limit[single] / entry
+        np.minimum.at(upper, unknown[(entry > 0) | both], value[(entry > 0) | both])
+        np.maximum.at(lower, unknown[(entry < 0) | both], value[(entry < 0) | both])
+    return lower, upper
+
+
 def factorised(
     matrix: Any, kind: int, order: pardiso.EliminationOrder, unknowns: Indices
 ) -> Callable[[Vector], Vector]:
@@ -392,7 +404,16 @@ def nearest_state(
     state = solved_on(problem, closed, start, effort)
     if driven and not state.solved and state.force_residual <= NEARLY_BALANCED:
         state = _blocked(ClosedState.of(problem, closed, start), state, effort)
-    fewest, wasted = np.inf, 0
+    state = with_right_signs(state, effort)
+    if state.holds and state.force_residual > BALANCED:
+        blocked = _blocked(state, state, effort)
+        return blocked if blocked.holds and blocked.better_than(state) else state
+    return state
+
+
+def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state that a solved one leads to where contacts in tension open and penetrated ones close."""
+    problem, fewest, wasted = state.problem, np.inf, 0
     while state.solved and not state.holds:
         pulled, penetrated = state.pulled, state.penetrated
         wrong = int(np.sum(pulled) + np.sum(penetrated))
@@ -402,9 +423,6 @@ def nearest_state(
         fewest = min(fewest, wrong)
         after = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
         state = after if after.solved else _blocked(state, after, effort)
-    if state.holds and state.force_residual > BALANCED:
-        blocked = _blocked(state, state, effort)
-        return blocked if blocked.holds and blocked.better_than(state) else state
     return state
 
 

@@ -24,6 +24,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.existence import Conflict
+from contactqp.linalg.sparse_saddle import bounds_of_unknowns
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work
@@ -105,7 +106,7 @@ def _factor(values: Vector, others: Vector) -> Fraction | None:
 def never_close(problem: ContactProblem) -> Indices:
     """The contacts of several unknowns that cannot close, as far as bounds of single unknowns tell."""
     E = problem.normal
-    lower, upper = _bounds(problem)
+    lower, upper = bounds_of_unknowns(problem)
     with np.errstate(invalid="ignore"):  # 0 times infinity does not occur: entries of zero are not stored
         farthest = np.where(E.data > 0, E.data * upper[E.indices], E.data * lower[E.indices])
     lengths, filled = np.diff(E.indptr), np.flatnonzero(np.diff(E.indptr) > 1)
@@ -117,18 +118,6 @@ def never_close(problem: ContactProblem) -> Indices:
     sizes[filled] = np.asarray(abs(sums).sum(axis=1)).ravel()[filled]
     rounding = (lengths + ROUNDINGS) * np.finfo(float).eps * sizes
     return np.flatnonzero((lengths > 1) & np.isfinite(totals) & (totals + rounding < problem.gap))
-
-
-def _bounds(problem: ContactProblem) -> tuple[Vector, Vector]:
-    """(n,), (n,) the least and the largest value that contacts and ties of one unknown leave each."""
-    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
-    for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
-        single = np.flatnonzero(np.diff(rows.indptr) == 1)
-        unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
-        value = limit[single] / entry
-        np.minimum.at(upper, unknown[(entry > 0) | both], value[(entry > 0) | both])
-        np.maximum.at(lower, unknown[(entry < 0) | both], value[(entry < 0) | both])
-    return lower, upper
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate.energy_bounds import diagonal_dominance, energy_bounds
+from contactqp.certificate.energy_bounds import REACH, diagonal_dominance, energy_bounds, reach
 from contactqp.model.solution import Answer
 
 
@@ -133,3 +133,13 @@ def test_where_nothing_is_strained_and_not_all_is_seen_the_error_is_relative_to_
     assert found.by_energy
     assert found.energy_error is not None
     assert 2e-3 * length / np.sqrt(12.0 * length) <= found.energy_error <= 2.01e-3 * length / np.sqrt(12.0 * length)
+
+
+def test_bounds_of_an_unknown_end_what_a_residual_may_gain() -> None:
+    """-2 <= x <= 6, y >= -1, z free, 2 w = 8: towards a bound as far as that, away from all of them REACH."""
+    size, limits = 4, dict(ub=np.array([6.0, np.inf, np.inf, np.inf]), lb=np.array([-2.0, -1.0, -np.inf, -np.inf]))
+    problem = cq.ContactProblem.from_qp(np.zeros((size, size)), np.zeros(size), A=[[0, 0, 0, 2.0]], b=[8.0], **limits)
+    u, far = np.array([5.0, 0.0, 10.0, 4.0]), REACH * np.array([15.0, 10.0, 20.0, 14.0])
+    assert reach(problem, u, np.ones(size)) == pytest.approx([1.0, far[1], far[2], 0.0], abs=1e-14)
+    assert reach(problem, u, -np.ones(size)) == pytest.approx([7.0, 1.0, far[2], 0.0], abs=1e-14)
+    assert np.all(reach(problem, u + 10.0, np.ones(size)) >= 0.0)
