@@ -17,7 +17,8 @@ import flint
 import numpy as np
 from flint import arb, arb_mat, fmpq_mat
 
-from contactqp.linalg.rational import column, floats, matrix, solve_any, stack, take
+from contactqp.linalg.equilibration import Scaling, equilibrated, mostly_bare
+from contactqp.linalg.rational import column, floats, matrix, number, solve_any, stack, take
 from contactqp.oracle.exact.rational_problem import RationalProblem, Reduced, of_floats, reduce_problem
 
 # Bits for norms of rational vectors: their cancellation costs at most twice the digits of the condition number.
@@ -34,15 +35,16 @@ class Errors:
     """How far an answer is from the truth, in the norms of the certificate."""
 
     energy: float  # |u - u*|_K / |u*|_K
-    force: float  # |l - l*|_W / |l*|_W
+    force: float  # |l - l*|_W / |l*|_W; of a program |l - l*| over |(l*, nu*)|, equilibrated, where these are unique
     readings: dict[str, tuple[float, ...]]  # "energy_error", "force_error": what a bound of it may mean
     contact: np.ndarray | None  # (m,) |l_i - l_i*|, None where the forces are not unique
     blurred: float = 0.0  # what the rounding of K along rigid motions makes of an error, relative
     rounding: float = 0.0  # one rounding of every displacement, in the energy norm, relative to |u*|_K
+    cost: float = 0.0  # of a program |J(u) - J(u*)| over the larger term of J(u*)
 
     @property
     def worst(self) -> float:
-        return max(self.energy, self.force)
+        return max(self.energy, self.force, self.cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,7 @@ class Truth:
     pivots: int  # 0 where a guess was right
     reduced: Reduced
     projected: bool  # K is singular to rounding, and was made so exactly
+    program: Scaling | None  # the units in which forces are compared where K sees nothing of many unknowns that act
     condition: float  # kappa(K), see `condition`
 
     def _rounding(self, displacement: np.ndarray) -> float:
@@ -124,6 +127,8 @@ class Truth:
         rounding = self._rounding(displacement)
         du = column(displacement) - self.displacement
         dl = column(force) - self.force
+        if self.program is not None:
+            return self._errors_of_program(self.program, du, dl, rounding)
         energy, pushed = _norm(self.stiffness, du), _norm(self.compliance, dl)
         scales = [self.size if tiny else size for tiny, size in zip(self.tiny, self._sizes, strict=True)]
         # Where ties may take a part of what contacts push with, forces are compared by what the tied bodies feel.
@@ -140,6 +145,24 @@ class Truth:
         sizes = _ratio(energy, scales[0]), _ratio(pushed, scales[1])
         # The rounding of K along rigid motions has the same size.
         return Errors(*sizes, readings, contact, rounding if self.projected else 0.0, rounding)
+
+    def _errors_of_program(self, units: Scaling, du: fmpq_mat, dl: fmpq_mat, rounding: float) -> Errors:
+        """The errors where K alone is no measure: a linear program's answer is right or wrong by its energy."""
+        data, u = self.reduced.data, self.displacement
+        missing = data.f - data.K * u  # J(u* + d) - J(u*) = d'K d / 2 - d'(f - K u*)
+        change = (du.transpose() * (data.K * du))[0, 0] / 2 - (du.transpose() * missing)[0, 0]
+        terms = max(self.work**2, self._sizes[0] ** 2) / 2
+        energy = _norm(self.stiffness, du)
+        readings: dict[str, tuple[float, ...]] = {"energy_error": self._readings(energy, 0, [])}
+        pushed = 0.0
+        if self.unique_forces:
+            factors, ties = units.contacts / units.force, units.ties / units.force
+            largest = float(np.linalg.norm(np.concatenate([floats(self.force) * factors, self.tie_force * ties])))
+            pushed = _ratio(float(np.linalg.norm(floats(dl) * factors)), largest)
+            readings["force_error"] = (pushed,)
+        strain = _ratio(energy, max(self._sizes[0], self.work))
+        contact = abs(floats(dl)) if self.unique_forces else None
+        return Errors(strain, pushed, readings, contact, 0.0, rounding, _ratio(abs(number(change)), terms))
 
     def _readings(self, error: float, which: int, others: list[float]) -> tuple[float, ...]:
         """The least that a bound must exceed, and the largest that it may be compared with.
@@ -254,6 +277,7 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
         pivots=pivots,
         reduced=reduced,
         projected=matrix(problem.stiffness) != data.K,
+        program=equilibrated(problem)[1] if mostly_bare(problem) else None,
         condition=condition(problem, data.K.nrows() - data.K.rank()),
     )
 

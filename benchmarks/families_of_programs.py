@@ -76,3 +76,28 @@ def linear_programs(rng: Generator) -> ContactProblem:
     return ContactProblem(
         np.zeros((size, size)), -cost, -np.eye(size), np.zeros(size), tie=rows, tie_value=rows @ carried
     )
+
+
+@member(well_posed=False)
+def staged_programs(rng: Generator) -> ContactProblem:
+    """Goods carried through stages for costs of which some are 1e-9 of the others and a few quadratic: degenerate."""
+    stages, width = int(rng.integers(3, 5)), int(rng.integers(2, 4))
+    size = stages * width * width
+    cost = rng.integers(0, 5, size).astype(float)
+    cost[rng.random(size) < 0.15] = 1e-9 * rng.integers(1, 5)
+    out, into = np.kron(np.eye(width), np.ones(width)), np.kron(np.ones(width), np.eye(width))
+    nothing = np.zeros((width, size))
+    rows = np.vstack([np.kron(np.eye(stages), out), nothing]) - np.vstack([nothing, np.kron(np.eye(stages), into)])
+    balance = np.concatenate([np.ones(width), np.zeros((stages - 1) * width), -np.ones(width)])
+    stated = len(rows) - int(rng.integers(0, 2))  # the last row follows from the others
+    energy = np.zeros(size)
+    energy[rng.choice(size, int(rng.integers(0, 5)), replace=False)] = float(rng.choice([1.0, 2.0, 10.0]))
+    unit = 2.0 ** rng.integers(-10, 11)  # of force
+    return ContactProblem(
+        unit * np.diag(energy),
+        -unit * cost,
+        -np.eye(size),
+        np.zeros(size),
+        tie=rows[:stated],
+        tie_value=balance[:stated],
+    )

@@ -201,11 +201,13 @@ def _raw_is_wrong(
 def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterator[Bounded]:
     """The certificate's bounds with the true errors they are to exceed; a tiny truth may be meant absolutely.
 
-    Where only the energy is determined and nothing is strained, `energy_error` is relative to the work of the load.
+    Where only the energy is determined, or of a program, and nothing is strained, `energy_error` is relative to the
+    work of the load.
     """
     slack = SLACK + BLUR * truth.condition * errors.blurred
     for figure, readings in errors.readings.items():
-        if figure == "energy_error" and certificate.determined == "energy" and truth.tiny[0]:
+        by_energy = certificate.determined == "energy" or truth.program is not None
+        if figure == "energy_error" and by_energy and truth.tiny[0]:
             readings = (*readings, readings[-1] / truth.work) if truth.work > 0 else ()
         if readings and (bound := getattr(certificate, figure)) is not None:
             rounding = errors.rounding if figure == "energy_error" else EPS
