@@ -67,9 +67,9 @@ def impact(
     problem : ContactProblem
         K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
     mass : (n, n) matrix or (n,) diagonal [force time^2 / length]
-        M, symmetric positive semidefinite; singular only where the scheme allows it.
+        M, symmetric positive semidefinite; singular only where the scheme allows it. That of bodies is `system.mass()`.
     displacement, velocity : (n,) arrays
-        u and v at the start, within the constraints.
+        u and v at the start, within the constraints. Of a single unknown these and the mass may be numbers.
     duration, time_step : float
         The motion has ceil(duration / time_step) steps, at least one: the step is no longer than the duration.
     scheme : str
@@ -157,7 +157,10 @@ def impact(
             **options,
         )
     n = problem.dimension
-    u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
+    u, v = (
+        read_vector(name, np.full(1, value) if n == 1 and is_number(value) else value, n)
+        for name, value in (("displacement", displacement), ("velocity", velocity))
+    )
     _refuse_start(problem, u, v)
     if not find_method(method).exact:
         raise Unsupported(f"{method}: approximate by design; contact springs are the scheme 'penalty'")

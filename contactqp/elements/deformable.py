@@ -49,6 +49,12 @@ class Deformable(Protocol):
         """Return the Hessian of the energy (n, n), sparse or dense, symmetric [force / length]."""
 
 
+def unknown_names_of(body: Deformable) -> tuple[str, ...] | None:
+    """Return the names of a body's unknowns; None of one that has no `unknown_names`."""
+    named = getattr(body, "unknown_names", None)
+    return None if named is None else named()
+
+
 @dataclass(frozen=True, eq=False)
 class ContactState:
     """The contacts at one displacement; to first order E_N (u_new - u) <= gap and slip E_T (u_new - u).
@@ -148,6 +154,11 @@ class Supported(ReadOnly):
     def dimension(self) -> int:
         """Return the number of free unknowns."""
         return len(self.free)
+
+    def unknown_names(self) -> tuple[str, ...] | None:
+        """Return the names of the free unknowns, where the body has such."""
+        names = unknown_names_of(self.body)
+        return None if names is None else tuple(names[j] for j in self.free.tolist())
 
     def expand(self, displacement: ArrayLike) -> Vector:
         """Return the u of the body from that of the free unknowns."""

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements.reference_elements import Block, batches, sum_at_nodes
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
+from contactqp.elements.structure import Structure
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
@@ -192,6 +193,10 @@ class NonlinearSolid:
             raise InvalidProblem(
                 f"{name}: large strains have no form for the model {model!r} with the law {self.law!r}"
             )
+
+    def unknown_names(self) -> tuple[str, ...]:
+        """Return ``"block node 12 x"`` for each unknown."""
+        return Structure([self.body]).unknown_names()
 
     @property
     def dimension(self) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.loads import Field, Load, field_values, node_numbers
+from contactqp.elements.loads import Field, Load, field_values, node_numbers, solid_mass
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.scalars import real_vector
@@ -122,6 +122,17 @@ class Structure:
     def surface(self, body: str, side: str) -> Surface:
         """Return a side of a body, numbered in the u of the structure."""
         return self.solid(body).surface(side, first=self.first(body))
+
+    def mass(self, lumped: bool = False) -> Any:
+        """Return M of all unknowns, (n, n) CSR [force time^2 / length], consistent or lumped onto the nodes.
+
+        Raises
+        ------
+        InvalidProblem
+            A material without density, a membrane.
+        """
+        parts = [solid_mass(self.solid(body.name), lumped) for body in self.bodies]
+        return sp.csr_array(sp.block_diag(parts, format="csr"))
 
     def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
@@ -253,6 +264,13 @@ class System:
     def f(self) -> Vector:
         """Return their loads, f_free - K_free,prescribed u_prescribed [force]."""
         return np.asarray((self.load - self.structure.stiffness @ self.given)[self.free])
+
+    def mass(self, lumped: bool = False) -> Any:
+        """Return M of the free unknowns, CSR [force time^2 / length], as `impact` takes it.
+
+        Consistent or lumped onto the nodes, from the densities of the materials; InvalidProblem where one has none.
+        """
+        return self.structure.mass(lumped)[self.free][:, self.free]
 
     def expand(self, displacement: ArrayLike) -> Vector:
         """Return the u of all unknowns from that of the free ones."""

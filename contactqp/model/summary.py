@@ -284,7 +284,7 @@ def history_table(
     exact: bool = False,
     time_label: str = "time",
 ) -> str:
-    """Return instants of a history with the states and largest forces of their contacts, and its events.
+    """Return instants of a history with states, largest forces and smallest gaps of their contacts, and its events.
 
     Of many instants some are shown, evenly chosen, and that of the largest force. Where events are not `exact` they are
     told at the first instant that has them.
@@ -313,6 +313,12 @@ def history_table(
     if problem.frictional:
         columns.append(_named("max friction", problem.units.force))
     rows = tuple((number(times[k]), *_instant(solutions[k], states, noise)) for k in chosen.tolist())
+    table = Table("", tuple(columns), rows)
+    if not problem.frictional and problem.contacts:
+        gaps = [number(np.min(without_rounding(solutions[k]).gap)) for k in chosen.tolist()]
+        wide = tuple((*row, gap) for row, gap in zip(rows, gaps, strict=True))
+        wider = Table("", (*columns, _named("smallest gap", problem.units.length)), wide)
+        table = wider if max(map(len, wider.text().splitlines())) <= WIDTH else table
     told = events_together(events, problem.contact_name)
     lines = [f"{names} {kind} at {number(time)}" for kind, names, time, _ in told[:MOST_EVENTS]]
     if len(told) > MOST_EVENTS:
@@ -321,7 +327,7 @@ def history_table(
     title = f"{counted('instant', len(times))}{shown}; {counted('event', len(events))}"
     if events and not exact:
         lines.insert(0, "each event is told at the first instant that has it")
-    return "\n".join([Table(title, tuple(columns), rows).text(), *(f"  {line}" for line in lines)])
+    return "\n".join([replace(table, title=title).text(), *(f"  {line}" for line in lines)])
 
 
 def _instant(solution: Any, states: Sequence[str], noise: float) -> list[str]:

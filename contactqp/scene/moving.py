@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.impact import OWN_ARGUMENTS, impact
 from contactqp.analysis.motion.motion_history import MotionHistory
-from contactqp.elements.loads import solid_mass
 from contactqp.elements.scalars import Number
 from contactqp.errors import InvalidProblem, NotConverged, SceneError, Unsupported
 from contactqp.model.arrays import Vector
@@ -36,8 +35,7 @@ def mass_on_all(model: Model) -> Any:
     if not isinstance(model, NodeModel):
         motion = model.scene.motion
         lumped = motion is not None and motion.mass == "lumped"
-        parts = [solid_mass(model.structure.solid(body.name), lumped) for body in model.structure.bodies]
-        return sp.csr_array(sp.block_diag(parts, format="csr"))
+        return model.structure.mass(lumped)
     place = model.exact.unknowns.place
     matrix = sp.lil_array((len(place), len(place)))
     for (i, j), entry in exact_mass(model.scene).items():

@@ -298,3 +298,32 @@ def test_the_force_of_an_impact_is_said_to_be_an_impulse_over_a_step(scheme: str
     moved = cq.impact(rod, np.ones(n), np.zeros(n), np.full(n, -1.0), 0.2, 2e-3, scheme)
     assert np.max(moved.normal_forces) > 0
     assert ("is an impulse over one step" in " ".join(str(moved).split())) is said
+
+
+def test_a_single_mass_takes_numbers_and_its_table_says_how_far_away_it_is() -> None:
+    drop = cq.ContactProblem([[0.0]], [-9.81], [[-1.0]], [1.0], units={"length": "m", "force": "N"})
+    fall = cq.impact(drop, 1.0, 0.0, 0.0, duration=0.4, time_step=0.1)
+    assert (
+        str(fall).splitlines()[1].split() == "time [as time_step] closed largest force [N] at smallest gap [m]".split()
+    )
+    assert np.allclose(fall.displacements[:, 0], -9.81 * fall.times * (fall.times + 0.1) / 2)
+    assert str(fall).splitlines()[-1].split()[-1] == f"{1 + fall.displacements[-1, 0]:.6g}"
+
+
+def test_an_elastic_rod_hits_a_wall_with_the_mass_of_its_body() -> None:
+    """|v| sqrt(E rho) A = 300 until the wave is back, at 2 L / c = 2/3, as of the rod of springs and masses."""
+    mesh = cq.rectangle(10.0, 1.0, (40, 2), "quad4")
+    body = cq.Body(mesh, cq.Material(900.0, 0.0, density=1.0), "plane-stress", name="rod")
+    structure = cq.Structure([body])
+    system = structure.assemble([])
+    wall = cq.pair(structure.surface("rod", "left"), cq.Plane([-0.1, 0.0], [1.0, 0.0]))
+    start = np.zeros(len(system.free))
+    speed = np.tile([-10.0, 0.0], len(mesh.points))
+    rod = cq.impact(
+        system.problem([wall]), system.mass(), start, speed, duration=0.5, time_step=0.005, scheme="modified-mass"
+    )
+    assert speed @ (system.mass() @ speed) == pytest.approx(1000.0)
+    assert np.median(rod.normal_forces.sum(axis=1)[5:]) == pytest.approx(300.0, rel=0.02)
+    light = cq.Structure([cq.Body(mesh, cq.Material(900.0, 0.0), "plane-stress", name="light")])
+    with pytest.raises(cq.InvalidProblem, match="light: a mass needs a density"):
+        light.mass()

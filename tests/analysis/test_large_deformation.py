@@ -419,3 +419,16 @@ def test_a_body_that_nothing_holds_is_told_so():
     loose = cq.NonlinearTruss([[-1, 0], [0, 0.2], [1, 0]], [[0, 1], [1, 2]], modulus=100.0, area=1.0)
     with pytest.raises(NotConverged, match="its load may drive a motion that nothing holds"):
         cq.large_deformation(loose, [[0, -1.0, 0, 0, 0, 0]], max_iter=12)
+
+
+def test_unknowns_of_a_solid_have_the_names_of_its_nodes() -> None:
+    mesh = cq.rectangle(2.0, 1.0, (2, 1))
+    block = cq.Body(mesh, cq.Material(1.0, 0.3), "plane-strain", name="block")
+    held = [*range(4), 4, 5]
+    solid = cq.Supported(cq.NonlinearSolid(block, "neo-hookean"), held=held)
+    load = np.zeros(solid.dimension)
+    load[-1] = -0.01
+    bent = cq.large_deformation(solid, [load], steps=1)[-1]
+    assert bent.problem.dof_names is not None
+    assert bent.problem.dof_names[0] == "block node 3 x"
+    assert bent.at("block node 5 y") == bent.displacement[-1]

@@ -153,7 +153,7 @@ def test_the_noise_of_forces_is_zero_in_the_table_of_a_history() -> None:
     forces = np.array([0.0, 7e-17, 30.0])[:, None]
     noisy = [replace(history[0], normal_force=force) for force in forces]
     lines = history_table(np.arange(3.0), noisy, forces, ()).splitlines()
-    assert [line.split()[2:] for line in lines[2:]] == [["0"], ["0"], ["30", "floor"]]
+    assert [line.split()[2:] for line in lines[2:]] == [["0", "0.001"], ["0", "0.001"], ["30", "floor", "0.001"]]
 
 
 def test_numbers_are_had_by_name() -> None:
@@ -183,8 +183,8 @@ def test_a_history_prints_its_instants_and_events() -> None:
     history = cq.follow_path(TRUSS, [TRUSS.load], events="exact")
     lines = str(history).splitlines()
     assert lines[0] == f"{len(history)} instants; 1 event"
-    assert lines[1].split() == ["time", "[legs]", "closed", "largest", "force", "[kN]", "at"]
-    assert lines[-2].split() == ["1", "1", "30.255", "floor"]
+    assert lines[1] == "  time [legs]  closed  largest force [kN]     at  smallest gap [m]"
+    assert lines[-2].split() == ["1", "1", "30.255", "floor", "0"]
     assert lines[-1].startswith("  floor closed at 0.7")
 
 

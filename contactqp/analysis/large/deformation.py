@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History, contact_changes
-from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
+from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, unknown_names_of
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -87,6 +87,11 @@ class LoadedBody:
         """Return the number of contacts m."""
         return 0 if self.contact is None else self.contact.contacts
 
+    @cached_property
+    def unknown_names(self) -> tuple[str, ...] | None:
+        """Return the names of the unknowns, where the body has such."""
+        return unknown_names_of(self.body)
+
     def at(self, u: Vector) -> Instant:
         """Return the body at a displacement; InvalidProblem where it cannot be, or where a contact has lost its
         pair.
@@ -146,6 +151,7 @@ class LoadedBody:
             gap=now.contact.gap,
             tie=self.tie,
             tie_value=tie_value - self.tie @ now.displacement,
+            dof_names=self.unknown_names,
             **tangential,
         )
 

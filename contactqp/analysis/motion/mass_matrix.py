@@ -29,7 +29,7 @@ DENSE_SIZE = 200
 
 
 def read_mass(mass: Any, n: int) -> Any:
-    """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one.
+    """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one; a number for n = 1.
 
     Raises
     ------
@@ -38,6 +38,7 @@ def read_mass(mass: Any, n: int) -> Any:
         unknown that has none.
     """
     values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
+    values = values.reshape(1) if values.ndim == 0 and n == 1 else values
     if values.ndim not in (1, 2):
         raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {mass!r}")
     M = sp.csr_matrix(sp.diags(values) if values.ndim == 1 else values)
