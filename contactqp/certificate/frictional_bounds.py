@@ -52,20 +52,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
-from contactqp.certificate.critical_friction import critical, too_many
+from contactqp.certificate.critical_friction import MOST_CONTACTS, MOST_UNKNOWNS, critical, of_operator, too_many
 from contactqp.certificate.energy_norm import PIVOTS_FLATTER, energy_norm, response
 from contactqp.certificate.state_answer import Compared
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import ContactCompliance, contact_compliance
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.delassus import (
+    ContactCompliance,
+    ContactOperators,
+    RefinedForces,
+    contact_compliance,
+    refined_forces,
+)
+from contactqp.linalg.extended import EPS, extend, extended_rows
 from contactqp.linalg.measures import own_compliance
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths, onto_discs
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
 # Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
 TOO_ROUNDED = 1e-2
+# Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
+SYMMETRIC = 1e-15
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
 UNMET = 1e-22
 FLOATS = "a body is held by contacts alone"
@@ -81,15 +90,17 @@ class _Norms:
     normal_force: Vector
     tangential_force: Vector
     force: Vector  # of the whole vector
-    slip: Vector  # of (W d)_T; of (W d)_N it is one
+    gap: Vector  # of (W d)_N
+    slip: Vector  # of (W d)_T
 
     allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
 
     @staticmethod
-    def of(compliance: ContactCompliance, condensation: Condensation, acting: Mask) -> _Norms | None:
+    def of(compliance: ContactOperators, lost_digits: float, acting: Mask) -> _Norms | None:
         """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
 
-        None where these rows depend on one another, or so nearly that rounding leaves nothing of their inverse.
+        None where these rows depend on one another, or so nearly that rounding, of which W has `lost_digits`, leaves
+        nothing of their inverse.
         """
         contacts, d = acting.shape
         rows = np.flatnonzero(acting)
@@ -99,7 +110,7 @@ class _Norms:
         except np.linalg.LinAlgError:
             return None
         pivots = np.diag(factor) ** 2 / np.diag(operator)
-        rounding = max(condensation.lost_digits, len(pivots) * np.finfo(float).eps)
+        rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
         allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
         half = np.linalg.solve(factor, np.eye(len(factor)))
         if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
@@ -115,6 +126,7 @@ class _Norms:
             more * np.sqrt(own[:, 0, 0]),
             more * np.sqrt(_largest(own[:, 1:, 1:])),
             more * np.sqrt(_largest(own)),
+            more * np.sqrt(response_of[:, 0, 0]),
             more * np.sqrt(_largest(response_of[:, 1:, 1:])),
             allowance,
         )
@@ -157,11 +169,11 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     kappa = np.inf
     if not compliance.floats:
         every = np.ones((problem.contacts, len(compliance.W) // problem.contacts), dtype=bool)
-        norms = _Norms.of(compliance, condensation, every)
+        norms = _Norms.of(compliance, condensation.lost_digits, every)
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
-            error = _distance(problem, compared, refined, norms, kappa)
+            error = _distance(refined, norms, compared.status, _coefficient(problem, compared), kappa)
             return _bounds(problem, answer, compared, norms, compliance, error)
     return _proven_nearby(problem, condensation, answer, compared, refined, kappa)
 
@@ -184,13 +196,11 @@ def _proven_nearby(
         Not below one, so that there is no global statement.
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
-    width = len(compliance.W) // problem.contacts
-    closed, slides_or_sticks = compared.status != OPEN, (mu > 0)[:, None] & np.ones(width - 1, dtype=bool)
-    norms = _Norms.of(compliance, condensation, closed[:, None] & np.column_stack([closed, slides_or_sticks]))
+    norms = _Norms.of(compliance, condensation.lost_digits, _acting(compliance, compared.status, mu))
     if norms is None:
         return DEPENDENT
     others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
-    nearby = _kappa_nearby(compliance, compared, mu) * (1 + norms.allowance)
+    nearby = _kappa_nearby(compliance, compared.status, mu) * (1 + norms.allowance)
     if not nearby < 1:
         return f"{others}, nor others nearby ({nearby:.3g})"
     uncertain, apart = refined.correction, 0.0
@@ -206,6 +216,13 @@ def _proven_nearby(
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
 
 
+def _acting(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:
+    """Return the rows (m, d) on which forces may act while every contact keeps its state."""
+    rows = np.ones((len(mu), len(compliance.W) // len(mu)), dtype=bool)
+    rows[:, 1:] = (mu > 0)[:, None]
+    return np.asarray(rows & (status != OPEN)[:, None])
+
+
 def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: _Refined, mu: Vector) -> float:
     """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies."""
     closed, sticks = compared.status != OPEN, (compared.status == STICK) & (mu > 0)
@@ -216,15 +233,14 @@ def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: 
     return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
 
 
-def _kappa_nearby(compliance: ContactCompliance, compared: Compared, mu: Vector) -> float:
+def _kappa_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> float:
     """Return kappa for two answers with the same states, 0 in the plane; infinite where W has no inverse.
 
     Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
     slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
     of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
     """
-    status, m = compared.status, len(mu)
-    d = len(compliance.W) // m
+    m, d = len(mu), len(compliance.W) // len(mu)
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
     if d == 2 or not np.any(slides):
         return 0.0  # a linear system, whose refinement has settled
@@ -280,14 +296,14 @@ def _refined(
     )
 
 
-def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, norms: _Norms, kappa: float) -> float:
+def _distance(refined: _Refined, norms: _Norms, status: Status, mu: Vector, kappa: float) -> float:
     """Bound |d|_W from the refined forces to those of any equilibrium, by (5), and add |u - w|_K."""
-    status, more, mu = compared.status, refined.correction, _coefficient(problem, compared)
+    more = refined.correction
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
     held = np.where(closed, np.maximum(refined.normal, 0.0), 0.0)  # h_N
     tension = abs(refined.normal - held)
     gap = np.where(closed, abs(refined.gap), np.maximum(-refined.gap, 0.0))
-    gap = np.where(closed | (refined.gap < more), gap + more, 0.0)  # t
+    gap = np.where(closed | (refined.gap < more * norms.gap), gap + more * norms.gap, 0.0)  # t
     bound = mu * held
     moved = np.maximum(lengths(refined.slip) - more * norms.slip, 0.0)
     still = lengths(refined.slip) + more * norms.slip
@@ -304,7 +320,7 @@ def _distance(problem: ContactProblem, compared: Compared, refined: _Refined, no
     b = np.sum(
         norms.normal_force * (gap + mu * slip)
         + norms.tangential_force * slip
-        + tension * (1 + mu * norms.slip)
+        + tension * (norms.gap + mu * norms.slip)
         + off * norms.slip
     )
     c = np.sum(tension * (gap + mu * slip) + off * slip)
@@ -316,15 +332,20 @@ def _margin(refined: _Refined, norms: _Norms, status: Status, mu: Vector) -> flo
     """Return the least distance at which a contact can be in another state, in the norm that forces and slips have."""
     closed, rubs = status != OPEN, mu > 0
     sticks, slides = closed & (status == STICK) & rubs, (abs(status) == 1) & rubs
-    room = (mu * refined.normal - lengths(refined.friction))[sticks]
-    along = np.sum(status[:, None] * refined.slip, axis=1)[slides]  # in the plane
+    room = mu * refined.normal - lengths(refined.friction)
+    along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
     margins = (
-        refined.gap[~closed],
-        refined.normal[closed] / norms.normal_force[closed],
-        room / (mu * norms.normal_force + norms.tangential_force)[sticks],
-        along / norms.slip[slides],
+        _over(refined.gap, norms.gap)[~closed],
+        _over(refined.normal, norms.normal_force)[closed],
+        _over(room, mu * norms.normal_force + norms.tangential_force)[sticks],
+        _over(along, norms.slip)[slides],
     )
     return float(np.min(np.concatenate(margins), initial=np.inf))
+
+
+def _over(size: Vector, norm: Vector) -> Vector:
+    """Return size / norm, infinite where nothing changes the size."""
+    return np.divide(size, norm, out=np.full_like(size, np.inf), where=norm > 0)
 
 
 def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:
@@ -362,3 +383,103 @@ def _bounds(
         force_scale=size and compared.size,
         scope=GLOBALLY,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class LocalBounds:
+    """The bounds of forces of a local problem, and the equilibria that they hold for."""
+
+    force_error: float  # >= |r - r*|_W / |r*|_W, absolute where r* vanishes
+    force_bound: Vector  # (m,) >= |r_i - r_i*| [force]
+    scope: str
+    radius: float | None = None
+
+
+def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBounds | str:
+    """Return bounds of forces r (m, d) of a local problem that are taken to be in these states (m,), or why not.
+
+    W is that of the problem, the displacement of (1) any whose gaps and slips are u = W r + q. Where W is not symmetric
+    d'W d is that of its symmetric part.
+    """
+    if not problem.contacts:
+        return LocalBounds(0.0, np.zeros(0), GLOBALLY)
+    if problem.joints:
+        return "local problems with joints have none"
+    if len(problem.offset) > MOST_UNKNOWNS:
+        return f"{problem.contacts} contacts: too many for dense operators"
+    W, n, mu = problem.scaled_delassus.toarray(), len(problem.offset), problem.friction
+    compliance = ContactOperators((W + W.T) / 2, np.zeros((n, 0)), np.zeros((0, 0)), 1 / problem.contact_scale, 0)
+    found = refined_forces(problem, force, status)
+    if found is None:
+        return "no answer of its own states is near whose forces are unique"
+    refined, apart, last, size = _local_refined(problem, force, found)
+    skew = problem.scaled_asymmetry > SYMMETRIC
+    norms, kappa = _of_skew(compliance, W, mu) if skew else _of_all_rows(compliance, problem)
+    scope, radius = GLOBALLY, None
+    if norms is not None and kappa < 1:
+        error = _distance(refined, norms, status, mu, kappa)
+    else:
+        if skew and (norms is None or problem.dimension == 3):
+            return f"delassus is not symmetric, by {problem.scaled_asymmetry:.2g} (kappa = {kappa:.3g})"
+        norms = norms if skew else _Norms.of(compliance, 0.0, _acting(compliance, status, mu))
+        if norms is None:
+            return DEPENDENT
+        nearby = 0.0 if skew else _kappa_nearby(compliance, status, mu) * (1 + norms.allowance)
+        if not nearby < 1:
+            return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({nearby:.3g})"
+        error = (2 * last + refined.correction) / (1 - nearby)
+        scope, radius = LOCALLY, _margin(refined, norms, status, mu) - refined.correction - apart - error
+        if not radius > apart + error:
+            return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
+    known = size - error if size > error else 1.0
+    off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
+    return LocalBounds((apart + error) / known, off + error * norms.force / compliance.scale, scope, radius)
+
+
+def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[_Norms | None, float]:
+    """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
+    if problem.contacts > MOST_CONTACTS:
+        return None, np.inf
+    norms = _Norms.of(compliance, 0.0, np.ones((problem.contacts, problem.dimension), dtype=bool))
+    if norms is None:
+        return None, np.inf
+    kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa
+    return norms, kappa * (1 + norms.allowance)
+
+
+def _of_skew(compliance: ContactOperators, W: Array, mu: Vector) -> tuple[_Norms | None, float]:
+    """Return the same of an operator W that is not symmetric, by its symmetric part H.
+
+    |(Wd)_i| <= w_i |d|_H with w_i^2 the largest eigenvalue of (W H^-1 W')_ii, and for any c_i > 0
+
+        sum mu_i |d_N,i| |(Wd)_T,i| <= 1/2 sum mu_i (c_i d_N,i^2 + |(Wd)_T,i|^2 / c_i) <= kappa |d|_H^2.
+    """
+    m, d = len(mu), len(W) // len(mu)
+    norms = _Norms.of(compliance, 0.0, np.ones((m, d), dtype=bool))
+    if norms is None:
+        return None, np.inf
+    half = np.linalg.inv(np.linalg.cholesky(compliance.W))
+    felt, more = (W @ half.T).reshape(m, d, -1), 1 + norms.allowance
+    own = felt @ felt.swapaxes(1, 2)
+    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(_largest(own[:, 1:, 1:]))
+    weight = np.where(slip > 0, slip, 1.0) / norms.normal_force
+    pushed, slid = half.T.reshape(m, d, -1)[:, 0], felt[:, 1:].reshape(m * (d - 1), -1)
+    square = pushed.T @ ((mu * weight)[:, None] * pushed) + slid.T @ (np.repeat(mu / weight, d - 1)[:, None] * slid)
+    return replace(norms, gap=gap, slip=slip), more * float(np.linalg.eigvalsh(square)[-1]) / 2
+
+
+def _local_refined(problem: LocalProblem, force: Array, found: RefinedForces) -> tuple[_Refined, float, float, float]:
+    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
+    shape, scale = force.shape, problem.contact_scale[:, None]
+    W = problem.scaled_delassus
+
+    def norm(forces: Array) -> float:
+        scaled = (forces.reshape(shape) / scale).ravel()
+        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
+
+    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
+    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
+    correction = float(EPS * np.linalg.norm(meeting))
+    refined = _Refined(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
+    apart = norm((extend(force.ravel()) - found.force).double())
+    return refined, apart, norm(found.last), norm(found.force.double())

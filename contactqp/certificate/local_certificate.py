@@ -32,12 +32,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
+from contactqp.certificate.frictional_bounds import local_bounds
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
-from contactqp.model.coulomb import directions, lengths, natural_map
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, directions, lengths, natural_map
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
@@ -282,13 +283,36 @@ def certify_local(
     ------
     InvalidProblem
         Wrong shapes, or a tolerance that is no positive number. NaN is no error here: it fails.
+
+    Examples
+    --------
+    >>> one = LocalProblem(delassus=[[1.0, 0.0], [0.0, 1.0]], offset=[-3.0, 4.0], friction=0.5, dimension=2)
+    >>> found = certify_local(one, [3.0, -1.5])  # it slides, and pushes back with mu r_N
+    >>> found.passed, found.scope, bool(found.force_bound[0] < 1e-12)
+    (True, 'global', True)
     """
     certificate = judged(problem, force, joint_force, tolerance)
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
         return certificate
-    others = local_uniqueness(problem, *_Measured(problem, r, joint).state(tolerance))
-    return replace(certificate, uniqueness=others.findings, notes=others.notes)
+    closed, stuck, along = _Measured(problem, r, joint).state(tolerance)
+    others = local_uniqueness(problem, closed, stuck, along)
+    known = replace(certificate, uniqueness=others.findings, notes=others.notes)
+    if not known.passed:
+        return known
+    found = local_bounds(problem, r, _status(problem, closed, stuck, along))
+    if isinstance(found, str):
+        return replace(known, reasons=(f"force_error, force_bound: {found}",))
+    return replace(
+        known, force_error=found.force_error, force_bound=found.force_bound, scope=found.scope, radius=found.radius
+    )
+
+
+def _status(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array) -> Status:
+    """Return the states (m,) of contacts; in the plane the sign of the slip, against which they push."""
+    slides = np.where(along[:, 1] > 0, SLIP_BACK, SLIP_ON) if problem.dimension == 2 else SLIP_ON
+    sliding = np.where(problem.friction > 0, slides, SLIP_ON)
+    return np.asarray(np.where(closed, np.where(stuck, STICK, sliding), OPEN).astype(np.int8))
 
 
 def judged(
@@ -302,8 +326,8 @@ def judged(
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
         return _not_finite(problem, tolerance)
     measured = _Measured(problem, r, joint)
-    figures = {name: float(np.max(getattr(measured, name), initial=0.0)) for name in FIGURES}
-    errors = {
+    figures: dict[str, Any] = {name: float(np.max(getattr(measured, name), initial=0.0)) for name in FIGURES}
+    errors: dict[str, Any] = {
         "natural_map": scaled_natural_map(problem, r, joint),
         "siconos_error": siconos_local_error(problem, r, joint),
     }
@@ -443,10 +467,11 @@ def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
 def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
     infinite = float("inf")
     none = np.zeros(problem.contacts)
+    figures: dict[str, Any] = dict.fromkeys(FIGURES, infinite)
     return LocalCertificate(
         natural_map=infinite,
         siconos_error=infinite,
-        **dict.fromkeys(FIGURES, infinite),
+        **figures,
         failures=("force: it is not finite",),
         uniqueness=(),
         notes=(),

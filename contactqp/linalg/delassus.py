@@ -8,6 +8,14 @@ length), R the rows (N_i, T_i) of all contacts and C = [A; -Z'],
 for contact forces l in the order (l_N, l_T) of each contact and joints j: what holds the ties, and where the bodies
 are. Both rows of a contact are divided by sqrt(W_NN), so that coefficients of friction stay as they are and W_NN = 1.
 Where J is regular no body floats, and the joints are eliminated.
+
+A local problem has its W given. Forces of contacts that are in given states satisfy
+
+    u_N = 0, and u_T = 0 where a contact sticks, r_T = -mu r_N t where it slips, r = 0 where it is open,
+
+u = W r + q, t the direction of the slip: a linear system in the plane, in space Newton's method turns the directions,
+which are doubles: what they leave of the forces is the rounding of doubles. The system is refined in twice double
+precision (`refined_forces`).
 """
 
 from __future__ import annotations
@@ -15,51 +23,61 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
-from contactqp.model.arrays import Array, Vector
+from contactqp.linalg.extended import Extended, SparseRows, extend
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
 # Joints whose smallest singular value is less than this part of the largest leave a body floating.
 FLOATING = 1e-9
+# Sweeps of refinement at most, and the part of the forces that a last one may change.
+SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class ContactCompliance:
-    """The operators W, V, J of the contacts of one stiffness, for all loads, gaps and coefficients of friction."""
+class ContactOperators:
+    """The operators W, V, J of contacts and of the joints that are not eliminated."""
 
     W: Array  # (d m, d m)
     V: Array  # (d m, q), q = 0 where no body floats
     J: Array  # (q, q)
-    scale: Vector  # (m,) sqrt(W_NN) that rows and lengths are divided by
-    _rows: Array  # (d m, p) R, scaled
-    _joints: Array  # (k + z, p) C
-    _factor: DenseCholesky | None
-    _elimination: Array  # (d m, k + z - q): what eliminated joints take to the contacts
-    _unknown_scale: Vector
-    _ties: int
+    scale: Vector  # (m,) that rows and lengths are divided by, and forces multiplied by
+    ties: int  # the joints that are ties; the others are rigid motions
 
     @property
     def floats(self) -> bool:
         """Whether a body is held by contacts alone."""
         return len(self.J) > 0
 
-    @property
-    def ties(self) -> int:
-        """The joints that are ties; the others are rigid motions. None where no body floats."""
-        return self._ties if self.floats else 0
-
     def operator(self, rows: NDArray[np.intp], joints: int) -> Array:
         """Return [[W, V], [V', J]] on some contact rows and the first of the joints."""
         V = self.V[rows, :joints]
         return np.block([[self.W[np.ix_(rows, rows)], V], [V.T, self.J[:joints, :joints]]])
 
+
+@dataclass(frozen=True, eq=False)
+class ContactCompliance(ContactOperators):
+    """The operators of the contacts of one stiffness, for all loads, gaps and coefficients of friction.
+
+    The scale is sqrt(W_NN).
+    """
+
+    _rows: Array  # (d m, p) R, scaled
+    _joints: Array  # (k + z, p) C
+    _factor: DenseCholesky | None
+    _elimination: Array  # (d m, k + z - q): what eliminated joints take to the contacts
+    _unknown_scale: Vector
+
     def on_rigid_motions(self) -> tuple[Array, Array]:
         """Return R Z (d m, r) and A Z (k, r): how far contact rows and ties move with the rigid motions."""
-        Z = -self._joints[self._ties :].T
-        return self._rows @ Z, self._joints[: self._ties] @ Z
+        Z = -self._joints[self.ties :].T
+        return self._rows @ Z, self._joints[: self.ties] @ Z
 
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
         """Return R x (d m,) under a problem's load without contact forces, and the lengths that joints hold (q,)."""
@@ -110,7 +128,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
         elimination = V @ inverse
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
-    return ContactCompliance(W, V, J, size, R, C, factor, elimination, scale, len(tie))
+    return ContactCompliance(W, V, J, size, len(tie) if len(J) else 0, R, C, factor, elimination, scale)
 
 
 def _regular_inverse(J: Array, ties: int) -> Array | None:
@@ -130,3 +148,82 @@ def _diagonal(rows: Array, factor: DenseCholesky | None) -> Vector:
 def _lengths(rows: Array) -> NDArray[np.float64]:
     length = np.linalg.norm(rows, axis=1)
     return np.where(length > 0, length, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedForces:
+    """Forces in their states, the velocities that they lead to, and what the last sweep changed."""
+
+    force: Extended  # (d m,)
+    velocity: Extended  # (d m,)
+    last: Vector  # (d m,) [force]
+
+
+def refined_forces(problem: LocalProblem, force: Array, status: Status) -> RefinedForces | None:
+    """Return the forces in these states (m,) that are nearest to given ones (m, d), None where none settle."""
+    (m, d), closed = force.shape, status != OPEN
+    scale, rows, q = np.repeat(problem.contact_scale, d), SparseRows(problem.delassus), extend(problem.offset)
+    own = np.arange(m * d).reshape(m, d)[closed].ravel()
+    r, last = extend(np.where(closed[:, None], force, 0.0).ravel()), np.zeros(m * d)
+    before = np.inf
+    for _ in range(SWEEPS if len(own) else 0):
+        matrix, left = _equations(problem, status, r, (rows @ r + q).double())
+        try:
+            change = np.linalg.solve(matrix[np.ix_(own, own)], -left[own])
+        except np.linalg.LinAlgError:
+            return None
+        size, whole = float(np.linalg.norm(change)), float(np.linalg.norm(r.double() / scale))
+        if not np.isfinite(size):
+            return None
+        last = np.zeros(m * d)
+        last[own] = change * scale[own]
+        r = r + last
+        if size <= NEGLIGIBLE * whole or (size > 0.5 * before and size <= SETTLED * whole):
+            break
+        before = size
+    else:
+        if len(own):
+            return None
+    return RefinedForces(r, rows @ r + q, last)
+
+
+def _equations(problem: LocalProblem, status: Status, r: Extended, velocity: Vector) -> tuple[Array, Vector]:
+    """Return the derivatives (d m, d m) and what is left (d m,) of every contact's equations, all scaled."""
+    m, d = problem.contacts, problem.dimension
+    scale, mu = np.repeat(problem.contact_scale, d), problem.friction
+    left, matrix = scale * velocity, problem.scaled_delassus.toarray()
+    slip = left.reshape(m, d)[:, 1:]
+    along = _along(status, slip)
+    Q = _on_the_cone(along, mu)
+    missed = (SparseRows(Q) @ r).double() / scale
+    force = (r.double() / scale).reshape(m, d)
+    turning = np.divide(mu * force[:, 0], lengths(slip), out=np.zeros(m), where=(lengths(slip) > 0) & (d == 3))
+    across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
+    blocks = matrix.reshape(m, d, m * d)
+    for i in np.flatnonzero(_rubs_or_is_free(status, mu)):
+        rows = slice(i * d + 1, (i + 1) * d)
+        turned = turning[i] * across[i] @ blocks[i, 1:] if turning[i] else 0.0
+        matrix[rows] = Q[rows].toarray() + turned
+        left[rows] = missed[rows]
+    return matrix, left
+
+
+def _along(status: Status, slip: Array) -> Array:
+    """Return the directions of slip (m, d-1): in the plane those of the states."""
+    return status[:, None].astype(float) * np.ones((1, 1)) if slip.shape[1] == 1 else directions(slip)
+
+
+def _rubs_or_is_free(status: Status, mu: Vector) -> Mask:
+    """Return the closed contacts (m,) whose friction is known from their normal force."""
+    return np.asarray((status != OPEN) & ((status != STICK) | (mu == 0)))
+
+
+def _on_the_cone(along: Array, mu: Vector) -> sp.csr_array:
+    """Return the rows of r_T + mu r_N t (d m, d m); those of the normal forces are empty."""
+    m, width = along.shape
+    d = width + 1
+    tangent = (d * np.arange(m)[:, None] + np.arange(1, d)).ravel()
+    normal = np.repeat(d * np.arange(m), width)
+    values = np.concatenate([np.ones(m * width), (mu[:, None] * along).ravel()])
+    places = np.concatenate([tangent, tangent]), np.concatenate([tangent, normal])
+    return sp.csr_array((values, places), shape=(m * d, m * d))

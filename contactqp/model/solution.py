@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, counted
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import Printed, html_of, place_of, summary_of, verdict_of
+from contactqp.model.summary import Printed, counted, html_of, place_of, summary_of, verdict_of
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -109,8 +109,8 @@ class Certificate(ReadOnly, Printed):
     `scope` says of what `proven` holds. "global": the bounds hold for every equilibrium, so always without friction,
     and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
     "local": of the only equilibrium whose displacement is within `radius` of this one, in the energy norm, or, where
-    contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. With
-    friction `force_bound` is that of a contact's whole force, in all directions.
+    contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. With friction
+    `force_bound` is that of a contact's whole force, in all directions.
 
     Where unknowns have no stiffness, forces on them have no energy: `force_error` then compares the lengths of the
     vectors of all forces, rows having entries near one.
@@ -212,6 +212,17 @@ class LocalCertificate(ReadOnly, Printed):
     passed: bool
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
+    # What `certify_local` proves, no part of the verdict (`contactqp.certificate.frictional_bounds`).
+    force_error: float | None = None  # >= |r - r*|_W / |r*|_W, absolute where r* vanishes
+    force_bound: Vector | None = None  # (m,) >= |r_i - r_i*| [force]
+    scope: str | None = None  # as that of `Certificate`; "local": the only forces within `radius`, in the norm of W
+    radius: float | None = None
+    reasons: tuple[str, ...] = ()  # why there is no bound
+
+    @property
+    def proven(self) -> bool:
+        """Whether the errors of the forces could be bounded."""
+        return self.force_error is not None
 
     def __bool__(self) -> bool:
         """Return `passed`, so that ``assert contactqp.certify_local(...)`` fails where the forces are refused."""
@@ -224,9 +235,12 @@ class LocalCertificate(ReadOnly, Printed):
 
     def __str__(self) -> str:
         lines = ["passed" if self.passed else "REFUSED", f"  natural map {self.natural_map:.3g}"]
-        return "\n".join(
-            [*lines, *(f"  {text}" for text in self.failures), *(f"  note: {text}" for text in self.notes)]
-        )
+        if self.force_error is not None:
+            which = "the only forces" if self.radius is None else f"the only forces within {self.radius:.3g}"
+            lines.append(f"  proven: at most {self.force_error:.3g} of their size from {which}")
+        lines += [f"  {text}" for text in self.failures]
+        lines += [f"  no bound: {text}" for text in self.reasons]
+        return "\n".join([*lines, *(f"  note: {text}" for text in self.notes)])
 
 
 @dataclass(frozen=True, eq=False)

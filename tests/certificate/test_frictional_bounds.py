@@ -230,6 +230,19 @@ def test_where_several_answers_exist_each_is_proven_nearby_alone() -> None:
     assert judged(cq.ContactProblem(**KLARBRING, friction=0.2)).scope == "global"
 
 
+def test_a_slip_in_space_stops_at_its_length() -> None:
+    """Two contacts side by side; the one that slips is at rest after |s|, however the tangents are laid."""
+    slides, sticks = [2.0, 0.3, 0.3], [10.0, 1.0, 0.0]
+    unit = np.eye(6)
+    problem = cq.ContactProblem(
+        unit, [*slides, *sticks], unit[[0, 3]], [0.0, 0.0], tangent=unit[[1, 2, 4, 5]], friction=[0.1, 3.0]
+    )
+    found, slip = judged(problem), np.hypot(0.3, 0.3) - 0.1 * 2.0
+    assert found.scope == "local"
+    assert found.radius == pytest.approx(slip, rel=1e-6)
+    assert found.radius <= slip
+
+
 def test_what_cannot_close_together_does_not_stand_in_the_way() -> None:
     """Two walls face each other, and their rows depend: only one of them is met, and the other is far away."""
     walls = dict(stiffness=[[2.0, -1.0], [-1.0, 2.0]], load=[3.0, 1.0], normal=[[1.0, 0.0], [-1.0, 0.0]])

@@ -1,0 +1,163 @@
+"""Bounds on the forces of local problems hold against exact rational forces, in any contact's own units."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.certificate import frictional_bounds
+from contactqp.linalg.exact_algebra import dot, inverse_of
+
+OPEN, STICK, SLIP_ON, SLIP_BACK = range(4)
+
+
+def all_forces(W: Any, q: Any, mu: Any) -> list[list[Fraction]] | None:
+    """The forces of all equilibria in the plane, from every combination of states; None where one is singular."""
+    W = [[Fraction(int(x)) for x in row] for row in W]
+    q, mu = [Fraction(int(x)) for x in q], [Fraction(x) for x in mu]
+    found: list[list[Fraction]] = []
+    for states in product(range(4), repeat=len(mu)):
+        rows, right = [], []
+        for i, state in enumerate(states):
+            normal, tangent = 2 * i, 2 * i + 1
+            own = [[Fraction(int(j == k)) for j in range(len(q))] for k in (normal, tangent)]
+            sign = {SLIP_ON: 1, SLIP_BACK: -1}.get(state, 0)
+            rows += [own[0] if state == OPEN else W[normal]]
+            rows += [W[tangent] if state == STICK else [t + sign * mu[i] * n for n, t in zip(*own, strict=True)]]
+            right += [Fraction() if state == OPEN else -q[normal], -q[tangent] if state == STICK else Fraction()]
+        if (inverse := inverse_of(rows)) is None:
+            return None
+        r = [dot(row, right) for row in inverse]
+        u = [sum((w * x for w, x in zip(row, r, strict=True)), Fraction()) + y for row, y in zip(W, q, strict=True)]
+        if all(_holds(state, r[2 * i :], u[2 * i :], mu[i]) for i, state in enumerate(states)) and r not in found:
+            found.append(r)
+    return found
+
+
+def _holds(state: int, r: Any, u: Any, mu: Fraction) -> bool:
+    if state == OPEN:
+        return bool(u[0] >= 0)
+    if state == STICK:
+        return bool(r[0] >= 0 and abs(r[1]) <= mu * r[0])
+    return bool(r[0] >= 0 and u[1] * (1 if state == SLIP_ON else -1) >= 0)
+
+
+def norm(W: Any, r: Any) -> float:
+    response = [sum((int(w) * x for w, x in zip(row, r, strict=True)), Fraction()) for row in W]
+    return float(sum((a * b for a, b in zip(r, response, strict=True)), Fraction())) ** 0.5
+
+
+def drawn(rng: np.random.Generator, skew: bool = False) -> tuple[Any, Any, Any]:
+    m = int(rng.choice([1, 2, 2, 3]))
+    shape = rng.integers(-3, 4, (2 * m, 2 * m))
+    W = shape @ shape.T
+    if skew:
+        turn = np.triu(rng.integers(-2, 3, W.shape), 1)
+        W = 4 * (W + np.eye(2 * m, dtype=int)) + turn - turn.T
+    return W, rng.integers(-6, 7, 2 * m), rng.choice([0.0, 0.25, 1.0, 4.0], m)
+
+
+@pytest.mark.parametrize("skew", [False, True])
+def test_no_bound_is_below_the_distance_to_exact_forces(skew: bool) -> None:
+    rng, claimed, several = np.random.default_rng(5), {"global": 0, "local": 0, None: 0}, 0
+    for _ in range(110):
+        W, q, mu = drawn(rng, skew)
+        exact = all_forces(W, q, mu) if np.all(np.diag(W) > 0) else None
+        if not exact:
+            continue
+        several += len(exact) > 1
+        own = np.repeat(2.0 ** rng.integers(-3, 4, len(mu)), 2)  # each contact in units of its own
+        problem = cq.LocalProblem(W * np.outer(own, own), q * own, mu, 2)
+        for right in exact:
+            part = float(rng.choice([0.0, 1e-14, 1e-10, 1e-6]))
+            given = np.array([float(x) for x in right]) / own * (1 + part * rng.normal(size=len(q)))
+            found = cq.certify_local(problem, given, tolerance=1e-3)
+            claimed[found.scope] += 1
+            if not found.proven:
+                assert len(found.reasons) == 1
+                continue
+            held = [Fraction(float(x)) * Fraction(float(s)) for x, s in zip(given, own, strict=True)]
+            away = [norm(W, [a - b for a, b in zip(held, one, strict=True)]) for one in exact]
+            nearest = int(np.argmin(away))
+            size = norm(W, exact[nearest]) or 1.0
+            assert found.force_error * size >= away[nearest] * (1 - 1e-6)
+            assert found.force_error * size <= 1.1 * away[nearest] + 1e-13 * size
+            off = [a - b for a, b in zip(held, exact[nearest], strict=True)]
+            lengths = np.hypot(*np.array([float(x) for x in off]).reshape(-1, 2).T)
+            assert np.all(found.force_bound * own[::2] >= lengths * (1 - 1e-6))
+            assert found.scope == "local" or len(exact) == 1
+            assert found.scope == "global" or sum(one < found.radius for one in away) == 1
+    assert several >= 2 * (not skew)
+    assert min(claimed["global"], claimed["local"]) >= 20, claimed
+    assert claimed[None] <= 0.3 * sum(claimed.values()), claimed
+
+
+def test_a_bound_that_were_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = frictional_bounds.LocalBounds
+
+    def smaller(error: float, bound: Any, *others: Any) -> Any:
+        return original(0.9 * error, 0.9 * bound, *others)
+
+    monkeypatch.setattr(frictional_bounds, "LocalBounds", smaller)
+    with pytest.raises(AssertionError):
+        test_no_bound_is_below_the_distance_to_exact_forces(skew=False)
+
+
+def ball(rng: np.random.Generator) -> tuple[cq.LocalProblem, Any]:
+    """A local problem in space, made around forces whose slips have rational lengths."""
+    m = int(rng.integers(1, 5))
+    shape = rng.integers(-2, 3, (3 * m, 3 * m))
+    W = shape @ shape.T + np.diag(rng.integers(1, 12, 3 * m))
+    mu, force, velocity = float(rng.choice([0.25, 4.0])), np.zeros((m, 3)), np.zeros((m, 3))
+    for i in range(m):
+        along = np.array([(3, 4), (-3, 4), (4, -3), (-4, -3)][rng.integers(4)]) / 5
+        state, push = rng.choice(["open", "stick", "slip"]), float(rng.integers(1, 40))
+        if state == "open":
+            velocity[i] = float(rng.integers(1, 5)), *rng.integers(-3, 4, 2)
+            continue
+        part = 1.0 if state == "slip" else float(rng.integers(0, 8)) / 8
+        force[i] = push, *(-part * mu * push * along)
+        velocity[i, 1:] = float(rng.integers(1, 9)) * along * (state == "slip")
+    return cq.LocalProblem(W, velocity.ravel() - W @ force.ravel(), mu, 3), force
+
+
+def test_in_space_bounds_hold_against_forces_that_problems_are_made_around() -> None:
+    rng, claimed = np.random.default_rng(6), {"global": 0, "local": 0, None: 0}
+    for _ in range(80):
+        problem, right = ball(rng)
+        W = problem.delassus.toarray()
+        size = float(np.sqrt(right.ravel() @ W @ right.ravel()))
+        given = right * (1 + 1e-8 * rng.normal(size=right.shape))
+        found = cq.certify_local(problem, given, tolerance=1e-4)
+        claimed[found.scope] += 1
+        if not found.proven or not size:
+            continue
+        apart = float(np.sqrt((given - right).ravel() @ W @ (given - right).ravel()))
+        assert found.force_error * size >= apart * (1 - 1e-5)
+        assert found.force_error * size <= 1.01 * apart + 1e-11 * size
+        assert np.all(found.force_bound >= np.linalg.norm(given - right, axis=1) * (1 - 1e-5))
+        assert found.scope == "global" or apart < found.radius
+    assert claimed["global"] >= 20, claimed
+    assert claimed["local"] >= 5, claimed
+
+
+def test_what_is_not_bounded_is_said() -> None:
+    joined = cq.LocalProblem([[1.0, 0.0], [0.0, 1.0]], [-1.0, 0.0], 0.3, 2, bilateral=[[1.0], [0.0]])
+    judged = cq.certify_local(joined, [0.0, 0.0], [1.0])
+    assert judged.passed
+    assert judged.reasons == ("force_error, force_bound: local problems with joints have none",)
+    skew = cq.LocalProblem([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [-1.0, 2.0, 0.0], 3.0, 3)
+    sticks = cq.certify_local(skew, cq.solve(skew).force)
+    assert "delassus is not symmetric, by 0.1" in str(sticks)
+    refused = cq.certify_local(skew, [2.0, 0.0, 0.0])
+    assert (refused.passed, refused.proven, refused.force_bound) == (False, False, None)
+    none = cq.certify_local(cq.LocalProblem(np.zeros((0, 0)), [], 0.3, 2), [])
+    assert (none.proven, none.scope, none.force_error) == (True, "global", 0.0)
+    known = cq.certify_local(cq.LocalProblem(np.eye(2), [-1.0, 0.0], 0.3, 2), [1.0, 0.0])
+    assert "proven: at most" in str(known)
+    assert "from the only forces" in str(known)
