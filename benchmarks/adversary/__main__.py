@@ -32,8 +32,8 @@ from benchmarks.adversary.faults import FAULTS
 from benchmarks.adversary.judging import Finding
 from benchmarks.adversary.trials import KINDS, Trial, trial, write_smallest
 
-# Seconds without a word from a process after which it hangs.
-SILENCE = 60
+# Seconds without a word from a process after which it hangs: of the processor, and by the clock where it only waits.
+SILENCE, WAITING = 60, 600
 MEMORY = 4 * 2**30
 LARGEST = 2**30  # bytes that a process may hold
 SHOWN = 40
@@ -81,7 +81,7 @@ class Processes:
         self._lines: queue.Queue[tuple[int, str | None]] = queue.Queue()
         self._processes: dict[int, subprocess.Popen[str]] = {}
         self._begun: dict[int, int] = {}
-        self._heard: dict[int, float] = {}
+        self._heard: dict[int, tuple[float, float]] = {}
         self._large: set[int] = set()
         for job in range(options.jobs):
             self._start(job, job)
@@ -95,7 +95,7 @@ class Processes:
             except queue.Empty:
                 self._end_silent()
                 continue
-            self._heard[job] = time.monotonic()
+            self._heard[job] = self._clocks(job)
             if line is None:
                 self._ended(job, self._processes[job].wait())
             else:
@@ -115,7 +115,8 @@ class Processes:
         command += [part for kind in options.kind or () for part in ("--kind", kind)]
         command += [] if options.trials is None else ["--trials", str(options.trials)]
         one = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        self._processes[job], self._begun[job], self._heard[job] = one, -1, time.monotonic()
+        self._processes[job], self._begun[job] = one, -1
+        self._heard[job] = self._clocks(job)
         self._large.discard(job)
         threading.Thread(target=self._read, args=(job, one), daemon=True).start()
 
@@ -128,9 +129,19 @@ class Processes:
 
     def _end_silent(self) -> None:
         for job in tuple(self._running):
-            if time.monotonic() - self._heard[job] > SILENCE:
+            waited, worked = (now - then for now, then in zip(self._clocks(job), self._heard[job], strict=True))
+            if worked > SILENCE or waited > WAITING:
                 self._processes[job].kill()
                 self._processes[job].wait()
+
+    def _clocks(self, job: int) -> tuple[float, float]:
+        """The time, and the processor's seconds of a process: other work on the machine is no silence of it."""
+        try:
+            spent = Path(f"/proc/{self._processes[job].pid}/stat").read_text().rpartition(")")[2].split()
+            worked = (int(spent[11]) + int(spent[12])) / os.sysconf("SC_CLK_TCK")
+        except (OSError, IndexError):  # it has ended, or this is no Linux
+            worked = time.monotonic()
+        return time.monotonic(), worked
 
     def _ended(self, job: int, code: int) -> None:
         number = self._begun[job]
