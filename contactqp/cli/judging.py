@@ -12,13 +12,14 @@ from typing import NoReturn
 
 import click
 
+from contactqp.cli.completing import complete_case, complete_method
 from contactqp.cli.output import NOT_MET, OF_EXACT_NUMBERS, console, print_json, strict_option
 from contactqp.errors import InvalidProblem, SceneError
 
 
 @click.command("check", short_help="Judge somebody else's answer to a problem.")
-@click.argument("problem", required=False)
-@click.argument("candidate", required=False)
+@click.argument("problem", required=False, shell_complete=complete_case)
+@click.argument("candidate", required=False, shell_complete=complete_case)
 @click.option(
     "--compression",
     type=click.Choice(["positive", "negative"]),
@@ -142,7 +143,7 @@ def _answer_file(candidate: str) -> Iterator[str]:
 
 
 @click.command("explain", short_help="Print what a case is made of, why, and its cost.")
-@click.argument("case")
+@click.argument("case", shell_complete=complete_case)
 @strict_option
 @click.option("--no-solve", is_flag=True, help="Say what the case is made of, and not what its answer takes.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
@@ -186,8 +187,15 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
 
 
 @click.command("oracle", short_help="Print the exact answer of a case.")
-@click.argument("case")
-@click.option("--method", metavar="M", default="active-set", show_default=True, help="What proposes the contact set.")
+@click.argument("case", shell_complete=complete_case)
+@click.option(
+    "--method",
+    metavar="M",
+    shell_complete=complete_method,
+    default="active-set",
+    show_default=True,
+    help="What proposes the contact set.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def oracle_command(case: str, method: str, as_json: bool) -> None:
     """Print the exact answer of CASE, in rational numbers or enclosed: multipliers for tests in any language.

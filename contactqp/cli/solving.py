@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from contactqp.cli.completing import complete_case, complete_method
 from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option, whereabouts
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
 from contactqp.linalg.runtime import cores, telling, within_time
@@ -30,8 +31,15 @@ MANY = 4
 
 
 @click.command("run", short_help="Solve cases, and compare with what they expect.")
-@click.argument("cases", nargs=-1, required=True, metavar="CASE...")
-@click.option("--method", "methods", multiple=True, metavar="M", help="A name of `contactqp methods`; may be repeated.")
+@click.argument("cases", nargs=-1, required=True, metavar="CASE...", shell_complete=complete_case)
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    metavar="M",
+    shell_complete=complete_method,
+    help="A name of `contactqp methods`; may be repeated.",
+)
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")

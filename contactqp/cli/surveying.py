@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from contactqp.cli.completing import complete_case
 from contactqp.cli.output import complain, console, print_json
 from contactqp.errors import InvalidProblem
 
@@ -95,7 +96,12 @@ def _print_case(case: ShippedCase) -> None:
 
 @click.command("init", short_help="Write a first case with comments, or copy one.")
 @click.argument("file", default="case.toml")
-@click.option("--like", metavar="CASE", help="Copy a case that comes with contactqp, by its name, instead.")
+@click.option(
+    "--like",
+    metavar="CASE",
+    shell_complete=complete_case,
+    help="Copy a case that comes with contactqp, by its name, instead.",
+)
 def init_command(file: str, like: str | None) -> None:
     """Write a first case with comments to FILE, case.toml by default; a file that is there stays as it is."""
     from contactqp.scene.shipped import first_case, shipped_case
@@ -127,7 +133,7 @@ def schema_command() -> None:
 
 
 @click.command("report", short_help="Hold error against run time of every method: a page.")
-@click.argument("cases", nargs=-1, metavar="[CASE...]")
+@click.argument("cases", nargs=-1, metavar="[CASE...]", shell_complete=complete_case)
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
 @click.option("--full", is_flag=True, help="Every case by every method and every value of its knob.")
 @click.option("--compare", metavar="OLD.json", help="Then print what changed since the report of that results.json.")

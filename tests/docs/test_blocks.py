@@ -32,6 +32,7 @@ NOT_RUN = {
     "docs/guide/testing.md: E       AssertionError: bar-and-wall: the forces are not the exact ones (rtol 1e-09)": (
         "tests/oracle/test_pytest_plugin.py compares it"
     ),
+    'docs/command_line.md: eval "$(_CONTACTQP_COMPLETE=bash_source contactqp)"': "tests/cli/test_completing.py",
     "sphinx-build -W -n --keep-going -q docs build/docs": ".ci/run does",
     "contactqp check folder jobname.rst --tolerance 1e-6 --error-tolerance 1e-5": "files of Ansys, not installed here",
     "contactqp check folder jobname.dat --pressure-areas areas.csv --tolerance 1e-6 --error-tolerance 1e-5": (
