@@ -199,10 +199,15 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
 
 
 def _kappa(blocks: Array, mu: Vector) -> float:
-    """Return kappa with weights c that make the diagonals of the two matrices alike."""
-    rubs = np.flatnonzero(mu > 0)
-    m, d, mu_r = len(mu), blocks.shape[1], mu[rubs]
-    tangential = (d * rubs[:, None] + np.arange(1, d)).ravel()
+    """Return kappa with weights c that make the diagonals of the two matrices alike.
+
+    Slips that supports prevent are zero in all answers, and their rows of W, which are zero, are left out.
+    """
+    m, d = len(mu), blocks.shape[1]
+    felt = np.einsum("ikik->ik", blocks)[:, 1:] > 0
+    rubs = np.flatnonzero((mu > 0) & felt.any(axis=1))
+    mu_r, felt = mu[rubs], felt[rubs]
+    tangential = (d * rubs[:, None] + np.arange(1, d))[felt]
     kept = np.concatenate([d * np.arange(m), tangential])
     W = blocks.reshape(m * d, m * d)[kept[:, None], kept]
     try:
@@ -215,9 +220,11 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     half = np.linalg.solve(factor, np.eye(len(W)))
     normal = (half.T @ half)[np.ix_(rubs, rubs)]  # S^-1
     tangent = W[m:, m:]
-    across = np.max(np.diag(tangent).reshape(len(rubs), d - 1), axis=1)
+    own = np.zeros(felt.shape)
+    own[felt] = np.diag(tangent)
+    across = np.max(own, axis=1)
     weight = np.sqrt(mu_r) * (across / np.diag(normal)) ** 0.25
-    other = np.repeat(mu_r / weight, d - 1)
+    other = np.repeat(mu_r / weight, felt.sum(axis=1))
     scaled = [M * (w[:, None] * w) for M, w in ((normal, weight), (tangent, other))]
     if not all(np.all(np.isfinite(one)) for one in scaled):
         return np.inf  # compliances so far apart that an inverse leaves the range of floats

@@ -73,6 +73,8 @@ from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
 # Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
 TOO_ROUNDED = 1e-2
+# The compliance of a slip that all supports prevent, of contacts whose own is one.
+UNFELT = 1e-9
 # Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
 SYMMETRIC = 1e-15
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
@@ -168,8 +170,7 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
         return "its refined answer leaves ties unmet"
     kappa = np.inf
     if not compliance.floats:
-        every = np.ones((problem.contacts, len(compliance.W) // problem.contacts), dtype=bool)
-        norms = _Norms.of(compliance, condensation.lost_digits, every)
+        norms = _Norms.of(compliance, condensation.lost_digits, _felt(compliance))
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
@@ -216,10 +217,15 @@ def _proven_nearby(
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
 
 
+def _felt(compliance: ContactOperators) -> Mask:
+    """Return the rows (m, d) that move something."""
+    return np.asarray(compliance.W.diagonal().reshape(len(compliance.scale), -1) > 0)
+
+
 def _acting(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:
-    """Return the rows (m, d) on which forces may act while every contact keeps its state."""
-    rows = np.ones((len(mu), len(compliance.W) // len(mu)), dtype=bool)
-    rows[:, 1:] = (mu > 0)[:, None]
+    """Return the rows (m, d) on which forces may act, and be felt, while every contact keeps its state."""
+    rows = _felt(compliance)
+    rows[:, 1:] &= (mu > 0)[:, None]
     return np.asarray(rows & (status != OPEN)[:, None])
 
 
@@ -245,7 +251,11 @@ def _kappa_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> f
     if d == 2 or not np.any(slides):
         return 0.0  # a linear system, whose refinement has settled
     place = np.arange(m * d).reshape(m, d)
-    kept = np.concatenate([place[closed, 0], place[(status == STICK) & (mu > 0), 1:].ravel()])
+    acting = _acting(compliance, status, mu)
+    if not acting[slides].any(axis=1).all():
+        return np.inf
+    sticks = acting & (status == STICK)[:, None]
+    kept = np.concatenate([place[closed, 0], place[:, 1:][sticks[:, 1:]]])
     along = place[slides, 1:].ravel()
     joints = len(compliance.J)
     whole = compliance.operator(np.concatenate([kept, along]), joints)
@@ -254,6 +264,7 @@ def _kappa_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> f
     try:
         drawn = np.linalg.solve(whole[np.ix_(~slips, ~slips)], whole[np.ix_(~slips, slips)])
         S = whole[np.ix_(slips, slips)] - whole[np.ix_(slips, ~slips)] @ drawn
+        S += np.diag(UNFELT * ~acting[slides, 1:].ravel())  # there e = 0, whatever it would cost
         factor = np.linalg.cholesky((S + S.T) / 2)
     except np.linalg.LinAlgError:
         return np.inf
@@ -440,7 +451,7 @@ def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[_
     """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
     if problem.contacts > MOST_CONTACTS:
         return None, np.inf
-    norms = _Norms.of(compliance, 0.0, np.ones((problem.contacts, problem.dimension), dtype=bool))
+    norms = _Norms.of(compliance, 0.0, _felt(compliance))
     if norms is None:
         return None, np.inf
     kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa

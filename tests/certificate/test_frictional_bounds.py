@@ -243,6 +243,19 @@ def test_a_slip_in_space_stops_at_its_length() -> None:
     assert found.radius <= slip
 
 
+def test_a_slip_that_supports_prevent_stands_in_no_ones_way() -> None:
+    """Nodes in a plane of symmetry: their second tangent touches nothing that moves, and its row of W is zero."""
+    unit = np.eye(4)
+    tangent = np.array([unit[1], np.zeros(4), unit[3], np.zeros(4)])
+    data = dict(stiffness=np.eye(4) + 0.1, load=[2.0, 1.5, 3.0, 0.1], normal=unit[[0, 2]], gap=[0.0, 0.0])
+    problem = cq.ContactProblem(**data, tangent=tangent, friction=[0.3, 0.3])
+    flat = cq.ContactProblem(**data, tangent=unit[[1, 3]], friction=[0.3, 0.3])
+    assert cq.critical_friction(problem).kappa == pytest.approx(cq.critical_friction(flat).kappa, rel=1e-12)
+    found, plane = judged(problem), judged(flat)
+    assert found.scope == plane.scope == "global"
+    assert np.all(found.force_bound < 1e-12)
+
+
 def test_what_cannot_close_together_does_not_stand_in_the_way() -> None:
     """Two walls face each other, and their rows depend: only one of them is met, and the other is far away."""
     walls = dict(stiffness=[[2.0, -1.0], [-1.0, 2.0]], load=[3.0, 1.0], normal=[[1.0, 0.0], [-1.0, 0.0]])
