@@ -255,6 +255,9 @@ def first_errors(error: ValidationError, model: type[BaseModel], data: Mapping[s
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     unknown = {tuple(e["loc"][:-1]) for e in errors if e["type"] == "extra_forbidden"}
     errors = [e for e in errors if not (e["type"] == "missing" and tuple(e["loc"][:-1]) in unknown)]
+    # A list is too short where one of its entries is wrong, which is told.
+    within = {tuple(e["loc"][:depth]) for e in errors for depth in range(1, len(e["loc"]))}
+    errors = [e for e in errors if tuple(e["loc"]) not in within]
     told = [f"{key_path(e['loc'], data)}: {_sentence(e, model)}".removeprefix(": ") for e in errors[:2]]
     message = told[0] + "".join(f" (1 of {len(errors)}; the next: {text})" for text in told[1:])
     return " ".join(message.split())

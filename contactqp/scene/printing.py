@@ -60,10 +60,10 @@ def print_case_line(console: Console, outcomes: Sequence[Judgement | Failure]) -
     """Print one line for all outcomes of a case, and below it the claims that are not met."""
     judgements = [outcome for outcome in outcomes if isinstance(outcome, Judgement)]
     scene, failed = outcomes[0].scene, len(outcomes) - len(judgements)
-    said = [_verdict(judgements[0]), met_in_words(judgements)] if judgements else []
+    said = [_verdict_in_a_word(judgements[0]), met_in_words(judgements)] if judgements else []
     said += [f"{failed} of {len(outcomes)} without an answer"] if failed else []
     name = (scene.file or Path(scene.title)).stem
-    console.print(f"{escape(name):40} {'; '.join(said)}", soft_wrap=True)
+    console.print(f"{escape(name):32} {'; '.join(said)}", soft_wrap=True)
     if judgements:
         _print_failures(console, judgements[0])
     _print_comparisons(console, judgements, ["method", "certificate"], unmet_alone=True)
@@ -222,6 +222,13 @@ def _verdict(judgement: Judgement) -> str:
         rest = _proven(certificate) if certificate.proven else _unproven(certificate)
         return f"[green]certificate passed[/green]{rest}"
     return "[yellow]certificate refuses[/yellow]"
+
+
+def _verdict_in_a_word(judgement: Judgement) -> str:
+    certificate = judgement.solution.certificate
+    if not certificate.passed:
+        return "[yellow]REFUSED[/yellow]"
+    return f"[green]passed[/green]{', proven' if certificate.proven else _unproven(certificate)}"
 
 
 def _print_failures(console: Console, judgement: Judgement) -> None:

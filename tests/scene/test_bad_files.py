@@ -304,6 +304,14 @@ def test_what_is_no_file_is_refused(tmp_path, capsys):
     assert complaint(capsys, "run", "bad\0name.toml")
 
 
+def test_a_wrong_entry_is_not_told_as_a_list_that_is_too_short(tmp_path, capsys):
+    file = tmp_path / "bad.toml"
+    file.write_text(GOOD.replace("axes = [", 'axes = ["q"] # [', 1))
+    words = complaint(capsys, "run", str(file))
+    assert "axes[0]: expected 'x', 'y' or 'z', got 'q'" in words
+    assert "expected at least" not in words
+
+
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a file that its reader may not read")
 def test_a_file_that_may_not_be_read_is_refused(tmp_path, capsys):
     file = tmp_path / "secret.toml"

@@ -101,3 +101,13 @@ def test_a_case_is_copied_to_be_changed(
     assert code == 2
     assert "nearest: bar_wall" in err
     assert not Path("other.toml").exists()
+
+
+@pytest.mark.slow
+def test_all_cases_are_a_line_each_of_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "run", CASES)
+    *lines, last = out.splitlines()
+    assert code == 0
+    assert len(lines) == len(shipped_files())
+    assert max(map(len, lines)) <= 80
+    assert last == f"{len(lines)} of {len(lines)} met (--verbose prints the answers)"
