@@ -431,7 +431,8 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         error = _distance(refined, norms, status, mu, kappa)
     else:
         if skew and (norms is None or problem.dimension == 3):
-            return f"delassus is not symmetric, by {problem.scaled_asymmetry:.2g} (kappa = {kappa:.3g})"
+            others = f"other equilibria are not excluded (kappa = {kappa:.3g})"
+            return f"{others}, and delassus is not symmetric, by {problem.scaled_asymmetry:.2g}"
         norms = norms if skew else _Norms.of(compliance, 0.0, _acting(compliance, status, mu))
         if norms is None:
             return DEPENDENT

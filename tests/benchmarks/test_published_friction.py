@@ -141,6 +141,21 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_a_bound_that_is_less_than_the_planted_error_is_found(folder, monkeypatch):
+    certify_local = cq.certify_local
+
+    def smaller(*arguments, **options):
+        found = certify_local(*arguments, **options)
+        return replace(found, force_bound=0.9 * found.force_bound)
+
+    problems = list(friction_runs.published_problems(folder))
+    assert published_friction.proven(problems, 10.0) == []
+    monkeypatch.setattr(published_friction.cq, "certify_local", smaller)
+    found = published_friction.proven(problems, 10.0)
+    assert found
+    assert "hdf5: a planted error of" in found[0]
+
+
 def test_the_table_of_a_folder(folder, capsys, monkeypatch):
     monkeypatch.setattr(siconos_peer, "available", lambda: False)
     assert (
@@ -149,7 +164,9 @@ def test_the_table_of_a_folder(folder, capsys, monkeypatch):
     printed = capsys.readouterr().out
     assert "Siconos is not installed" in printed
     assert printed.count("default: newton") == 3
-    assert printed.count("made2.hdf5") == 5  # twice the default, two algorithms, and those that minimise without polish
+    # Twice the default, two algorithms, those that minimise without polish, and what is proven.
+    assert printed.count("made2.hdf5") == 6
+    assert "\nglobal 3, local 0, none 0\n" in printed
     assert "not symmetric" in printed
     assert "all targets met" in printed
     assert (folder / "p.png").stat().st_size > 1000
