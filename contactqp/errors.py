@@ -199,13 +199,13 @@ def shown(value: object) -> str:
     """
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    shape = getattr(value, "shape", None)
-    if isinstance(shape, tuple) and shape:
-        return f"{type(value).__name__} of shape {shape}"
-    value = value.item() if shape == () and hasattr(value, "item") else value
     try:
+        shape = getattr(value, "shape", None)
+        if isinstance(shape, tuple) and shape:
+            return f"{type(value).__name__} of shape {shape}"
+        value = value.item() if shape == () and hasattr(value, "item") else value
         return " ".join(_BRIEF.repr(value).split()) if isinstance(value, _AS_WRITTEN) else type(value).__name__
-    except Exception:  # noqa: BLE001  an integer of thousands of digits, entries whose own words fail
+    except Exception:  # noqa: BLE001  an integer of thousands of digits, objects whose own words fail
         return type(value).__name__
 
 

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.elements.shapes import rectangle
 from contactqp.model.arguments import checked
-from tests import public_objects, wild_calls
+from tests import public_objects, wild_calls, wild_values
 from tests.test_thrown import ask_everything
 
 LONGEST_MESSAGE = 400
@@ -33,7 +33,8 @@ THIN = 7
 # What `testing` says of a wrong answer is an AssertionError.
 ASSERTIONS = "contactqp.oracle.assertions"
 # Work without end where a count is as large as this.
-COUNTS = ("steps", "count", "max_iter", "unknowns")
+COUNTS = ("steps", "count", "max_iter", "unknowns", "duration")
+TOO_MANY = ("10**400", "2**31", "unsigned", "1e20", "1e308", "2**63")
 
 
 class Labelled:
@@ -88,7 +89,7 @@ def numbers() -> Iterator[float]:
 
 
 @cache
-def wild() -> dict[str, Any]:
+def wild(folder: pathlib.Path) -> dict[str, Any]:
     made = public_objects.objects()
     problem, rubbing, local, _, global_form = made["problems"]
     arrays = {
@@ -137,12 +138,17 @@ def wild() -> dict[str, Any]:
         "incomplete": Incomplete(), "a stream": io.StringIO("1"), "...": ..., "not implemented": NotImplemented,
         "an exception": ValueError("x"), "a module": np,
     }  # fmt: skip
-    return arrays | ours | others
+    return arrays | ours | others | wild_values.values(folder)
 
 
 @pytest.fixture(scope="module")
 def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, wild_calls.Call]:
     return wild_calls.calls(tmp_path_factory.mktemp("wild"))
+
+
+@pytest.fixture(scope="module")
+def thrown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return wild(tmp_path_factory.mktemp("values"))
 
 
 def test_every_public_name_is_called_or_takes_nothing_from_a_user(calls: dict[str, wild_calls.Call]) -> None:
@@ -169,37 +175,78 @@ def test_the_message_of_an_error_is_one_line() -> None:
 NAMES = sorted(set(wild_calls.names()) - wild_calls.NOT_CALLED.keys())
 
 
+# One value in so many is thrown at every option in every run of the tests.
+THIN_OPTIONS = 29
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_only_errors_of_this_package_leave(
-    name: str, calls: dict[str, wild_calls.Call], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    name: str, calls: dict[str, wild_calls.Call], thrown: dict[str, Any], tmp_path: pathlib.Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    throw_at(name, calls[name], THIN)
+    throw_at(name, calls[name], named(calls[name]), thrown, THIN)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_only_errors_of_this_package_leave_whatever_is_thrown(
-    name: str, calls: dict[str, wild_calls.Call], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+    name: str, calls: dict[str, wild_calls.Call], thrown: dict[str, Any], tmp_path: pathlib.Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    throw_at(name, calls[name], named(calls[name]), thrown, 1)
+
+
+OPTIONS = wild_calls.options()
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_only_errors_of_this_package_leave_whatever_an_option_is(
+    name: str, thrown: dict[str, Any], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    throw_at(name, calls[name], 1)
+    throw_at(name, *OPTIONS[name], thrown, THIN_OPTIONS)
 
 
-def throw_at(name: str, call: wild_calls.Call, thin: int) -> None:
-    """Replace every argument of a call by wild values, every `thin`-th of them."""
-    for one in signature(call.function).parameters.values():
-        if one.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD):
-            continue
-        for label, value in wild().items():
-            if crc32(f"{name} {one.name} {label}".encode()) % thin or value is one.default:
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIONS)
+def test_only_errors_of_this_package_leave_whatever_any_option_is(
+    name: str, thrown: dict[str, Any], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    throw_at(name, *OPTIONS[name], thrown, 1)
+
+
+def test_every_function_that_collects_options_is_given_some(calls: dict[str, wild_calls.Call]) -> None:
+    """What stands behind `**options` has no name in a signature, and `throw_at` does not see it there."""
+    collecting = {
+        name
+        for name, call in calls.items()
+        if any(one.kind is Parameter.VAR_KEYWORD for one in signature(call.function).parameters.values())
+    }
+    assert collecting - {name.partition(":")[0] for name in OPTIONS} == set()
+
+
+def named(call: wild_calls.Call) -> list[str]:
+    """Names of the arguments in the signature of a call."""
+    kinds = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    return [one.name for one in signature(call.function).parameters.values() if one.kind not in kinds]
+
+
+def throw_at(name: str, call: wild_calls.Call, arguments: list[str], thrown: dict[str, Any], thin: int) -> None:
+    """Replace each of these arguments of a call by wild values, every `thin`-th of them."""
+    defaults = {one.name: one.default for one in signature(call.function).parameters.values()}
+    for argument in arguments:
+        for label, value in thrown.items():
+            if crc32(f"{name} {argument} {label}".encode()) % thin or value is defaults.get(argument, ...):
                 continue
-            if one.name in COUNTS and label == "10**400":
+            if argument in COUNTS and label in TOO_MANY:
                 continue
             given = numbers() if label == "numbers once" else value
-            message = leaves(f"{name}({one.name} = {label})", call, {one.name: given})
-            assert "\n" not in message, (name, one.name, label)
-            assert len(message) <= LONGEST_MESSAGE, (name, one.name, label, message)
+            message = leaves(f"{name}({argument} = {label})", call, {argument: given})
+            assert "\n" not in message, (name, argument, label)
+            assert len(message) <= LONGEST_MESSAGE, (name, argument, label, message)
 
 
 def leaves(where: str, call: wild_calls.Call, changed: dict[str, Any]) -> str:

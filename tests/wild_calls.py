@@ -276,6 +276,49 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
     return {name: Call(*one) for name, one in table.items()}
 
 
+def options() -> dict[str, tuple[Call, list[str]]]:
+    """Calls of functions that collect options, by function and what is special, each with names of options."""
+    problem, rubbing, local, _, _ = given.objects()["problems"]
+    history, solution, motion = (given.objects()[name] for name in ("history", "solutions", "motion"))
+    space = cq.ContactProblem(np.diag([3.0, 2, 2]), [-3.0, 2, 1], [[-1.0, 0, 0]], [0.0],
+                              tangent=[[0.0, 1, 0], [0, 0, 1]], friction=0.5)  # fmt: skip
+    free = cq.Supported(truss(), held=[0, 1, 4, 5])
+    scene = cq.load_scene(given.CASES / "bar_wall.toml")
+    energy = cq.ConstrainedEnergy(["w"], [[2.0]], [3.0])
+    program = dict(P=np.eye(2), q=[1.0, 1.0], C=[[1.0, 1.0]], l=[-1.0], u=[1.0])
+    common = ["method", "algorithm", "tolerance", "penalty", "max_iter", "time_limit"]
+    moved = dict(problem=problem, mass=np.eye(2), displacement=[0.0, 0.0], velocity=[1.0, 0.0], duration=0.2,
+                 time_step=0.1)  # fmt: skip
+    table: dict[str, tuple[Callable[..., Any], dict[str, Any], list[str]]] = {
+        **{f"solve: {method}": (cq.solve, dict(problem=problem, method=method, **needed), names)
+           for method, needed, names in (
+               ("penalty", dict(penalty=1e4), ["penalty", "tangential_penalty"]),
+               ("perturbed-lagrangian", {}, ["perturbation"]),
+               ("augmented-lagrangian", {}, ["penalty", "tangential_penalty", "update"]),
+               ("cvxpy", {}, ["solver"]))},
+        **{f"solve: {algorithm}": (cq.solve, dict(problem=rubbing, algorithm=algorithm), ["max_iter", "condense"])
+           for algorithm in ("tresca", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")},
+        "solve: cones": (cq.solve, dict(problem=space, method="osqp", algorithm="aclm"), ["facets", "polygon"]),
+        "solve: local": (cq.solve, dict(problem=local), ["warm_start", "condense", "time_limit"]),
+        "ContactProblem.from_qp": (cq.ContactProblem.from_qp, program, ["C", "l", "u", "range_names"]),
+        "ContactProblem.replace": (rubbing.replace, {}, ["stiffness", "load", "normal", "gap", "tangent", "friction",
+            "slip_origin", "tie", "tie_value", "dof_names", "contact_names", "units", "near_null_space"]),
+        "History.plot": (history.plot, {}, ["title", "time_unit"]),
+        "MotionHistory.plot": (motion.plot, {}, ["title", "time_unit"]),
+        "Solution.plot": (solution[0].plot, {}, ["title", "contacts", "scale"]),
+        "compare": (cq.compare, dict(problem=problem, methods=["penalty"]), ["penalty"]),
+        "exact": (cq.exact, dict(problem=problem), ["gap", "load", "stiffness"]),
+        "exact_equilibria": (cq.exact_equilibria, dict(problem=rubbing), ["gap", "friction"]),
+        "follow_path": (cq.follow_path, dict(problem=rubbing, loads=[[-1.0, -3.0]], steps=2), common),
+        "impact": (cq.impact, moved, [*common, "restitution"]),
+        "large_deformation": (cq.large_deformation, dict(body=free, loads=[[0.0, -0.1]], steps=1), common),
+        "run": (cq.run, dict(scene=scene), common),
+        "ConstrainedEnergy.solve": (energy.solve, {}, common),
+        "associated_difference": (cq.associated_difference, dict(problem=rubbing), ["tolerance", "max_iter"]),
+    }  # fmt: skip
+    return {name: (Call(function, arguments), names) for name, (function, arguments, names) in table.items()}
+
+
 MESH = """\
 *NODE
 1, 0., 0.

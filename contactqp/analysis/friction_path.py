@@ -33,6 +33,7 @@ from contactqp.errors import (
     NotConverged,
     SeveralEquilibria,
     Unsupported,
+    shown,
 )
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
@@ -240,7 +241,10 @@ class FrictionSteps(LazySolutions):
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
     """Raise on options that `solve` refuses, and on a warm start, which the path provides itself."""
-    if options.get("algorithm") == "associated":
+    algorithm = options.get("algorithm")
+    if algorithm is not None and not isinstance(algorithm, str):
+        raise InvalidProblem(f"algorithm: expected a name, got {shown(algorithm)}")
+    if algorithm == "associated":
         raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
     if "warm_start" in options:
         raise InvalidProblem("warm_start: a path starts each step from the one before")

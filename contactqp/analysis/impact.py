@@ -18,7 +18,7 @@ from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSe
 from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.errors import InvalidProblem, NotConverged, Unsupported
+from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
@@ -138,9 +138,9 @@ def impact(
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
     if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
-        raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
+        raise InvalidProblem(f"time_step: expected a step whose square is a number, got {shown(time_step)}")
     if not is_number(start_time) or not np.isfinite(start_time):
-        raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")
+        raise InvalidProblem(f"start_time: expected a finite number, got {shown(start_time)}")
     refuse_far_from_one("impact", problem)
     if (rows := acting_rows(problem)) is not None:
         given: dict[str, Any] = dict(scheme=scheme, load=load, theta=theta, restitution=restitution, penalty=penalty)
@@ -201,7 +201,7 @@ def _settings(entry: SchemeEntry, theta: Any, restitution: Any, penalty: Any) ->
     """Return what the user has chosen; InvalidProblem for numbers out of range or that the scheme does not take."""
     for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
         if not is_number(value) or not low <= value <= 1:
-            raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
+            raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {shown(value)}")
     given = {"theta": theta != 0.5, "restitution": restitution != 0.0, "penalty": penalty is not None}
     for name, is_given in given.items():
         if is_given and name not in entry.knobs:
@@ -243,7 +243,7 @@ def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -
     if load is None:
         return lambda _: problem.load
     if not callable(load):
-        raise InvalidProblem(f"load: expected a function of time, got {load!r}")
+        raise InvalidProblem(f"load: expected a function of time, got {shown(load)}")
 
     def at(instant: float) -> NDArray[np.float64]:
         return read_vector(f"load at time {instant:g}", load(instant), problem.dimension)

@@ -15,7 +15,7 @@ from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_following import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable
 from contactqp.elements.scalars import positive_number, real_number
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
@@ -154,12 +154,12 @@ def large_deformation(
     begin = _start(start, loaded)
     program = _program(loaded, loads, tie_values, begin)
     if control not in CONTROLS:
-        raise InvalidProblem(f"control: expected one of {', '.join(CONTROLS)}, got {control!r}")
+        raise InvalidProblem(f"control: expected one of {', '.join(CONTROLS)}, got {shown(control)}")
     for called, count in (("steps", steps), ("max_iter", max_iter)):
         if not is_whole(count) or count < 1:
-            raise InvalidProblem(f"{called}: expected a positive integer, got {count!r}")
+            raise InvalidProblem(f"{called}: expected a positive integer, got {shown(count)}")
     if not is_number(tolerance) or not 0 < tolerance < 1:
-        raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {tolerance!r}")
+        raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {shown(tolerance)}")
     method = registered_name(method)
     exact = find(method).exact
     if loaded.friction is not None and not exact:
@@ -180,7 +180,7 @@ def large_deformation(
     if control == "displacement":
         n = loaded.dimension
         if not is_whole(controlled) or not 0 <= controlled < n:
-            raise InvalidProblem(f"controlled: expected a place from 0 to {n - 1}, got {controlled!r}")
+            raise InvalidProblem(f"controlled: expected a place from 0 to {n - 1}, got {shown(controlled)}")
         path = PathControl(loaded, program, settings)
         return path.follow_unknown(begin, int(steps), int(controlled), real_number("target", target))
     radius = None if arc_length is None else positive_number("arc_length", arc_length, "length")

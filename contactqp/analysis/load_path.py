@@ -21,7 +21,7 @@ from contactqp.analysis.history import (
 )
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.runtime import one_blas_thread
@@ -118,10 +118,10 @@ def follow_path(
     """
     method, corners = registered_name(method), _corners(problem, loads)
     if events not in (None, "exact"):
-        raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
+        raise InvalidProblem(f"events: expected None or 'exact', got {shown(events)}")
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
     if not is_whole(count) or count < 1:
-        raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
+        raise InvalidProblem(f"steps: expected a positive integer, got {shown(count)}")
     refuse_far_from_one("follow_path", problem)
     if (rows := acting_rows(problem)) is not None:
         rows.refuse_conflict()

@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
-from contactqp.errors import InvalidProblem, Unsupported, counted
+from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
@@ -321,7 +321,7 @@ def judged(
     """Return `certify_local` without looking for other answers, which would cost more than the rest."""
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
-        raise InvalidProblem(f"tolerance: expected a positive number, got {tolerance!r}")
+        raise InvalidProblem(f"tolerance: expected a positive number, got {shown(tolerance)}")
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
         return _not_finite(problem, tolerance)

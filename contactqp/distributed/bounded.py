@@ -33,7 +33,7 @@ from contactqp.distributed.preconditioner import AUTO, FACTORISED, MUMPS, failin
 from contactqp.distributed.problem import DistributedProblem, message_of_first
 from contactqp.distributed.ranks import Product, aij_copy, petsc, temporary_options
 from contactqp.distributed.rows import Rows
-from contactqp.errors import NoEquilibrium, Unsupported
+from contactqp.errors import NoEquilibrium, Unsupported, shown
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods import Settings
@@ -291,7 +291,7 @@ def inner_solver(method: str, solver: str, dimension: int) -> str:
         preferred = "mumps" if dimension <= FACTORISED and has("mumps") else "hypre"
         return preferred if has(preferred) else "asm"
     if solver not in SOLVERS:
-        raise Unsupported(f"{method}: solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
+        raise Unsupported(f"{method}: solver: expected {AUTO}, {', '.join(SOLVERS)}, got {shown(solver)}")
     if solver != "asm" and not has(solver):
         raise Unsupported(f"solver: this PETSc was built without {solver}")
     return solver

@@ -22,7 +22,7 @@ from contactqp.distributed.ranks import (
 )
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
-from contactqp.errors import BackendFailed, Unsupported
+from contactqp.errors import BackendFailed, Unsupported, shown
 from contactqp.linalg.measures import reciprocal
 from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, SingularLevel, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
@@ -166,7 +166,7 @@ def chosen_solver(solver: str, dimension: int) -> str:
     if solver == AUTO:
         return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
     if solver not in SOLVERS:
-        raise Unsupported(f"solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
+        raise Unsupported(f"solver: expected {AUTO}, {', '.join(SOLVERS)}, got {shown(solver)}")
     return solver
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem, counted
+from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Vector, computes, own_floating_point
 from contactqp.model.problem import ContactProblem, Units
@@ -30,6 +30,8 @@ from contactqp.solving.solve import solve
 Form = Mapping[str, float]
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
+# Unknowns that have numbers for names.
+MOST_NUMBERED = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,9 @@ def read_form(part: str, given: Any) -> dict[str, float]:
         It is no mapping from names to finite numbers, or zero.
     """
     if not isinstance(given, Mapping):
-        raise InvalidProblem(f"{part}: expected a mapping from unknowns to factors, as {{'x': 1.0}}, got {given!r}")
+        raise InvalidProblem(
+            f"{part}: expected a mapping from unknowns to factors, as {{'x': 1.0}}, got {shown(given)}"
+        )
     form = {str(name): read_number(f"{part}: factor of {name!r}", factor) for name, factor in given.items()}
     form = {name: factor for name, factor in form.items() if factor}
     if not form:
@@ -131,7 +135,7 @@ def read_number(what: str, value: Any, *, positive: bool = False) -> float:
     """
     expected = "a finite number above 0" if positive else "a finite number"
     if not is_number(value) or not np.isfinite(value) or (positive and not value > 0):
-        raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
+        raise InvalidProblem(f"{what}: expected {expected}, got {shown(value)}")
     return float(value)
 
 
@@ -196,9 +200,13 @@ class ConstrainedEnergy:
     def __post_init__(self) -> None:
         names = self.unknowns
         if is_whole(names):
+            if not 0 <= names <= MOST_NUMBERED:
+                raise InvalidProblem(
+                    f"unknowns: expected from 0 to {MOST_NUMBERED}, got {shown(names)}; a ContactProblem may have more"
+                )
             names = tuple(f"u{j}" for j in range(int(names)))
         if isinstance(names, (str, bytes)) or not isinstance(names, Iterable):
-            raise InvalidProblem(f"unknowns: expected names, or how many there are, got {names!r}")
+            raise InvalidProblem(f"unknowns: expected names, or how many there are, got {shown(names)}")
         object.__setattr__(self, "unknowns", tuple(str(name) for name in names))
         object.__setattr__(self, "parts", tuple(self.parts))
         _refuse_twice("part", [part.name for part in self.parts])
@@ -210,7 +218,7 @@ class ConstrainedEnergy:
             forms = [s.form for s in added.squares] + [c.form for c in (*added.unilateral, *added.ties)]
             for unknown in chain(*forms, added.load or ()):
                 if unknown not in stated:
-                    raise InvalidProblem(f"{name}: expected unknowns of {_some(self.names)}, got {unknown!r}")
+                    raise InvalidProblem(f"{name}: expected unknowns of {_some(self.names)}, got {shown(unknown)}")
         object.__setattr__(self, "problem", self._assembled())
 
     @property

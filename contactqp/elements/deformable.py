@@ -22,9 +22,9 @@ from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphe
 from contactqp.elements.scalars import real_array, real_number, real_vector, unit_vector
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arguments import checks
+from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Array, Index, Vector, computes
-from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_shaped, read_whole
+from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_shaped
 
 
 @runtime_checkable
@@ -139,7 +139,7 @@ class Supported(ReadOnly):
         n = self.body.dimension
         for place, value in values.items():
             if not is_whole(place) or not 0 <= place < n:
-                raise InvalidProblem(f"held: expected places from 0 to {n - 1}, got {place!r}")
+                raise InvalidProblem(f"held: expected places from 0 to {n - 1}, got {shown(place)}")
             real_number(f"held: displacement of place {place}", value)
         if len(values) == n:
             raise InvalidProblem("held: every unknown is; expected some that are free")

@@ -39,7 +39,7 @@ from contactqp.elements.constrained_energy import (
     read_form,
     read_number,
 )
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
@@ -250,7 +250,7 @@ class PlasticHinge:
         object.__setattr__(self, "hardening", read_number(f"{self.name}: hardening", self.hardening))
         if self.hardening < 0:
             raise InvalidProblem(
-                f"{self.name}: hardening: expected a number that is not negative, got {self.hardening!r}"
+                f"{self.name}: hardening: expected a number that is not negative, got {shown(self.hardening)}"
             )
 
     @property

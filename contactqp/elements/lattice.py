@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import KINDS, REFERENCES, Block, Reference
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Index
 
 
@@ -106,7 +106,7 @@ class Lattice:
         dimension = len(self.patches[0].axes)
         allowed = [name for name in KINDS if REFERENCES[name].dimension == dimension]
         if self.kind not in allowed:
-            raise InvalidProblem(f"shape: expected a kind of {', '.join(allowed)}, got {self.kind!r}")
+            raise InvalidProblem(f"shape: expected a kind of {', '.join(allowed)}, got {shown(self.kind)}")
 
     @property
     def reference(self) -> Reference:

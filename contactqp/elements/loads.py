@@ -20,7 +20,7 @@ from contactqp.elements.membrane import Membrane
 from contactqp.elements.reference_elements import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.scalars import Number, Numbers, real_array, square_root, squared_length
 from contactqp.elements.solid import Body, assemble, pattern
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Vector
 
@@ -188,7 +188,7 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
         return body.mesh.nodes(nodes)
     numbers = np.unique(np.asarray(nodes))
     if not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
-        raise InvalidProblem(f"{body.name}: expected a named set or node numbers, got {nodes!r}")
+        raise InvalidProblem(f"{body.name}: expected a named set or node numbers, got {shown(nodes)}")
     return body.mesh.places(body.name, numbers)
 
 

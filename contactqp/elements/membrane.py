@@ -15,7 +15,7 @@ from contactqp.elements.reference_elements import at_rule
 from contactqp.elements.scalars import positive_number
 from contactqp.elements.solid import assemble, pattern
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Membrane:
 
     def __post_init__(self) -> None:
         if not isinstance(self.mesh, Mesh):
-            raise InvalidProblem(f"{self.name}: expected a Mesh as its mesh, got {self.mesh!r}")
+            raise InvalidProblem(f"{self.name}: expected a Mesh as its mesh, got {shown(self.mesh)}")
         if self.mesh.dimension != 2:
             raise InvalidProblem(f"{self.name}: expected a plane mesh for a membrane, got one in 3D")
         positive_number(self.name, self.tension, "tension")

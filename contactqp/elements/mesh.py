@@ -24,9 +24,9 @@ from contactqp.elements.reference_elements import (
 )
 from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arguments import checks
+from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Index
-from contactqp.model.problem_data import ReadOnly, read_only, read_whole
+from contactqp.model.problem_data import ReadOnly, read_only
 
 Points = NDArray[np.float64]
 # An element whose Jacobian falls below this part of its largest at a checked point is checked at more points.
@@ -286,7 +286,7 @@ def mesh_from_arrays(
 
 def _block(kind: str, nodes: ArrayLike) -> Block:
     if kind not in KINDS:
-        raise InvalidProblem(f"elements: expected one of {', '.join(KINDS)}, got {kind!r}")
+        raise InvalidProblem(f"elements: expected one of {', '.join(KINDS)}, got {shown(kind)}")
     numbers = read_whole(f"{kind} elements", nodes)
     expected = len(REFERENCES[kind].nodes)
     if numbers.ndim != 2 or numbers.shape[1] != expected:

@@ -105,7 +105,16 @@ def _candidates(
     if reach is None:
         far = 3 * scipy.spatial.cKDTree(master.points[master.nodes]).query(centres)[0] + 2 * radii
     else:
-        far = np.full(len(centres), float(reach))
+        ends = np.concatenate(
+            [
+                centres - radii[:, np.newaxis],
+                centres + radii[:, np.newaxis],
+                other_centres - other_radii[:, np.newaxis],
+                other_centres + other_radii[:, np.newaxis],
+            ]
+        )
+        farthest = float(np.linalg.norm(np.ptp(ends, axis=0)))  # nothing lies beyond
+        far = np.full(len(centres), min(float(reach), farthest))
     half = radii + np.median(other_radii)
     balls = np.ceil(far / (2 * half)).astype(np.int64)
     count = 2 * balls + 1

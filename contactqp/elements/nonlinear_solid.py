@@ -20,7 +20,7 @@ from contactqp.elements.reference_elements import Block, batches, sum_at_nodes
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.elements.structure import Structure
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
 
@@ -188,7 +188,7 @@ class NonlinearSolid:
             raise InvalidProblem(f"nonlinear solid: expected a Body, got {type(self.body).__name__}")
         name, model = self.body.name, self.body.model
         if isinstance(self.law, str) and self.law not in LAWS:
-            raise InvalidProblem(f"{name}: expected a law of {', '.join(LAWS)}, got {self.law!r}")
+            raise InvalidProblem(f"{name}: expected a law of {', '.join(LAWS)}, got {shown(self.law)}")
         if model == "axisymmetric" or (model == "plane-stress" and self.law != "saint-venant-kirchhoff"):
             raise InvalidProblem(
                 f"{name}: large strains have no form for the model {model!r} with the law {self.law!r}"

@@ -17,10 +17,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.elements.scalars import real_array, real_vector
-from contactqp.errors import InvalidProblem
-from contactqp.model.arguments import checks
+from contactqp.errors import InvalidProblem, shown
+from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Array, computes
-from contactqp.model.problem_data import ReadOnly, read_only, read_whole
+from contactqp.model.problem_data import ReadOnly, read_only
 
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")
@@ -213,7 +213,7 @@ class NonlinearTruss(ReadOnly):
                 f"truss bars: expected nodes from 0 to {len(nodes) - 1}, got {bars.min()}-{bars.max()}"
             )
         if isinstance(self.law, str) and self.law not in LAWS:
-            raise InvalidProblem(f"truss law: expected one of {', '.join(LAWS)}, got {self.law!r}")
+            raise InvalidProblem(f"truss law: expected one of {', '.join(LAWS)}, got {shown(self.law)}")
         object.__setattr__(self, "nodes", read_only(nodes))
         object.__setattr__(self, "bars", read_only(bars))
         for name in ("modulus", "area"):
@@ -381,7 +381,7 @@ class UpdatedTruss:
 
     def __post_init__(self) -> None:
         if self.volume not in VOLUMES:
-            raise InvalidProblem(f"volume: expected one of {', '.join(VOLUMES)}, got {self.volume!r}")
+            raise InvalidProblem(f"volume: expected one of {', '.join(VOLUMES)}, got {shown(self.volume)}")
 
     @property
     def dimension(self) -> int:

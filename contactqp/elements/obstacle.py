@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Rational
 from typing import Any, Protocol
 
 import numpy as np
@@ -88,7 +89,8 @@ def points_near(obstacle: Obstacle, points: Any) -> Numbers:
     x = real_array("points", points)
     if x.ndim != 2 or x.shape[1] != obstacle.dimension:
         raise InvalidProblem(f"points: expected shape (p, {obstacle.dimension}) as the obstacle has it, got {x.shape}")
-    return np.asarray(points)
+    exact = np.asarray(points)
+    return exact if all(isinstance(entry, Rational) for entry in exact.flat if exact.dtype.kind == "O") else x
 
 
 def tangents(normal: Numbers) -> Numbers:

@@ -18,10 +18,10 @@ from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tri
 from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
-from contactqp.errors import InvalidProblem, StartWarning, counted, warn
-from contactqp.model.arguments import checked, checks
+from contactqp.errors import InvalidProblem, StartWarning, counted, shown, warn
+from contactqp.model.arguments import checked, checks, read_whole
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
-from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
+from contactqp.model.problem_data import ReadOnly, is_whole
 from contactqp.model.summary import number
 
 # The part of the size of a body that no interference fit overlaps by.
@@ -393,7 +393,7 @@ def count_unknowns(largest: int, dimension: int | None) -> int:
     if dimension is None:
         return largest + 1
     if not is_whole(dimension):
-        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {dimension!r}")
+        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {shown(dimension)}")
     if largest >= dimension:
         raise InvalidProblem(f"unknowns: expected numbers from 0 to {dimension - 1}, got {largest}")
     return dimension

@@ -57,7 +57,7 @@ class _Ball(ABC):
         return _normals(self._name, points, self._radial(points), float(self.radius), self.inside)
 
     def _radial(self, points: Any) -> NDArray[np.float64]:
-        apart: NDArray[np.float64] = points_near(self, points) - np.asarray(self.centre, dtype=float)
+        apart: NDArray[np.float64] = points_near(self, points).astype(float) - np.asarray(self.centre, dtype=float)
         return apart
 
 
@@ -145,7 +145,7 @@ class Cylinder:
     def _radial(self, points: Any) -> NDArray[np.float64]:
         """Return the vectors from the axis to the points."""
         a = unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
-        apart = points_near(self, points) - np.asarray(self.point, dtype=float)
+        apart = points_near(self, points).astype(float) - np.asarray(self.point, dtype=float)
         radial: NDArray[np.float64] = apart - np.outer(apart @ a, a)
         return radial
 
@@ -252,7 +252,7 @@ class Paraboloid:
 
     def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return z, (p,), and the vectors from the axis to the points, (p, dimension)."""
-        apart = points_near(self, points) - np.asarray(self.apex, dtype=float)
+        apart = points_near(self, points).astype(float) - np.asarray(self.apex, dtype=float)
         z = apart @ self._along
         return z, apart - np.outer(z, self._along)
 

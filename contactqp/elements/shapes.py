@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.lattice import Lattice, Patch
 from contactqp.elements.mesh import Mesh
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import is_whole
@@ -294,7 +294,7 @@ def cylinder(
         Middle of the bottom of the whole cylinder [length].
     """
     if part not in _CYLINDER_PARTS:
-        raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {part!r}")
+        raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {shown(part)}")
     R, H = _length("radius", radius), _length("height", height)
     halves = _CYLINDER_PARTS[part]
     z = H * spacing(divisions[2], grading, "low")
@@ -324,7 +324,7 @@ def _box(
     names_of_sides = {name for pair in names for name in pair} | {"middle"}
     if set(towards) - names_of_sides:
         raise InvalidProblem(
-            f"shape: expected `towards` to be a list of {', '.join(sorted(names_of_sides))}, got {towards!r}"
+            f"shape: expected `towards` to be a list of {', '.join(sorted(names_of_sides))}, got {shown(towards)}"
         )
     values = []
     for axis, pair in enumerate(names):
@@ -468,7 +468,7 @@ def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]
     [0.0, 0.125, 0.25, 0.625, 1.0]
     """
     if not is_whole(cells) or cells < 1:
-        raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {cells!r}")
+        raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {shown(cells)}")
     if not (math.isfinite(grading) and grading >= 1):
         raise InvalidProblem(f"shape: expected a grading >= 1, got {grading}")
     i = np.arange(cells)

@@ -20,7 +20,7 @@ from contactqp.elements.pairing import Pairing
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem, counted
+from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
@@ -89,7 +89,7 @@ class Structure:
             raise InvalidProblem("structure: expected at least one body, got none")
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
-            raise InvalidProblem(f"structure: expected bodies with distinct names, got {twice!r} more than once")
+            raise InvalidProblem(f"structure: expected bodies with distinct names, got {shown(twice)} more than once")
         kinds = dict.fromkeys(_KINDS[body.axes] for body in self.bodies)
         if len(kinds) > 1:
             raise InvalidProblem(f"structure: expected bodies of one dimension, got {' and '.join(kinds)} ones")

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from contactqp.elements.scalars import positive_number
 from contactqp.errors import InvalidProblem, counted
-from contactqp.model.arguments import checks
+from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Array, Index
-from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
+from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 _LINE = np.array([[-1.0], [1.0]])
 _TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])

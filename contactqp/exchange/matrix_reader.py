@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import Ledger, Path, check_finite, check_rows, wrong
 from contactqp.model.arrays import Vector
 
@@ -116,7 +116,7 @@ def stored_form(matrix: Any, storage: Storage, name: str) -> StoredMatrix:
         A storage that FCLIB does not have, or a matrix that FCLIB's 32 bits do not hold.
     """
     if storage not in ("csc", "csr", "triplet"):
-        raise InvalidProblem(f"storage: expected 'csc', 'csr' or 'triplet', got {storage!r}")
+        raise InvalidProblem(f"storage: expected 'csc', 'csr' or 'triplet', got {shown(storage)}")
     entries = sp.csc_array(matrix) if storage == "csc" else sp.csr_array(matrix)
     entries.sort_indices()
     if max(entries.nnz, *entries.shape) > LARGEST_INT:

@@ -193,7 +193,11 @@ def _write_matrix(path: FilePath, part: str, value: Any) -> None:
 
 
 def _write_json(path: FilePath, data: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    try:
+        text = json.dumps(data, indent=1, allow_nan=False)
+    except Exception as error:  # noqa: BLE001  whatever objects say of themselves
+        raise InvalidProblem(f"{path.name}: expected finite numbers, texts, lists and mappings ({error})") from None
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def _answer_data(answer: Solution | Mapping[str, Any]) -> dict[str, Any]:

@@ -32,7 +32,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.linalg.dense import (
     DENSE_SIZE,
     LIFT,
@@ -298,7 +298,7 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True)
 def _eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool) -> Elimination:
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in CHOICES:
-        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {chosen!r}")
+        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
     interior = np.ones(stiffness.shape[0], dtype=bool)
     interior[retained] = False
     count = np.count_nonzero(interior)

@@ -10,7 +10,7 @@ import builtins
 import inspect
 import numbers
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set, Sized
 from decimal import Decimal
 from fractions import Fraction
 from functools import wraps
@@ -19,9 +19,11 @@ from types import UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, WrongCall, cure_of, no_argument, shown
-from contactqp.model.problem_data import is_whole
+from contactqp.model.problem_data import is_whole, refuse_masked
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -33,6 +35,8 @@ COLLECTING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 SEQUENCES = (Sequence, Iterable, tuple, list)
 # Whole numbers from here on are no numbers of anything, and none of NumPy's.
 LARGEST_WHOLE = 2**63
+# No argument lists as many things.
+MOST_ENTRIES = 10**8
 NO_SEQUENCES = (str, bytes, Mapping, Set)
 
 
@@ -78,7 +82,8 @@ def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[
     kind = (args[0] if isinstance(args[0], type) else type(args[0])).__name__
     if function.__name__ != "__init__":
         return f"{kind}.{function.__name__}"
-    return given["name"] if isinstance(given.get("name"), str) else kind
+    name = given.get("name")
+    return str.__str__(name) if isinstance(name, str) else kind
 
 
 def _misfit(signature: inspect.Signature, given: Mapping[str, Any], error: TypeError) -> str:
@@ -114,17 +119,22 @@ def _accepted(place: str, value: Any, stated: Any) -> Any:
     options = get_args(stated) if get_origin(stated) in (Union, UnionType) else (stated,)
     if any(_is_of(value, option) for option in options):
         # What stands for arrays may list float, too: an array with axes stays what it is.
-        scalar = isinstance(value, (np.ndarray, Decimal, Fraction)) and _is_real(value)
+        scalar = isinstance(value, (np.ndarray, np.floating, Decimal, Fraction)) and _is_real(value)
+        if isinstance(value, str):
+            value = str.__str__(value)  # whatever a class of its own writes instead
+            if not any(option in (Path, os.PathLike) for option in options) and not _can_be_written(value):
+                raise InvalidProblem(f"{place}: expected text, got one with half of a character: {shown(value)}")
         return float(value) if float in options and scalar else value
     for option in options:
-        if get_origin(option) in SEQUENCES and isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES):
+        if get_origin(option) in SEQUENCES and _is_sequence(value):
             entries, kinds = _entries(place, value), get_args(option)
             if get_origin(option) is tuple and Ellipsis not in kinds and len(entries) != len(kinds):
                 raise InvalidProblem(f"{place}: expected {len(kinds)} entries, got {shown(value)}")
             accepted = tuple(_accepted(f"{place}[{i}]", one, kinds[0]) for i, one in enumerate(entries))
-            return value if isinstance(value, Sequence) else accepted
-        if get_origin(option) is Mapping and isinstance(value, Mapping):
-            for key, one in value.items():
+            as_they_came = all(one is other for one, other in zip(accepted, entries, strict=True))
+            return value if isinstance(value, Sequence) and as_they_came else accepted
+        if get_origin(option) is Mapping and isinstance(value, Mapping) and not sp.issparse(value):
+            for key, one in _entries(place, value):
                 _accepted(f"{place}: a key", key, get_args(option)[0])
                 _accepted(f"{place}[{shown(key)}]", one, get_args(option)[1])
             return value
@@ -133,11 +143,31 @@ def _accepted(place: str, value: Any, stated: Any) -> Any:
     raise InvalidProblem(f"{place}: expected {words}, got {shown(value)}{cure}")
 
 
-def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
+def _is_sequence(value: Any) -> bool:
+    """Return whether a value has entries in an order; those of a sparse matrix are its rows, which nobody means."""
+    return isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES) and not sp.issparse(value)
+
+
+def is_readable(value: Any) -> bool:
+    """Return whether a value is no collection without an end, or with more entries than anybody lists."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return True
     try:
-        return tuple(value)
+        return len(value) <= MOST_ENTRIES if isinstance(value, Sized) else not hasattr(value, "__getitem__")
+    except Exception:  # noqa: BLE001  a length below zero
+        return False
+
+
+def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
+    """Return the entries of an iterable, of a mapping its pairs."""
+    mapping = isinstance(value, Mapping)
+    try:
+        if isinstance(value, Sized) and not is_readable(value):
+            raise ValueError(f"more than {MOST_ENTRIES:.0e} entries")
+        return tuple(value.items() if isinstance(value, Mapping) else value)
     except Exception as error:
-        raise InvalidProblem(f"{place}: expected a sequence, got {shown(value)} ({shown(error)})") from error
+        expected = "a mapping" if mapping else "a sequence"
+        raise InvalidProblem(f"{place}: expected {expected}, got {shown(value)} ({shown(error)})") from error
 
 
 def _is_of(value: Any, stated: Any) -> bool:
@@ -155,8 +185,8 @@ def _is_of(value: Any, stated: Any) -> bool:
         return isinstance(value, (bool, np.bool_))
     if kind is Callable:
         return callable(value)
-    if kind is Path:
-        return isinstance(value, os.PathLike)
+    if kind in (Path, os.PathLike):
+        return isinstance(value, os.PathLike) and _is_path(value)
     if not isinstance(kind, type) or kind.__module__.partition(".")[0] == "numpy" or kind is object:
         return kind not in SEQUENCES and kind is not Mapping  # any array, and anything
     if issubclass(kind, _ByName):
@@ -174,9 +204,24 @@ def _is_real(value: Any) -> bool:
         return False
     try:
         float(value)
-    except (OverflowError, ValueError):  # beyond 1.8e308, a signalling NaN
+    except Exception:  # noqa: BLE001  beyond 1.8e308, a signalling NaN, somebody else's class
         return False
     return True
+
+
+def _can_be_written(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:  # a surrogate without the other, as names of files may have it
+        return False
+    return True
+
+
+def _is_path(value: Any) -> bool:
+    try:
+        return isinstance(os.fspath(value), str)
+    except Exception:  # noqa: BLE001  somebody else's class
+        return False
 
 
 def _members(protocol: type) -> list[str]:
@@ -207,3 +252,36 @@ def _words(stated: Any) -> str:
     if getattr(kind, "_is_protocol", False):
         return f"an object with {', '.join(_members(kind))}"
     return "an array" if kind in (Any, np.ndarray) else f"a {getattr(kind, '__name__', kind)}"
+
+
+def read_whole(name: str, value: Any) -> NDArray[np.int64]:
+    """Return a copy of whole numbers of any shape.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows of different lengths, masked arrays, or entries that are no whole numbers.
+    """
+    refuse_masked(name, value)
+    try:
+        whole = np.array(value)
+    except Exception:  # noqa: BLE001  whatever an object says of itself as an array
+        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got {shown(value)}") from None
+    if whole.size and whole.dtype.kind not in "iu":
+        raise InvalidProblem(f"{name}: expected whole numbers, got {whole.dtype} {whole.shape}")
+    return whole.astype(np.int64)
+
+
+def read_places(name: str, value: Any, count: int) -> NDArray[np.intp]:
+    """Return places among `count`, given as whole numbers or as one truth value for each.
+
+    Raises
+    ------
+    InvalidProblem
+        Neither, or a place that is none.
+    """
+    chosen = isinstance(value, np.ndarray) and value.dtype == bool and value.shape == (count,)
+    places = np.flatnonzero(value) if chosen else read_whole(name, value)
+    if places.ndim != 1 or np.any((places < 0) | (places >= count)):
+        raise InvalidProblem(f"{name}: expected places from 0 to {count - 1}, got {shown(value)}")
+    return places.astype(np.intp)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property, wraps
 from inspect import isfunction, signature
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ TOO_FAR_APART = (
 
 # The least double with all its digits.
 TINY = float(np.finfo(float).tiny)
+
+# Sparse solvers count rows and columns with 32 bits.
+LARGEST_INDEX = 2**31 - 1
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -104,3 +107,33 @@ def computes(kind: C) -> C:
         elif isinstance(value, property) and value.fget is not None:
             setattr(kind, name, property(own_floating_point(value.fget), doc=value.__doc__))
     return kind
+
+
+def refuse_places_outside(name: str, matrix: Any) -> None:
+    """Raise InvalidProblem where a sparse matrix has entries outside of its shape, or fewer numbers than places.
+
+    SciPy's conversions of such a matrix read and write beyond the ends of its arrays.
+    """
+    if max(matrix.shape) > LARGEST_INDEX:
+        raise InvalidProblem(f"{name}: expected at most {LARGEST_INDEX} rows and columns, got shape {matrix.shape}")
+    if matrix.format == "coo":
+        fit = all(_are_places(at, count, matrix.data) for at, count in zip(matrix.coords, matrix.shape, strict=True))
+    elif matrix.format in ("csr", "csc", "bsr"):
+        block = getattr(matrix, "blocksize", (1, 1))
+        sizes = [size // width for size, width in zip(matrix.shape, block, strict=True)]
+        rows, columns = sizes[::-1] if matrix.format == "csc" else sizes
+        start, at = matrix.indptr, matrix.indices
+        fit = len(start) == rows + 1 and start[0] == 0 and bool(np.all(np.diff(start) >= 0))
+        fit = fit and start[-1] <= len(at) and _are_places(at, columns, matrix.data)
+    else:
+        return  # the other formats convert in Python, with checks
+    if not fit:
+        raise InvalidProblem(
+            f"{name}: expected a sparse matrix, got one with entries outside of its shape {matrix.shape}"
+        )
+
+
+def _are_places(places: Any, count: int, data: Any) -> bool:
+    """Return whether each number of a sparse matrix has one place among `count`."""
+    within = not len(places) or (int(places.min()) >= 0 and int(places.max()) < count)
+    return len(places) == len(data) and within

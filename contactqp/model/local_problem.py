@@ -25,6 +25,7 @@ from contactqp.model.problem_data import (
     Matrix,
     ReadOnly,
     is_number,
+    name_of,
     read_array,
     read_coefficient,
     read_matrix,
@@ -232,7 +233,7 @@ class LocalProblem(ReadOnly):
         return self.contact_scale[:, None] * self.offset.reshape(self.contacts, self.dimension)
 
     def contact_name(self, i: int) -> str:
-        return self.contact_names[i] if self.contact_names else f"contact {i}"
+        return name_of("contact", i, self.contacts, self.contact_names)
 
     def __repr__(self) -> str:
         joints = f", {self.joints} joints" if self.joints else ""

@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, counts
+from contactqp.model.arguments import read_places
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.arrays import inverse_root, own_floating_point, refuses_other_names
 from contactqp.model.computed import Computed
@@ -30,6 +31,7 @@ from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import Units as Units
 from contactqp.model.problem_data import (
     csr_rows,
+    name_of,
     no_rows,
     read_array,
     read_friction,
@@ -37,7 +39,6 @@ from contactqp.model.problem_data import (
     read_motions,
     read_names,
     read_only,
-    read_places,
     read_rows,
     read_stiffness,
     read_units,
@@ -444,16 +445,16 @@ class ContactProblem:
         Unsupported
             One is infinite.
         """
-        if np.any(self.gap == np.inf):
-            i = int(np.argmax(self.gap == np.inf))
+        if (never := self.gap == np.inf).any():
+            i = int(np.argmax(never))
             raise Unsupported(f"{self.contact_name(i)} never closes: infinity is no rational number, leave it out")
         return self.gap
 
     def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
         """Return the problem with some of its ties only, which keep their names."""
         ties = read_places("ties", ties, self.ties)
-        kept = self._values() | dict(tie_names=tuple(map(self.tie_name, ties.tolist())))
-        kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
+        names = tuple(map(self.tie_name, ties.tolist()))
+        kept = self._values() | dict(tie_names=names, tie=self.tie[ties], tie_value=self.tie_value[ties])
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @property
@@ -462,8 +463,8 @@ class ContactProblem:
 
         Every process has its own: one that is forked while another thread holds it would wait for ever.
         """
-        locks, process = self._computed.locks, os.getpid()
-        return locks.get(process) or locks.setdefault(process, threading.RLock())
+        locks = self._computed.locks
+        return locks.get(os.getpid()) or locks.setdefault(os.getpid(), threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the problem for copies and pickles, without anything that was computed from it."""
@@ -481,19 +482,18 @@ class ContactProblem:
         InvalidProblem
             `displacement` is no array of n real numbers.
         """
-        u = read_array("displacement", displacement)
-        if u.shape != (self.dimension,):
+        if (u := read_array("displacement", displacement)).shape != (self.dimension,):
             raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u)
 
     def contact_name(self, i: int) -> str:
-        return self.contact_names[i] if self.contact_names else f"contact {i}"
+        return name_of("contact", i, self.contacts, self.contact_names)
 
     def dof_name(self, j: int) -> str:
-        return self.dof_names[j] if self.dof_names else f"unknown {j}"
+        return name_of("unknown", j, self.dimension, self.dof_names)
 
     def tie_name(self, i: int) -> str:
-        return self.tie_names[i] if self.tie_names else f"tie {i}"
+        return name_of("tie", i, self.ties, self.tie_names)
 
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
+from itertools import islice
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
@@ -17,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
@@ -31,7 +32,6 @@ SYMMETRY_TOLERANCE = 1e-6
 DEFINITENESS_CHECK_SIZE = 200
 # Entries of a direction of negative curvature that a message gives.
 CURVED_NAMED = 4
-
 
 T = TypeVar("T")
 # What cannot be changed anyway.
@@ -115,13 +115,22 @@ def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, 
 
 def is_number(value: Any) -> bool:
     """Return whether a value is one real number; truth values are not, nor are NumPy's durations."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, (bool, np.timedelta64))
+    if type(value) in (int, float):
+        return True
+    if not isinstance(value, (int, float, np.integer, np.floating)) or isinstance(value, (bool, np.timedelta64)):
+        return False
+    try:
+        float(value)
+        return True
+    except Exception as error:  # noqa: BLE001  what a class of somebody else's makes of itself
+        return isinstance(error, OverflowError)
 
 
 def refuse_not_positive(name: str, value: Any) -> None:
     """Raise InvalidProblem unless a number is positive and finite."""
-    if not is_number(value) or not 0 < value <= sys.float_info.max:
-        beyond = isinstance(value, int) and abs(value) > sys.float_info.max
+    beyond = isinstance(value, int) and abs(value) > sys.float_info.max
+    number = float(value) if isinstance(value, np.floating) else value  # half floats do not compare with 1.8e308
+    if beyond or not is_number(value) or not 0 < number < np.inf:
         raise InvalidProblem(
             f"{name}: expected a positive number, got {'one beyond 1.8e308' if beyond else shown(value)}"
         )
@@ -130,39 +139,6 @@ def refuse_not_positive(name: str, value: Any) -> None:
 def is_whole(value: Any) -> TypeGuard[int]:
     """Return whether a value is one whole number; truth values and durations are not."""
     return is_number(value) and isinstance(value, (int, np.integer))
-
-
-def read_whole(name: str, value: Any) -> NDArray[np.int64]:
-    """Return a copy of whole numbers of any shape.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows of different lengths, masked arrays, or entries that are no whole numbers.
-    """
-    refuse_masked(name, value)
-    try:
-        whole = np.array(value)
-    except Exception:  # noqa: BLE001  whatever an object says of itself as an array
-        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got {shown(value)}") from None
-    if whole.size and whole.dtype.kind not in "iu":
-        raise InvalidProblem(f"{name}: expected whole numbers, got {whole.dtype} {whole.shape}")
-    return whole.astype(np.int64)
-
-
-def read_places(name: str, value: Any, count: int) -> NDArray[np.intp]:
-    """Return places among `count`, given as whole numbers or as one truth value for each.
-
-    Raises
-    ------
-    InvalidProblem
-        Neither, or a place that is none.
-    """
-    chosen = isinstance(value, np.ndarray) and value.dtype == bool and value.shape == (count,)
-    places = np.flatnonzero(value) if chosen else read_whole(name, value)
-    if places.ndim != 1 or np.any((places < 0) | (places >= count)):
-        raise InvalidProblem(f"{name}: expected places from 0 to {count - 1}, got {shown(value)}")
-    return places.astype(np.intp)
 
 
 def refuse_masked(name: str, value: Any) -> None:
@@ -203,6 +179,7 @@ def _sparse(name: str, value: Any) -> Any:
             raise InvalidProblem(f"{name}: expected a matrix, got {shown(value)}")
         if isinstance(getattr(value, "data", None), np.ma.MaskedArray) or value.dtype.kind not in KINDS:
             read_array(name, value.data)
+        refuse_places_outside(name, value)
         rows = sp.csr_array(value, dtype=float, copy=True)
     else:
         dense = read_array(name, value)
@@ -444,18 +421,32 @@ def read_motions(value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
 def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
     if value is None:
         return None
-    if isinstance(value, (str, bytes)) or not np.iterable(value):
-        raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)}")
     try:
-        names = tuple(str(v) for v in value)
+        if isinstance(value, (str, bytes)) or sp.issparse(value):
+            raise TypeError("no names")
+        names = tuple(str(v) for v in islice(value, size + 1))  # some have no end
+        "".join(names).encode()
     except Exception as error:  # noqa: BLE001  whatever an object says of itself
         raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)} ({error})") from None
     if len(names) != size:
-        raise InvalidProblem(f"{name}: expected {size} names, got {len(names)}")
+        raise InvalidProblem(f"{name}: expected {size} names, got {len(names) if len(names) < size else 'more'}")
     if len(set(names)) != size:
         twice = next(v for v in names if names.count(v) > 1)
-        raise InvalidProblem(f"{name}: expected distinct names, got {twice!r} more than once")
+        raise InvalidProblem(f"{name}: expected distinct names, got {shown(twice)} more than once")
     return names
+
+
+def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
+    """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
+
+    Raises
+    ------
+    InvalidProblem
+        It is none of the numbers from 0 to `count` - 1.
+    """
+    if not (is_whole(number) and 0 <= number < count):
+        raise InvalidProblem(f"{kind}: expected a number from 0 to {count - 1}, got {shown(number)}")
+    return names[number] if names else f"{kind} {number}"
 
 
 @dataclass(frozen=True)
@@ -464,6 +455,11 @@ class Units:
 
     length: str = ""
     force: str = ""
+
+    def __post_init__(self) -> None:
+        for what, name in vars(self).items():
+            if not isinstance(name, str):
+                raise InvalidProblem(f"units: expected the name of a unit of {what}, got {shown(name)}")
 
 
 # Names that are units of one and never of the other.
@@ -475,7 +471,7 @@ def read_units(value: Units | Mapping[str, str] | None) -> Units:
     """Return the units that a mapping with the keys ``length`` and ``force`` names; none where nothing is given."""
     if value is None or isinstance(value, Units):
         return value or Units()
-    if not isinstance(value, Mapping) or (value and set(value) != {"length", "force"}):
+    if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):
         raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
     for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
         if not isinstance(value[what], str) or value[what] in others:

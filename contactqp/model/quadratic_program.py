@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.problem_data import read_array, read_names
 
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
@@ -127,6 +127,7 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
 def _matrix(name: str, rows: Any) -> Any:
     """Return rows of real numbers of any kind as a CSR matrix; one row may come as a vector."""
     if sp.issparse(rows):
+        refuse_places_outside(name, rows)
         found = sp.csr_matrix(rows) if rows.ndim == 2 else sp.csr_matrix(rows.toarray()[None, :])
         return sp.csr_matrix((read_array(name, found.data), found.indices, found.indptr), shape=found.shape)
     dense = np.atleast_2d(read_array(name, rows))

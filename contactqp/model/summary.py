@@ -428,5 +428,5 @@ def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: s
     same = [i for i, other in enumerate(names) if meant is not None and plain_name(other) == meant]
     if len(same) == 1:
         return same[0]
-    near = get_close_matches(str(name), names, n=3) or names[:3]
+    near = get_close_matches(shown(name), names, n=3) or names[:3]
     raise InvalidProblem(f"no {what} is called {shown(name)}; nearest: {', '.join(near) or 'there is none'}")

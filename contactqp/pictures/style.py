@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import PICTURES, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
@@ -105,7 +105,7 @@ def colour_label(colour: str, units: Units) -> str:
         return f"displacement, magnitude [{length_unit(units)}]"
     if colour == "von mises":
         return f"von Mises stress [{pressure_unit(units)}]"
-    raise InvalidProblem(f"colour: expected one of {', '.join(map(repr, COLOURS))}, got {colour!r}")
+    raise InvalidProblem(f"colour: expected one of {', '.join(map(repr, COLOURS))}, got {shown(colour)}")
 
 
 def colour_range(values: Array) -> tuple[float, float]:

@@ -14,13 +14,14 @@ from pathlib import Path
 from types import GenericAlias
 from typing import TYPE_CHECKING, Any
 
+import scipy.sparse as sp
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
-from contactqp.errors import InvalidProblem, SceneError, Unsupported
+from contactqp.errors import InvalidProblem, SceneError, Unsupported, shown
 from contactqp.linalg.runtime import READ, STEPS, stage
-from contactqp.model.arguments import checked
+from contactqp.model.arguments import checked, is_readable
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.problem import ContactProblem
@@ -49,6 +50,9 @@ class Scene(SceneData):
     """
 
     def __init__(self, /, **keys: Any) -> None:
+        for key, value in keys.items():
+            if sp.issparse(value) or not is_readable(value):
+                raise SceneError(f"{key}: expected what a case file may hold, got {shown(value)}")
         try:
             super().__init__(**keys)
         except ValidationError as error:

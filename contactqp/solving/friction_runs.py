@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.coulomb_law import rounded_slips
 from contactqp.certificate.figures import holds, holds_by_products
-from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported, shown
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
@@ -318,7 +318,7 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
     """
     if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
         known = ", ".join((*ALGORITHMS, *TAKEN))
-        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
+        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {shown(algorithm)}")
     if iterated(problem):
         if algorithm not in (None, "tresca"):
             raise Unsupported(

@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.local_certificate import certify_local, judged, velocity_of
-from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.errors import (
+    InvalidProblem,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    Unsupported,
+    shown,
+)
 from contactqp.linalg.runtime import THREADS_PAY, on_one_thread
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
@@ -75,7 +83,7 @@ def solve_local(
         algorithm = "aclm"
     if algorithm is not None and algorithm not in (*ALGORITHMS, ENUMERATION):
         known = ", ".join((*ALGORITHMS, ENUMERATION))
-        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
+        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {shown(algorithm)}")
     _refuse_options(method, algorithm, options)
     if algorithm == ENUMERATION:
         return _enumerated(problem, tolerance, only=True)

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import read_text, write_whole, wrong
 from contactqp.exchange.problem_files import is_problem_file
 from contactqp.oracle.foreign.foreign_answer import COMPRESSION
@@ -80,7 +80,7 @@ def receipt_path(file: str, problem: str, candidate: str, options: CheckOptions)
         raise InvalidProblem("--receipt: expected files, whose hashes it holds, got standard input")
     target = Path(file).resolve()
     if not file or target.is_dir() or (target.exists() and not target.is_file()) or not target.parent.is_dir():
-        raise InvalidProblem(f"--receipt: expected a file in a folder that is there, got {file!r}")
+        raise InvalidProblem(f"--receipt: expected a file in a folder that is there, got {shown(file)}")
     judged = (str(case_path(problem)), candidate, *options.files().values())
     if target in {Path(name).resolve() for name in judged}:
         raise InvalidProblem(f"--receipt: {file} is one of the files that are judged; expected another")

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import read_array
 from contactqp.solving.methods import Method, find, methods
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
@@ -176,9 +178,12 @@ def ladder(method: Method, knob: str, values: Sequence[float], variant: str = ""
         "raw", "polished" or "uzawa"; by default "polished" where the method polishes its answer.
     """
     variant = variant or ("polished" if method.polish else "")
-    for value in values:
-        option = {"max_iter": int(value)} if knob == "iterations" else {knob: float(value)}
-        yield Setting(method, variant, knob, float(value), option | _OF_VARIANTS.get(variant, {}))
+    for given in values:
+        value = read_array(knob, given)
+        if value.size != 1:
+            raise InvalidProblem(f"{knob}: expected a number, got {shown(given)}")
+        option = {"max_iter": int(value.item())} if knob == "iterations" else {knob: value.item()}
+        yield Setting(method, variant, knob, value.item(), option | _OF_VARIANTS.get(variant, {}))
 
 
 _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa": {"update": "uzawa"}}

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import Ledger, read_text, wrong
 from contactqp.exchange.matrix_files import read_matrix
 from contactqp.exchange.tables import is_table, read_tables
@@ -65,7 +65,7 @@ class CheckOptions:
 
     def __post_init__(self) -> None:
         if self.compression not in COMPRESSION:
-            raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {self.compression!r}")
+            raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {shown(self.compression)}")
 
 
 def as_options(text: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.factorization import factorise, null_space
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
@@ -40,7 +40,7 @@ def read_mass(mass: Any, n: int) -> Any:
     values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
     values = values.reshape(1) if values.ndim == 0 and n == 1 else values
     if values.ndim not in (1, 2):
-        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {mass!r}")
+        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {shown(mass)}")
     M = sp.csr_matrix(sp.diags(values) if values.ndim == 1 else values)
     if M.shape != (n, n):
         raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got shape {values.shape}")

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
@@ -133,16 +135,16 @@ def _places(
     """Return the place (count,) of each unknown or contact of the problem in what was given."""
     if value is None:
         return None
-    if isinstance(value, str) or not np.iterable(value):
-        raise InvalidProblem(f"{name}: expected {count} integers or names, got {shown(value)}")
     try:
-        entries = list(value)
+        if isinstance(value, str) or sp.issparse(value):
+            raise TypeError("no list")
+        entries = list(islice(value, count + 1))  # some have no end
     except Exception as error:  # noqa: BLE001  whatever an object says of itself
         raise InvalidProblem(f"{name}: expected {count} integers or names, got {shown(value)} ({error})") from None
     if entries and all(isinstance(one, str) for one in entries):
         return _by_name(name, entries, names, kind)
     try:
-        places = np.asarray(value)
+        places = np.asarray(entries if len(entries) > count else value)
     except ValueError:
         places = np.zeros(0, dtype=object)
     if places.shape != (count,) or not np.issubdtype(places.dtype, np.integer):

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.problem_folder import write_problem
 from contactqp.model.arguments import checked
 from contactqp.oracle.gallery import random_problems as plain
@@ -108,7 +108,7 @@ def problems(
     refuse_unknown("difficulty", difficulty, DIFFICULTIES)
     for name, value in (("count", count), ("seed", seed)):
         if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
-            raise InvalidProblem(f"gallery: {name}: expected an integer >= 0, got {value!r}")
+            raise InvalidProblem(f"gallery: {name}: expected an integer >= 0, got {shown(value)}")
     if count is not None and count > LARGEST_COUNT:
         raise InvalidProblem(f"gallery: count: expected at most {LARGEST_COUNT}, got {count}")
     found: list[GalleryProblem] = []
@@ -144,7 +144,7 @@ def refuse_unknown(what: str, value: object, known: tuple[str, ...]) -> None:
     if value is not None and value not in known:
         near = get_close_matches(str(value), known, 1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        raise InvalidProblem(f"gallery: {what}: expected one of {', '.join(known)}, got {value!r}{hint}")
+        raise InvalidProblem(f"gallery: {what}: expected one of {', '.join(known)}, got {shown(value)}{hint}")
 
 
 def _of_kind(kind: str, difficulty: str | None, count: int, seed: int) -> list[GalleryProblem]:

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate.certificate import compute_certificate
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
@@ -54,7 +54,7 @@ def with_contact_springs(
         A stiffness is not positive and finite, or there are no tangential rows.
     """
     if problem.tangent is None or problem.slip_origin is None:
-        raise InvalidProblem(f"{NAME}: expected a problem with tangential rows, got {problem!r}")
+        raise InvalidProblem(f"{NAME}: expected a problem with tangential rows, got {shown(problem)}")
     n, m, width = problem.dimension, problem.contacts, problem.slip_origin.shape[1]
     normal, tangential = _stiffnesses(m, penalty, tangential_penalty)
     rows: Any = sp.vstack([problem.normal, problem.tangent], format="csr")
@@ -120,7 +120,7 @@ def sliders(
         As `with_contact_springs`.
     """
     if problem.tangent is None or problem.slip_origin is None or solution.friction_force is None:
-        raise InvalidProblem(f"{NAME}: expected a problem with tangential rows, got {problem!r}")
+        raise InvalidProblem(f"{NAME}: expected a problem with tangential rows, got {shown(problem)}")
     _, tangential = _stiffnesses(problem.contacts, penalty, tangential_penalty)
     moved = (problem.tangent @ solution.displacement).reshape(problem.slip_origin.shape)
     stuck = solution.contact_status[:, None] == "stick"

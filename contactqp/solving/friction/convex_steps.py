@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem, NotConverged, Unsupported
+from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.model.arrays import Array, Vector
@@ -75,9 +75,9 @@ class ConvexSteps:
         self.facets = FACETS if self.facets is None else self.facets
         self.polygon = "inscribed" if self.polygon is None else self.polygon
         if not is_whole(self.facets) or not 3 <= self.facets <= MOST_FACETS:
-            raise InvalidProblem(f"facets: expected a whole number from 3 to {MOST_FACETS}, got {self.facets!r}")
-        if self.polygon not in POLYGONS:
-            raise InvalidProblem(f"polygon: expected one of {', '.join(POLYGONS)}, got {self.polygon!r}")
+            raise InvalidProblem(f"facets: expected a whole number from 3 to {MOST_FACETS}, got {shown(self.facets)}")
+        if not isinstance(self.polygon, str) or self.polygon not in POLYGONS:
+            raise InvalidProblem(f"polygon: expected one of {', '.join(POLYGONS)}, got {shown(self.polygon)}")
         if not self._method.exact:
             raise Unsupported(
                 f"{self._method.name}: Coulomb friction takes exact convex steps, and this is approximate by design"

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported, counted
+from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
@@ -79,24 +79,29 @@ class ExactData:
         if name not in self._exact:
             return [Fraction(float(x)) for x in floats.ravel()]
         given = self._exact[name]
-        given = np.asarray(given.toarray() if hasattr(given, "toarray") else given, dtype=object)
+        try:
+            given = np.asarray(given.toarray() if hasattr(given, "toarray") else given, dtype=object)
+        except Exception:  # noqa: BLE001  whatever an object says of itself as an array
+            raise InvalidProblem(f"{name}: expected rational numbers, got {shown(given)}") from None
         if name == "friction" and given.ndim == 0:
             given = np.broadcast_to(given, floats.shape)
         if given.size != floats.size:
             raise InvalidProblem(f"{name}: expected {floats.size} exact values, got {given.size}")
         values = [_fraction(name, x) for x in given.ravel()]
-        allowed = ROUNDED * float(np.max(abs(floats), initial=0.0))
+        allowed = Fraction(ROUNDED * float(np.max(abs(floats), initial=0.0)))
         for value, rounded in zip(values, floats.ravel().tolist(), strict=True):
-            if not abs(float(value) - rounded) <= allowed:
-                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {value}")
+            if not abs(value - Fraction(rounded)) <= allowed:
+                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {shown(value)}")
         return values
 
 
 def _fraction(name: str, value: Any) -> Fraction:
     try:
+        if isinstance(value, np.timedelta64):
+            raise TypeError("a duration")
         return Fraction(value)
-    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
-        raise InvalidProblem(f"{name}: expected rational numbers, got {value!r}") from None
+    except Exception:  # noqa: BLE001  no number, or an object with words of its own
+        raise InvalidProblem(f"{name}: expected rational numbers, got {shown(value)}") from None
 
 
 # 4^6 systems of some ten rows take tens of seconds in rational numbers.

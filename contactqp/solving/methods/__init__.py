@@ -75,7 +75,7 @@ def register(method: Method) -> None:
         A method of that name is there.
     """
     if method.name in _REGISTRY:
-        raise InvalidProblem(f"method: expected a name of its own, got {method.name!r}, which another one has")
+        raise InvalidProblem(f"method: expected a name of its own, got {shown(method.name)}, which another one has")
     _REGISTRY[method.name] = method
 
 
@@ -94,7 +94,7 @@ def registered_name(name: Any) -> str:
     meant = of_same_letters(name, _REGISTRY)
     if meant is None:
         near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
-        raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
+        raise Unsupported(f"no method is called {shown(name)}; nearest: {', '.join(near)}")
     return meant
 
 
@@ -213,10 +213,10 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
         raise InvalidProblem(f"{needed} has no default, state it: solve(..., {missing[0]}=...)")
     if algorithm is not None and problem.frictional and method.solve_friction is not None:
         raise Unsupported(
-            f"{method.name}: algorithm={algorithm!r} takes convex steps of another method, and this one has systems of "
-            "stick and slip of its own: leave one of the two out"
+            f"{method.name}: algorithm={shown(algorithm)} takes convex steps of another method, and this one has "
+            "systems of stick and slip of its own: leave one of the two out"
         )
     if algorithm is not None and not problem.frictional:
         raise Unsupported(
-            f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none"
+            f"{method.name}: algorithm={shown(algorithm)} is an outer law of friction, and this problem has none"
         )

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.measures import lengths_that_meet, ratio
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
@@ -86,8 +86,8 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
 def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
     """The update, and beta (m,) as it was given or by default."""
     update = settings.options.get("update", "simultaneous")
-    if update not in ("simultaneous", "uzawa"):
-        raise InvalidProblem(f"{NAME}: update: expected 'simultaneous' or 'uzawa', got {update!r}")
+    if not isinstance(update, str) or update not in ("simultaneous", "uzawa"):
+        raise InvalidProblem(f"{NAME}: update: expected 'simultaneous' or 'uzawa', got {shown(update)}")
     given = settings.options.get("penalty")
     if given is None:
         return update, default_penalty(problem, problem.normal, UZAWA_STIFFENING if update == "uzawa" else 1.0)

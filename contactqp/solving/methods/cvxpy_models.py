@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported, shown
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -72,13 +72,13 @@ def _cvxpy() -> Any:
 
 def _solver(cp: Any, name: Any) -> str:
     if not isinstance(name, str):
-        raise InvalidProblem(f"{NAME}: solver: expected a name such as 'CLARABEL', got {name!r}")
-    solver, installed = name.upper(), cp.installed_solvers()
+        raise InvalidProblem(f"{NAME}: solver: expected a name such as 'CLARABEL', got {shown(name)}")
+    solver, installed = str.upper(name), cp.installed_solvers()
     if solver in installed:
         return solver
     if solver in cp.settings.SOLVERS:
-        raise BackendMissing(f"{NAME}: solver {name!r} is not installed; installed are {', '.join(installed)}")
-    raise Unsupported(f"{NAME}: no solver is called {name!r}; installed are {', '.join(installed)}")
+        raise BackendMissing(f"{NAME}: solver {shown(name)} is not installed; installed are {', '.join(installed)}")
+    raise Unsupported(f"{NAME}: no solver is called {shown(name)}; installed are {', '.join(installed)}")
 
 
 def _options(solver: str, settings: Settings) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.errors import InvalidProblem, NotConverged, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.factorization import null_space
@@ -126,10 +126,10 @@ def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: b
     except InvalidProblem as error:
         raise InvalidProblem(f"{expected}; {str(error).removeprefix(f'{key}: ')}") from None
     if np.asarray(value).dtype == bool:
-        raise InvalidProblem(f"{expected}, got {value!r}")
+        raise InvalidProblem(f"{expected}, got {shown(value)}")
     allowed = (values >= 0 if zero else values > 0) & np.isfinite(values)
     if values.shape not in ((), (contacts,)) or not np.all(allowed):
-        raise InvalidProblem(f"{expected}, got {value!r}")
+        raise InvalidProblem(f"{expected}, got {shown(value)}")
     return np.broadcast_to(values, (contacts,)).astype(float)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from contactqp.analysis.motion.schemes import contact_stabilised, modified_mass, moreau_jean, newmark, paoli_schatzman
 from contactqp.analysis.motion.schemes.scheme import SchemeEntry
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, shown
 
 _MODULES = (moreau_jean, newmark, modified_mass, paoli_schatzman, contact_stabilised)
 
@@ -23,7 +23,7 @@ def register(entry: SchemeEntry) -> None:
         Another scheme has that name.
     """
     if entry.name in SCHEMES:
-        raise InvalidProblem(f"scheme: expected a name of its own, got {entry.name!r}, which another one has")
+        raise InvalidProblem(f"scheme: expected a name of its own, got {shown(entry.name)}, which another one has")
     SCHEMES[entry.name] = entry
 
 
@@ -36,5 +36,5 @@ def find(name: str) -> SchemeEntry:
         There is no such scheme; the message lists all names.
     """
     if not isinstance(name, str) or name not in SCHEMES:
-        raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {name!r}")
+        raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {shown(name)}")
     return SCHEMES[name]
