@@ -128,7 +128,7 @@ class Cylinder:
         _check("cylinder", "point", self.point, 3)
         _check("cylinder", "axis", self.axis, 3)
         positive_number("cylinder radius", self.radius, "length")
-        unit_vector(self.axis, "cylinder axis")
+        unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
 
     @property
     def dimension(self) -> int:
@@ -213,7 +213,7 @@ class Paraboloid:
         if not np.all(np.isfinite([apex, axis])):
             raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
         positive_number("paraboloid radius", self.radius, "length")
-        unit_vector(self.axis, "paraboloid axis")
+        unit_vector(axis, "paraboloid axis")
 
     @property
     def dimension(self) -> int:
