@@ -239,8 +239,8 @@ class ContactProblem:
         # What everything asks for is there without a call.
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
-        matrices = [one for one in (self.stiffness, self.normal, self.tangent, self.tie) if sp.issparse(one)]
-        vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in matrices]
+        given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
+        vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in given if sp.issparse(one)]
         for name, value in values.items():
             vars(self)[name] = read_only(value)
 

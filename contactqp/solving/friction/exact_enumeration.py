@@ -34,6 +34,8 @@ from contactqp.solving.friction.enumeration import refuse_many
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
 ROUNDED = 1e-9
+# Fractions that a message writes out; Python refuses to write thousands of digits.
+LARGEST_WRITTEN = 10**12
 NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_origin", "tie", "tie_value")
 
 
@@ -91,7 +93,8 @@ class ExactData:
         allowed = Fraction(ROUNDED * float(np.max(abs(floats), initial=0.0)))
         for value, rounded in zip(values, floats.ravel().tolist(), strict=True):
             if not abs(value - Fraction(rounded)) <= allowed:
-                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {shown(value)}")
+                written = str(value) if abs(value) < LARGEST_WRITTEN else shown(value)
+                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {written}")
         return values
 
 
