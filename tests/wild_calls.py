@@ -107,7 +107,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
     answer = dict(displacement=solution.displacement, normal_force=solution.normal_force)
     of_local = dict(problem=local, force=np.zeros(local.contacts * 2))
     energy = cq.ConstrainedEnergy(["w"], [[2.0]], [3.0])
-    structure, heavy = given.block(), cq.Body(mesh(), cq.Material(1.0, 0.0, 2.0), "plane-strain")
+    structure, heavy = given.block(), cq.Body(mesh(), cq.Material(1.0, 0.0, 2.0), "plane-strain", name="block")
+    dense = cq.Structure([heavy])
     bottom, pressure = cq.Support("block", "bottom", 1), cq.Pressure("block", "top", 1.0)
     edge = dict(points=[[0.0, 0.0], [1.0, 0.0]], facets=[[0, 1]], unknowns=[[0, 1], [2, 3]])
     plain = tomllib.loads(scene.read_text())
@@ -182,6 +183,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "Supported.restrict": (free.restrict, dict(load=u6)),
         "Structure": (cq.Structure, dict(bodies=[body()])),
         "Structure.assemble": (structure.assemble, dict(supports=[bottom], loads=[pressure])),
+        "Structure.mass": (dense.mass, {}),
+        "System.mass": (dense.assemble([bottom]).mass, {}),
         "Structure.prescribed": (structure.prescribed, dict(supports=[bottom])),
         "Structure.body": (structure.body, dict(name="block")),
         "Structure.solid": (structure.solid, dict(name="block")),
