@@ -462,7 +462,7 @@ def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, 
 
 
 def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str) -> bool:
-    if method.kind not in (CONDENSES_ITSELF, "quadratic program") or not method.sparse:
+    if method.kind not in (CONDENSES_ITSELF, "quadratic program", "modelling language") or not method.sparse:
         return False
     if condense == "auto":
         return constraints_are_many(problem)

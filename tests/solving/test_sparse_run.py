@@ -418,6 +418,12 @@ def test_degenerate_vertices_are_found_in_units_of_each_unknown_and_tie(seed: in
     assert solution.energy == pytest.approx(beside.energy, rel=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_programs_by_a_modelling_language_are_polished_on_sparse_systems(seed: int) -> None:
+    pytest.importorskip("cvxpy")
+    assert cq.solve(staged(seed, 3, 3, 2), "cvxpy").certificate.passed
+
+
 @pytest.mark.parametrize("unit", [2.0**-6, 1.0, 2.0**5])
 @pytest.mark.parametrize("seed", [8, 41, 52])
 def test_degenerate_vertices_are_found_in_all_units_of_force(seed: int, unit: float) -> None:
