@@ -155,7 +155,7 @@ class Truth:
         energy = _norm(self.stiffness, du)
         readings: dict[str, tuple[float, ...]] = {"energy_error": self._readings(energy, 0, [])}
         pushed = 0.0
-        if self.unique_forces:
+        if self.unique_forces and data.A.rank() == len(self.tie_force):  # so that those of ties are unique, too
             factors, ties = units.contacts / units.force, units.ties / units.force
             largest = float(np.linalg.norm(np.concatenate([floats(self.force) * factors, self.tie_force * ties])))
             pushed = _ratio(float(np.linalg.norm(floats(dl) * factors)), largest)
