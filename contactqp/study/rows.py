@@ -268,7 +268,7 @@ def folded(cells: Sequence[Sequence[str]], first: int) -> str:
       6
     osqp       1e-16
     """
-    widths = [first, *(max(map(len, column[1:])) for column in list(zip(*cells, strict=True))[1:])]
+    widths = [first, *(max(map(len, column[1:]), default=0) for column in list(zip(*cells, strict=True))[1:])]
     lines: list[Sequence[str]] = []
     for line in cells:
         parts = [
