@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -366,6 +367,8 @@ def crushed() -> Any:
 
 BARE = cq.ContactProblem([[0.0]], [-1.0], [[-2.0]], [1.0], tangent=[[0.0]], friction=0.0)
 NEVER = cq.ContactProblem([[1.0]], [2.0], [[1.0]], [np.inf])
+outside = sp.csr_array(np.eye(2))
+outside.indices = np.array([0, 7], dtype=np.int32)
 THROWN: dict[str, Callable[[], Any]] = {
     "tangents without friction, nothing stiff": lambda: cq.solve(BARE),
     "a force at a contact that never closes": lambda: cq.certify(NEVER, [2.0], [-1.0]).findings,
@@ -389,6 +392,15 @@ THROWN: dict[str, Callable[[], Any]] = {
     "the other kind of problem": lambda: cq.acary_bremond_huber_error(BARE, [0.0, 0.0]),  # type: ignore[arg-type]
     "rows as words": lambda: cq.ContactProblem.from_qp(np.eye(2), [1.0, 1.0], G=[["a", "b"]], h=[1.0]),
     "rows of three sides": lambda: cq.ContactProblem.from_qp(np.eye(2), [1.0, 1.0], G=np.ones((1, 1, 2)), h=[1.0]),
+    "a row beyond the last unknown": lambda: cq.ContactProblem(np.eye(2), [1, 1], outside, [1.0, 1.0]),
+    "a stiffness beyond the last unknown": lambda: cq.ContactProblem(outside, [1, 1], np.eye(2), [1.0, 1.0]),
+    "a program's row beyond the last unknown": lambda: cq.ContactProblem.from_qp(np.eye(2), [1, 1], outside, [1, 1]),
+    "a stiffness of 1e12 unknowns": lambda: cq.ContactProblem(sp.coo_array((2**40, 2**40)), [1.0], [[1.0]], [1.0]),
+    "names without an end": lambda: cq.ContactProblem([[1.0]], [1.0], [[1.0]], [1.0], dof_names=range(10**12)),
+    "a contact that is none": lambda: NEVER.replace(contact_names=["wall"]).contact_name(7),
+    "a unit that is a number": lambda: cq.Units(length=5),  # type: ignore[arg-type]
+    "a half float": lambda: cq.solve(NEVER, time_limit=np.float16(9)),
+    "a title with half of a character": lambda: cq.draw(cq.solve(NEVER), title="\udcff"),
     "a picture of the largest double": lambda: cq.draw(
         cq.solve(cq.ContactProblem([[1.0]], [0.0], [[1.0]], [1.7976931348623157e308]))
     ),

@@ -134,6 +134,8 @@ def unit_vector(vector: Any, what: str) -> Numbers:
     array([Fraction(3, 5), Fraction(4, 5)], dtype=object)
     """
     v = np.asarray(vector)
+    if v.dtype.kind == "O" and not all(isinstance(one, Rational) for one in v.flat):
+        v = v.astype(float)
     if v.dtype.kind == "f":
         v = _near_one(v)
     square = squared_length(v)

@@ -102,7 +102,7 @@ def _fraction(name: str, value: Any) -> Fraction:
     try:
         if isinstance(value, np.timedelta64):
             raise TypeError("a duration")
-        return Fraction(value)
+        return Fraction(value.item() if isinstance(value, np.integer) else value)  # 8 bits hold no denominator
     except Exception:  # noqa: BLE001  no number, or an object with words of its own
         raise InvalidProblem(f"{name}: expected rational numbers, got {shown(value)}") from None
 
