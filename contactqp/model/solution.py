@@ -419,6 +419,19 @@ class Solution(ReadOnly):
         """Return verdict, contacts and displacements as tables of at most 80 columns; what `print` shows."""
         return summary_of(self)
 
+    def derivative(self, of: str, with_respect_to: str, direction: Any) -> Any:
+        """Return the rate of a quantity along a direction: `contactqp.analysis.derivatives.derivative`."""
+        return import_module("contactqp.analysis.derivatives").derivative(self, of, with_respect_to, direction)
+
+    def jacobian(self, of: str, with_respect_to: str) -> Array:
+        """Return the derivatives by all entries of a parameter: `contactqp.analysis.derivatives.jacobian`."""
+        found: Array = import_module("contactqp.analysis.derivatives").jacobian(self, of, with_respect_to)
+        return found
+
+    def pullback(self, of: str, weights: Any, with_respect_to: str) -> Any:
+        """Return the gradient of weights . quantity by a parameter: `contactqp.analysis.derivatives.pullback`."""
+        return import_module("contactqp.analysis.derivatives").pullback(self, of, weights, with_respect_to)
+
     def plot(self, file: str | Path | None = None, **options: Any) -> Any:
         """Draw the answer, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""
         return import_module("contactqp.study.answer_pictures").draw(self, file, **options)

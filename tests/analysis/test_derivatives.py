@@ -1,0 +1,176 @@
+"""Derivatives are those of exact answers, towards either side, in any units; what has none says why."""
+
+from __future__ import annotations
+
+import pickle
+from fractions import Fraction
+from itertools import chain, combinations
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.linalg.exact_algebra import dot, inverse_of
+
+STEP = Fraction(1, 2**30)
+
+
+def exact(K: Any, f: Any, E: Any, g: Any) -> tuple[list[Fraction], list[Fraction]]:
+    """Displacement and contact forces in rational numbers, by trying all sets of closed contacts."""
+    n, m = len(f), len(g)
+    for closed in chain.from_iterable(combinations(range(m), count) for count in range(m + 1)):
+        rows = [[*K[i], *(E[c][i] for c in closed)] for i in range(n)]
+        rows += [[*E[c], *(Fraction() for _ in closed)] for c in closed]
+        if (inverse := inverse_of(rows)) is None:
+            continue
+        right = [*f, *(g[c] for c in closed)]
+        x = [dot(row, right) for row in inverse]
+        force = dict(zip(closed, x[n:], strict=True))
+        if all(one >= 0 for one in force.values()) and all(dot(E[i], x[:n]) <= g[i] for i in range(m)):
+            return x[:n], [force.get(i, Fraction()) for i in range(m)]
+    raise AssertionError("no set holds")
+
+
+def rational(values: Any) -> Any:
+    return [rational(row) for row in values] if np.ndim(values) > 1 else [Fraction(float(x)) for x in values]
+
+
+def rate(data: Any, direction: Any, sign: int) -> tuple[Any, ...]:
+    """The one-sided rates of displacement and forces, exact where nothing changes within the step."""
+    (K, f, E, g), (df, dg, dK), t = data, (rational(part) for part in direction), sign * STEP
+
+    def along(values: Any, rates: Any) -> Any:
+        return [a + t * b for a, b in zip(values, rates, strict=True)]
+
+    moved = [along(*rows) for rows in zip(K, dK, strict=True)], along(f, df), E, along(g, dg)
+    pairs = zip(exact(*data), exact(*moved), strict=True)
+    return tuple(np.array([float((b - a) / t) for a, b in zip(*pair, strict=True)]) for pair in pairs)
+
+
+def drawn(rng: np.random.Generator, grazes: bool) -> tuple[cq.ContactProblem, Any]:
+    n, m = int(rng.integers(2, 5)), int(rng.integers(1, 4))
+    shape = rng.integers(-3, 4, (n, n))
+    K = shape @ shape.T + np.diag(rng.integers(1, 4, n))
+    E = rng.integers(-2, 3, (m, n)).astype(float)
+    E[~E.any(axis=1), 0] = 1.0
+    g, f = rng.integers(0, 4, m) / 2, rng.integers(-9, 10, n).astype(float)
+    if grazes:  # made around an answer whose first contact neither pushes nor stands off
+        u = rng.integers(-4, 5, n) / 2
+        g = E @ u + np.where(rng.random(m) < 0.4, 0.5, 0.0)
+        g[0] = E[0] @ u
+        force = np.where(g > E @ u, 0.0, rng.integers(1, 5, m))
+        force[0] = 0.0
+        f = K @ u + E.T @ force
+    return cq.ContactProblem(K, f, E, g), tuple(rational(x) for x in (K, f, E, g))
+
+
+@pytest.mark.parametrize("grazes", [False, True])
+def test_rates_are_those_of_exact_answers(grazes: bool) -> None:
+    rng, two_sided, seen = np.random.default_rng(27), 0, 0
+    for _ in range(60):
+        problem, data = drawn(rng, grazes)
+        solution, n, m = cq.solve(problem), problem.dimension, problem.contacts
+        if not grazes and "grazing" in solution.contact_status:
+            continue
+        turn = rng.integers(-2, 3, (n, n))
+        none = np.zeros(n), np.zeros(m), np.zeros((n, n))
+        directions = ("load", rng.integers(-3, 4, n)), ("gap", rng.integers(-3, 4, m)), ("stiffness", turn + turn.T)
+        for place, (name, direction) in enumerate(directions):
+            along = tuple(direction if i == place else part for i, part in enumerate(none))
+            for of, which in (("displacement", 0), ("normal_force", 1)):
+                found = solution.derivative(of, name, direction.astype(float))
+                if found.right is None:
+                    assert "redundant" in found.reason
+                    continue
+                seen += 1
+                right, left = (rate(data, along, sign)[which] for sign in (1, -1))
+                # Along a stiffness the answer is not linear: a step leaves some of its curvature.
+                near = (1e-9 if name != "stiffness" else 1e-6) * max(1.0, np.max(abs(right)), np.max(abs(left)))
+                assert np.max(abs(found.right - right)) <= near
+                assert np.max(abs(found.left - left)) <= near
+                assert found.exists == bool(np.max(abs(left - right)) <= near)
+                two_sided += not found.exists
+    assert seen >= 100
+    assert (two_sided >= 30) == grazes
+
+
+BAR = dict(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])  # kN and m
+
+
+@pytest.mark.parametrize(("force", "length"), [(1.0, 1.0), (1e3, 1e3), (1e-9, 1e9), (1e9, 1e-9)])
+def test_the_bar_and_the_wall_in_any_units(force: float, length: float) -> None:
+    units = dict(stiffness=force / length, load=force, normal=1.0, gap=length)
+    problem = cq.ContactProblem(**{name: np.asarray(value) * units[name] for name, value in BAR.items()})
+    solution = cq.solve(problem)
+    found = solution.derivative("normal_force", "gap", [1.0])
+    assert found.value == pytest.approx([-157500.0 * force / length], rel=1e-14)
+    assert found.exists
+    back, ahead = found.reach
+    assert ahead == pytest.approx((300.0 / 157500.0 - 1e-3) * length, rel=1e-12)  # then the wall is out of reach
+    assert back == np.inf
+    assert solution.derivative("energy", "load", [1.0]).value == pytest.approx(-1e-3 * length)
+    assert solution.jacobian("normal_force", "load") == pytest.approx(np.array([[1.0]]))
+
+
+def test_gradients_are_rows_of_the_jacobian() -> None:
+    rng = np.random.default_rng(3)
+    shape = rng.standard_normal((6, 6))
+    problem = cq.ContactProblem(
+        shape @ shape.T + np.eye(6), 3 * rng.standard_normal(6), rng.standard_normal((4, 6)), [0.1, 0.1, 5.0, 0.1],
+        tie=rng.standard_normal((1, 6)), tie_value=[0.2],
+    )  # fmt: skip
+    solution = cq.solve(problem)
+    assert np.count_nonzero(solution.normal_force) >= 2
+    turn = rng.standard_normal((6, 6))
+    for of in ("displacement", "normal_force", "tie_force", "gap", "energy"):
+        weights = rng.standard_normal(np.shape(getattr(solution, of)))
+        for parameter in ("load", "gap", "tie_value"):
+            expected = np.atleast_1d(weights) @ solution.jacobian(of, parameter)
+            assert solution.pullback(of, weights, parameter) == pytest.approx(expected, abs=1e-12)
+        along = solution.derivative(of, "stiffness", turn + turn.T).value
+        gradient = solution.pullback(of, weights, "stiffness")
+        assert np.sum(gradient * (turn + turn.T)) == pytest.approx(np.sum(weights * along), rel=1e-10)
+    sparse = cq.solve(problem.replace(stiffness=sp.csr_array(problem.stiffness)))
+    gradient = solution.pullback("displacement", np.ones(6), "stiffness")
+    assert sparse.pullback("displacement", np.ones(6), "stiffness").toarray() == pytest.approx(gradient, abs=1e-12)
+    found = solution.derivative("gap", "load", np.ones(6))
+    assert pickle.loads(pickle.dumps(found)).value.tolist() == found.value.tolist()
+
+
+def test_what_has_no_derivative_says_why() -> None:
+    touch = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0]], [2.0], contact_names=["stop"]))
+    found = touch.derivative("normal_force", "load", [1.0])
+    assert (found.value, found.exists, found.left.tolist(), found.right.tolist()) == (None, False, [0.0], [1.0])
+    assert found.reason == "the two sides differ: stop grazes"
+    with pytest.raises(cq.InvalidProblem, match="stop grazes"):
+        touch.pullback("normal_force", [1.0], "load")
+    with pytest.raises(cq.InvalidProblem, match="jacobian of gap with respect to load: the two sides differ"):
+        touch.jacobian("gap", "load")
+    twice = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [1.0]], [1.0, 1.0]))
+    assert "redundant" in twice.derivative("normal_force", "load", [1.0]).reason
+    assert twice.derivative("displacement", "load", [1.0]).value == pytest.approx([0.0])
+    floating = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0], [[1.0, 0.0]], [0.5])
+    assert cq.solve(floating).derivative("displacement", "load", [0.0, 1.0]).value == pytest.approx([0.0, 1.0])
+
+
+def test_bad_arguments_are_one_clear_error() -> None:
+    solution = cq.solve(cq.ContactProblem(**BAR))
+    for call, message in (
+        (lambda: solution.derivative("force", "gap", [1.0]), "of: expected one of displacement, normal_force"),
+        (lambda: solution.derivative("gap", "mass", [1.0]), "with_respect_to: expected one of load, gap"),
+        (lambda: solution.derivative("gap", "load", [1.0, 2.0]), r"direction: expected shape \(1,\), got \(2,\)"),
+        (lambda: solution.derivative("gap", "load", [np.nan]), "direction: expected finite"),
+        (lambda: solution.derivative("gap", "stiffness", [[1.0, 0.0]]), "direction: expected"),
+        (lambda: solution.jacobian("gap", "stiffness"), "with_respect_to: expected one of load, gap, tie_value"),
+        (lambda: solution.pullback("gap", [1.0, 2.0], "load"), "weights: expected finite numbers in the shape"),
+    ):
+        with pytest.raises(cq.InvalidProblem, match=message):
+            call()
+    two = cq.solve(cq.ContactProblem(np.eye(2), [1.0, 1.0], [[1.0, 0.0]], [0.5]))
+    with pytest.raises(cq.InvalidProblem, match="symmetric"):
+        two.derivative("gap", "stiffness", [[0.0, 1.0], [0.0, 0.0]])
+    rough = cq.ContactProblem(np.eye(2), [1.0, 1.0], [[1.0, 0.0]], [0.5], tangent=[[0.0, 1.0]], friction=0.3)
+    with pytest.raises(cq.Unsupported, match="without friction"):
+        cq.solve(rough).derivative("gap", "load", [1.0, 0.0])
