@@ -206,6 +206,9 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "JudgedAnswer.findings_within": (judged.findings_within, dict(operations=1e5)),
         "JudgedAnswer.table": (judged.table, {}),
         "Solution.plot": (solution.plot, {}),
+        "Solution.derivative": (solution.derivative, dict(of="gap", with_respect_to="load", direction=np.ones(2))),
+        "Solution.jacobian": (solution.jacobian, dict(of="displacement", with_respect_to="gap")),
+        "Solution.pullback": (solution.pullback, dict(of="gap", weights=np.ones(2), with_respect_to="stiffness")),
         **{f"Solution.{name}": (getattr(solution, name), {"unknown" if name == "at" else "contact": 0})
            for name in ("at", "force_at", "friction_at", "gap_at", "status_at")},
         **{f"{name}.{method}": (getattr(one, method), dict(points=points))

@@ -98,6 +98,8 @@ class Processes:
             self._heard[job] = self._clocks(job)
             if line is None:
                 self._ended(job, self._processes[job].wait())
+            elif not line.startswith("{"):  # a library's own words, past Python's streams
+                self._find(self._begun[job], "printed", f"on standard output: {line.strip()[:200]}")
             else:
                 self._said(job, json.loads(line))
         for one in self._processes.values():
