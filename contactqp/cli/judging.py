@@ -12,8 +12,15 @@ from typing import NoReturn
 
 import click
 
-from contactqp.cli.completing import complete_case, complete_method
-from contactqp.cli.output import NOT_MET, OF_EXACT_NUMBERS, console, print_json, strict_option
+from contactqp.cli.output import (
+    NOT_MET,
+    OF_EXACT_NUMBERS,
+    complete_case,
+    complete_method,
+    console,
+    print_json,
+    strict_option,
+)
 from contactqp.errors import InvalidProblem, SceneError
 
 

@@ -1,4 +1,4 @@
-"""The output of commands and their exit codes, also of one run on several ranks.
+"""The output of commands and their exit codes, also of one run on several ranks; and what the tab key offers.
 
 On several ranks one of them prints, and all end with one code. A rank that fails while the others wait for it in some
 exchange would leave them waiting. So each rank comes to `Speakers.settle` at its end; one that has failed waits there a
@@ -7,6 +7,7 @@ moment for the others, which may have failed with it. If they do not come, it pr
 
 from __future__ import annotations
 
+import glob
 import io
 import json
 import os
@@ -17,9 +18,11 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
+from click.shell_completion import CompletionItem
 
 from contactqp.errors import StartWarning
 from contactqp.model.engines import SERIAL
@@ -264,3 +267,19 @@ def _say(ending: Ending, rank: int | None) -> None:
 
 
 speakers = Speakers()
+
+
+def complete_case(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Return the names of shipped cases, and the files and folders here, that begin so."""
+    from contactqp.scene.shipped import shipped_files
+
+    names = [file.stem for file in shipped_files() if file.stem.startswith(begun)]
+    files = [f"{file}/" if Path(file).is_dir() else file for file in sorted(glob.glob(f"{glob.escape(begun)}*"))]
+    return [CompletionItem(name) for name in dict.fromkeys([*files, *names])]
+
+
+def complete_method(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Return the names of methods that begin so."""
+    from contactqp.solving.methods import methods
+
+    return [CompletionItem(method.name) for method in methods() if method.name.startswith(begun)]

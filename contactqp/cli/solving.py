@@ -14,8 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from contactqp.cli.completing import complete_case, complete_method
-from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers, strict_option, whereabouts
+from contactqp.cli.output import (
+    NOT_MET,
+    Ending,
+    complain,
+    complete_case,
+    complete_method,
+    console,
+    print_json,
+    speakers,
+    strict_option,
+    whereabouts,
+)
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
 from contactqp.linalg.runtime import cores, telling, within_time
 from contactqp.model.engines import ENGINES, SERIAL

@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contactqp.cli.completing import complete_case
-from contactqp.cli.output import complain, console, print_json
+from contactqp.cli.output import complain, complete_case, console, print_json
 from contactqp.errors import InvalidProblem
 
 if TYPE_CHECKING:
