@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
 # Combinations that are looked at: the answer's own, and those that its failing signs lead to.
 COMBINATIONS = 10
+# Loads strain bodies by more than this part of what they would strain their own unknowns, the others held.
+LOADED = 1e-6
 # Signs that fail by this part of the limit of the distance leave the combination as it is.
 HARDLY = 0.1
 # Friction that misses its bound by this part of it is at its bound.
@@ -160,7 +162,7 @@ def state_verdict(
     relative = distance.relative(nothing)
     largest = max(relative.values())
     failures = _failures(problem, distance, relative, tolerance)
-    if distance.forgiven[0] > distance.displacement[1] > nothing:
+    if distance.forgiven[0] > distance.displacement[1] > min(nothing, compared.strained_by_loads()):
         failures = (*failures, HIDDEN)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
@@ -292,7 +294,8 @@ class _Comparison:
             refined = self._bodies.refined(status, self._answer)
             if not refined.regular:
                 return None, SINGULAR
-            signs = _Signs(self, refined, status)
+            strain, _ = energy_norm(self._problem, refined.displacement)
+            signs = _Signs(self, refined, status, max(HARDLY * tolerance * strain, self._rounding()))
             distance = self._distance(refined, signs)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
             last = self._last_correction(refined)
@@ -390,6 +393,11 @@ class _Comparison:
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 
+    def strained_by_loads(self) -> float:
+        """Return the strain beneath which loads strain nothing [square root of energy]; infinite without loads."""
+        pushed = float(np.max(self._problem.own_scale * self._problem.load_size, initial=0.0))
+        return LOADED * pushed if pushed > 0 else float("inf")
+
     def _rounding(self) -> float:
         """Return the energy norm of rounding the displacement to doubles."""
         size = abs(self._answer.displacement)
@@ -402,16 +410,23 @@ class _Comparison:
 
 
 class _Signs:
-    """The signs of the answer of a combination, and how much mending the failing ones would change."""
+    """The signs of the answer of a combination, and how much mending the failing ones would change.
 
-    def __init__(self, of: _Comparison, refined: RefinedState, status: Status) -> None:
+    A gap of the refined answer fails where it is no rounding of the lengths that meet, or where closing it costs more
+    than a part of the strain and than rounding the displacement does [square root of energy]: what counts as nothing
+    beside a far gap may be more than all strain.
+    """
+
+    def __init__(self, of: _Comparison, refined: RefinedState, status: Status, least: float) -> None:
         problem, nothing = of._problem, of._found.nothing
         gap = extended_rows(problem).gap(problem, refined.displacement).double()
         force = refined.normal_force.double()
         self._friction = refined.friction_force.double().reshape(-1, of._width)
         slip = of.slip(refined.displacement)
         own_normal, own_tangent = of._own
-        penetrated = np.where((status == OPEN) & (-gap > nothing.normal), -gap, 0.0)
+        closing = in_energy(np.maximum(-gap, 0.0), own_normal)
+        meets = (-gap > nothing.normal) | (closing > least)
+        penetrated = np.where((status == OPEN) & meets, np.maximum(-gap, 0.0), 0.0)
         tension = np.where(status != OPEN, np.maximum(-force, 0.0), 0.0)
         beyond = np.maximum(lengths(self._friction) - of.coefficient * np.maximum(force, 0.0), 0.0)
         beyond = np.where((status == STICK) & of._rubs, beyond, 0.0)

@@ -385,9 +385,10 @@ class NullSpace:
         size = len(self._S)
         self._rows = rows
         self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
-        rank = len(self.independent)
-        self.redundant = rank < len(rows)
-        Q, R = qr(rows[self.independent].T) if rank else (np.eye(size), np.zeros((size, 0)))
+        Q, R = qr(rows[self.independent].T) if self.independent.size else (np.eye(size), np.zeros((size, 0)))
+        if not np.all(apart := R.diagonal() != 0):
+            self.independent, (Q, R) = self.independent[apart], qr(rows[self.independent[apart]].T)
+        self.redundant = (rank := len(self.independent)) < len(rows)
         self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
         self.free_coordinates = condensation.unresisted(rows)
         motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]

@@ -239,3 +239,25 @@ def test_a_contact_at_its_bound_that_hardly_slips_is_taken_to_slip_where_that_is
     assert not cq.certify(problem, moved, [10 * push], [10 * friction]).passed
     assert not cq.certify(problem, moved + np.array([0, 0, 1e-6]), [push], [friction]).passed
     assert not cq.certify(problem, moved, [push + 1e-6], [friction]).passed
+
+
+def fallen(far: float, mu: float, load: list[float]) -> cq.ContactProblem:
+    """Two nodes, tied by a spring alone, that fall far onto a floor, each with its own load."""
+    return cq.ContactProblem(
+        np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2)), load,
+        [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]], [far, far],
+        tangent=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], friction=mu,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("far", [1e6, 1e12, 1e15])
+def test_a_gap_that_bodies_cross_without_strain_hides_no_wrong_forces(far: float) -> None:
+    """One node held up by the other penetrates by 1, with a force that is half as large again."""
+    problem = fallen(far, 0.9, [1.0, -2.0, 0.5, -1.0])
+    assert cq.certify(problem, [0.0, -far, 0.0, -far], [2.0, 1.0], [[1.0], [0.5]]).passed
+    assert not cq.certify(problem, [0.0, -far, 0.5, -far - 1.0], [3.0, 0.0], [[1.5], [0.0]]).passed
+
+
+@pytest.mark.parametrize("far", [1e12, 1e16, 1e20])
+def test_forces_are_right_where_doubles_hold_no_strain_beside_the_motion(far: float) -> None:
+    assert cq.solve(fallen(far, 0.9, [1.0, -2.0, 0.5, -1.0])).normal_force == pytest.approx([2.0, 1.0])
