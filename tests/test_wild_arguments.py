@@ -325,3 +325,9 @@ def test_an_array_stays_one_where_a_number_would_do_as_well() -> None:
 
     assert given(np.array([1.0, 2.0])).tolist() == [1.0, 2.0]
     assert isinstance(given(np.array(1.0)), float)
+
+
+@pytest.mark.parametrize("name", wild_values.outside_their_arrays())
+def test_a_matrix_whose_entries_lie_outside_its_arrays_is_refused(name: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match="stiffness"):
+        cq.ContactProblem(wild_values.outside_their_arrays()[name], [1.0, 1.0], [[1.0, 0.0]], [0.0])
