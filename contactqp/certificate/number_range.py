@@ -36,9 +36,9 @@ ABSURD = 2.0**200
 FAR_AWAY = 2.0**300
 # Tangential rows that are so much smaller or larger than the normal row of their contact have a unit of their own.
 OWN_UNIT = 60
-# Rows that are larger or smaller than one by more than this factor (1e3) say nothing of the size of an unknown that K
-# gives none.
-ALIKE = 10
+# Rows that differ from one, or from each other, by more than this factor (1e9) say nothing of the size of an unknown
+# that K gives none.
+ALIKE = 30
 # Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
 LEAST_FRICTION = 2.0**-900
 # Says of a problem that it is one in these units.
@@ -287,9 +287,10 @@ def _units_are_own(problem: ContactProblem) -> bool:
 
 
 def _rows_are_alike(problem: ContactProblem) -> bool:
-    """Return whether the largest entries of all rows of contacts and ties are of a size."""
+    """Return whether the largest entries of all rows of contacts and ties are of a size, and that near one."""
     sizes = np.concatenate([_row_exponents(problem.normal), _row_exponents(problem.tie)])
-    return not np.any(abs(sizes[sizes > LEAST]) > ALIKE)
+    sizes = np.append(sizes[sizes > LEAST], 0)
+    return int(np.ptp(sizes)) <= ALIKE
 
 
 def _row_exponents(rows: Any) -> Index:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
@@ -188,12 +188,13 @@ def _power_of_two(values: Array) -> Array:
     return np.asarray(2.0 ** np.round(np.log2(values)))
 
 
-def least_length(twin: ContactProblem) -> float:
+def least_length(twin: ContactProblem, closed: Mask | None = None) -> float:
     """Return the length up to which an equilibrated problem has none, where no gap or tie imposes one.
 
-    K being one at most, what a load moves then is as large as the load, or nothing.
+    K being one at most, what a load moves then is as large as the load, or nothing. Where contacts are `closed` (m,)
+    the gaps of the others impose nothing.
     """
-    if twin.gap.any() or twin.tie_value.any():
+    if (twin.gap if closed is None else twin.gap[closed]).any() or twin.tie_value.any():
         return 0.0
     return NO_LENGTH * _size(twin.load_size)
 

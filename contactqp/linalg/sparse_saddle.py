@@ -286,7 +286,7 @@ class ClosedState:
         of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
         longest = max(float(values.max(initial=0.0)) for values in (u, lengths[closed], of_ties))
         loaded = float(problem.load_size.max(initial=0.0))
-        longest = max(longest, least_length(problem))
+        longest = max(longest, least_length(problem, closed))
         # Where no force acts, those that would move the lengths that meet.
         largest = max(float(forces.max(initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
@@ -326,8 +326,17 @@ class ClosedState:
 
     @property
     def penetrated(self) -> Mask:
-        """The open contacts that are penetrated (m,)."""
-        return np.asarray(~self.closed & (self.left.gap.double() < -SIGNED * self.length))
+        """The open contacts that are penetrated (m,).
+
+        Unknowns without stiffness that run away make the largest length as large as you like: beside the lengths that
+        meet at the contact and those that stiff unknowns move, a penetration is no rounding of it.
+        """
+        gap, u = self.left.gap.double(), abs(self.answer.displacement.double())
+        beneath = gap < -SIGNED * self.length
+        if np.any(stiff := self.problem.diagonal > 0):
+            own = row_sizes(self.problem, self.problem.normal).lengths(u) + abs(self.problem.gap)
+            beneath |= gap < -MET_BESIDE_IMPOSED * np.maximum(own, u[stiff].max())
+        return np.asarray(~self.closed & beneath)
 
     @property
     def holds(self) -> bool:

@@ -143,3 +143,23 @@ def test_bounds_of_an_unknown_end_what_a_residual_may_gain() -> None:
     assert reach(problem, u, np.ones(size)) == pytest.approx([1.0, far[1], far[2], 0.0], abs=1e-14)
     assert reach(problem, u, -np.ones(size)) == pytest.approx([7.0, 1.0, far[2], 0.0], abs=1e-14)
     assert np.all(reach(problem, u + 10.0, np.ones(size)) >= 0.0)
+
+
+def test_an_unknown_that_runs_away_hides_no_penetration() -> None:
+    """Where the truth does not move, the solution nearest to a wrong answer was one with a bare unknown at 1e22."""
+    own = np.array(
+        [4129.859375, 4130.9140625, 4130.0703125, 4131.5625, 4133.40625, 4133.625, 4132.859375, 4130.09375, 0]
+    )
+    beside = np.array([1.859375, 1.0546875, 0.0, 1.5625, 2.859375, 2.765625, 2.09375, 0.0])
+    K = (np.diag(own) - np.diag(beside, 1) - np.diag(beside, -1)) / 4096
+    normal, unit = np.zeros((3, 9)), np.eye(9)
+    normal[0], normal[1], normal[2] = (unit[i] / 2 - unit[j] / 2 for i, j in ((2, 4), (0, 7), (8, 1)))
+    load = 0.6875 * (unit[0] - unit[7]) + 0.5625 * (unit[2] - unit[4])
+    problem = cq.ContactProblem(K, load, normal, [0.0, 0.0, 1536.0], tie=[unit[0]], tie_value=[0.0])
+    right = cq.solve(problem)
+    assert right.normal_force == pytest.approx([1.125, 1.375, 0.0])
+    ignored = cq.solve(problem.with_contacts(np.array([1, 2]))).displacement
+    found = cq.certify(problem, ignored, [0.0, 1.375, 0.0], tie_force=[0.0])
+    assert not found.passed
+    assert found.force_bound is None or found.force_bound[0] >= 1.125 * (1 - 1e-9)
+    assert found.energy_error is None or found.energy_error > 1.0

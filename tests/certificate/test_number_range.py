@@ -319,3 +319,18 @@ def test_units_of_rows_hide_no_driven_motion_of_a_program(unit: float) -> None:
     )  # fmt: skip
     with pytest.raises(cq.NoEquilibrium, match="the load drives a motion that nothing resists"):
         cq.solve(program)
+
+
+def test_rows_of_several_sizes_hide_no_tension_where_nothing_is_stiff() -> None:
+    """A tension of a hundred thousandth of what pushes beside it, with a load of 5e8 on another unknown."""
+    problem = cq.ContactProblem(
+        np.zeros((3, 3)), [-262144.0, 504.0, -536870912.0],
+        [[0, 0, 2.0**-2], [0, -(2.0**-5), 0], [0, 2.0**-13, 0], [0, 0, 2.0**-5], [0, -4.0, 0]],
+        [0.0, -(2.0**-21), 2.0**-29, 3 * 2.0**-41, -(2.0**-14)],
+        tie=[[16.0, -(2.0**-5), 2.0**15], [-8.0, 0.046875, -(2.0**15)]], tie_value=[2.0**-22, 1.5 * 2.0**-22],
+    )  # fmt: skip
+    u, ties = [1.5 * 2.0**-25, 2.0**-16, 0.0], [-16384.0, 0.0]
+    assert cq.certify(problem, u, [0.0, 256.0, 0.0, 0.0, 0.0], tie_force=ties).passed
+    torn = cq.certify(problem, u, [0.0, 256.0 - 2.0**-8 * 4.194304, -4.194304, 0.0, 0.0], tie_force=ties)
+    assert not torn.passed
+    assert "tension" in torn.failures[0]
