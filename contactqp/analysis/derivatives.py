@@ -25,10 +25,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import constraints_are_many, iterated
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
@@ -215,6 +216,8 @@ class _Differentiated:
 
     def _forces_depend(self) -> bool:
         """Whether the rows of ties and of contacts that touch depend on one another, so that forces are not unique."""
+        if constraints_are_many(self._problem):  # nothing is condensed, and the certificate has looked
+            return any(bounds.REDUNDANT in reason for reason in self._solution.certificate.reasons)
         touching = np.arange(len(self._grazing))
         return saddle_point(condense(self._problem), touching).redundant
 

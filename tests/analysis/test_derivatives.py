@@ -174,3 +174,24 @@ def test_bad_arguments_are_one_clear_error() -> None:
     rough = cq.ContactProblem(np.eye(2), [1.0, 1.0], [[1.0, 0.0]], [0.5], tangent=[[0.0, 1.0]], friction=0.3)
     with pytest.raises(cq.Unsupported, match="without friction"):
         cq.solve(rough).derivative("gap", "load", [1.0, 0.0])
+
+
+def membrane(twice: list[int]) -> cq.ContactProblem:
+    """60 x 60 nodes that may all touch, so that systems are sparse; some contacts are stated twice."""
+    line = sp.diags([-np.ones(59), 2 * np.ones(60), -np.ones(59)], [-1, 0, 1])
+    K = sp.csr_array(sp.kron(line, sp.eye(60)) + sp.kron(sp.eye(60), line))
+    rows = -sp.eye(3600, format="csr")
+    return cq.ContactProblem(K, np.full(3600, -0.01), sp.vstack([rows, rows[twice]]), np.full(3600 + len(twice), 0.5))
+
+
+def test_many_contacts_are_not_condensed() -> None:
+    problem, direction = membrane([]), np.linspace(0.0, 1e-3, 3600)
+    solution = cq.solve(problem)
+    found = solution.derivative("displacement", "load", direction)
+    step = min(1e-2, 0.5 * found.reach[1])
+    assert step > 0
+    moved = cq.solve(problem.replace(load=problem.load + step * direction)).displacement - solution.displacement
+    assert found.value == pytest.approx(moved / step, abs=1e-9 * np.max(abs(found.value)) + 1e-14 / step)
+    middle = 1830
+    assert solution.contact_status[middle] == "closed"
+    assert "redundant" in cq.solve(membrane([middle])).derivative("normal_force", "load", direction).reason
