@@ -62,8 +62,6 @@ UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
     "system of that is singular to working precision"
 )
-# What rounding makes of a displacement, as of a body that has moved very far, may be more than all of its strain.
-HIDDEN = "state: the displacement is so large that its rounding is more than all of its strain"
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11
@@ -151,6 +149,7 @@ def state_verdict(
         return figures_alone("the bodies are not factorised as a whole")
     try:
         compared = _Comparison(problem, answer, found, bodies)
+        nothing = min(nothing, compared.strained_by_loads())
         distance, reason = compared.nearest(tolerance, nothing)
     except BackendFailed as error:
         distance, reason = None, str(error)
@@ -162,8 +161,6 @@ def state_verdict(
     relative = distance.relative(nothing)
     largest = max(relative.values())
     failures = _failures(problem, distance, relative, tolerance)
-    if distance.forgiven[0] > distance.displacement[1] > min(nothing, compared.strained_by_loads()):
-        failures = (*failures, HIDDEN)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
@@ -295,7 +292,7 @@ class _Comparison:
             if not refined.regular:
                 return None, SINGULAR
             strain, _ = energy_norm(self._problem, refined.displacement)
-            signs = _Signs(self, refined, status, max(HARDLY * tolerance * strain, self._rounding()))
+            signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
             distance = self._distance(refined, signs)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
             last = self._last_correction(refined)
@@ -394,7 +391,10 @@ class _Comparison:
         )
 
     def strained_by_loads(self) -> float:
-        """Return the strain beneath which loads strain nothing [square root of energy]; infinite without loads."""
+        """Return the strain beneath which loads strain nothing [square root of energy]; infinite without loads.
+
+        Beside a gap that a body crosses rigidly, the part of the intrinsic size that is nothing may be more.
+        """
         pushed = float(np.max(self._problem.own_scale * self._problem.load_size, initial=0.0))
         return LOADED * pushed if pushed > 0 else float("inf")
 
@@ -413,8 +413,8 @@ class _Signs:
     """The signs of the answer of a combination, and how much mending the failing ones would change.
 
     A gap of the refined answer fails where it is no rounding of the lengths that meet, or where closing it costs more
-    than a part of the strain and than rounding the displacement does [square root of energy]: what counts as nothing
-    beside a far gap may be more than all strain.
+    than `least`, a part of the strain [square root of energy]: what counts as nothing beside a far gap may be more than
+    all strain.
     """
 
     def __init__(self, of: _Comparison, refined: RefinedState, status: Status, least: float) -> None:

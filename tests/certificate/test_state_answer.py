@@ -212,8 +212,22 @@ def test_a_wrong_answer_far_away_hides_behind_no_rounding(far: float) -> None:
     stretched = 48.015625 / 66 / 2
     wrong = np.array([far - stretched, far + stretched])
     assert not cq.certify(problem, wrong, [0.0], [[0.0]]).passed
-    if far <= 1e12:
-        assert cq.certify(problem, right.displacement + far, right.normal_force, right.friction_force).passed
+    assert cq.certify(problem, right.displacement + far, right.normal_force, right.friction_force).passed
+
+
+@pytest.mark.parametrize("gap", [1e3, 1e9, 1e12, 1e13, 1e14, 1e16, 1e20])
+@pytest.mark.parametrize("units", [1e-9, 1.0, 1e12])
+def test_beside_a_gap_that_a_body_crosses_rigidly_forces_are_not_nothing(gap: float, units: float) -> None:
+    """Two masses on a spring fall onto rough ground: 2 and 1 are right, 3 and 0 leave one in the ground by 1."""
+    problem = cq.ContactProblem(
+        units * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2)), np.multiply(units, [1.0, -2.0, 0.5, -1.0]),
+        [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]], [gap, gap],
+        tangent=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], friction=0.9,
+    )  # fmt: skip
+    assert cq.solve(problem).normal_force == pytest.approx(np.multiply(units, [2.0, 1.0]))
+    fallen = np.array([0.0, -gap, 0.5, -gap])
+    forces = np.multiply(units, [3.0, 0.0]), np.multiply(units, [[1.5], [0.0]])
+    assert not cq.certify(problem, fallen - [0.0, 0.0, 0.0, 1.0], *forces).passed
 
 
 @pytest.mark.parametrize(("off", "passes"), [(0.0, True), (1e-17, True), (-3e-17, True), (1e-6, False), (-1e-6, False)])
