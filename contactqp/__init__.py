@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from contactqp.analysis.history import History as History
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
+    from contactqp.analysis.load_cases import Solutions as Solutions
     from contactqp.analysis.load_path import follow_path as follow_path
+    from contactqp.analysis.many_loads import solve_many as solve_many
     from contactqp.analysis.motion.mass_matrix import redistributed_mass as redistributed_mass
     from contactqp.analysis.motion.motion_history import MotionHistory as MotionHistory
     from contactqp.certificate.critical_friction import CriticalFriction as CriticalFriction
@@ -164,6 +166,7 @@ _HOME = {
     "SeveralEquilibria": "errors",
     "SignedDistance": "elements.obstacle",
     "Solution": "model.solution",
+    "Solutions": "analysis.load_cases",
     "Sphere": "elements.round_obstacle",
     "Spring": "elements.energy_parts",
     "StartWarning": "errors",
@@ -214,6 +217,7 @@ _HOME = {
     "siconos_global_error": "certificate.local_certificate",
     "siconos_local_error": "certificate.local_certificate",
     "solve": "solving.solve",
+    "solve_many": "analysis.many_loads",
     "write_fclib": "exchange.fclib",
     "write_problem": "exchange.problem_folder",
 }

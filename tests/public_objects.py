@@ -85,6 +85,7 @@ def objects() -> dict[str, Any]:
         "summed": problem.with_load_sum(problem.load, 2 * problem.load),
         "tie left out": tied().with_ties(np.array([0])),
         "solutions": (solution, cq.solve(rough), cq.solve(local()), cq.solve(tied())),
+        "cases": cq.solve_many(problem, loads=[[10.0, 1.0], [0.0, 1.0]]),
         "backend": cq.solve(problem, method="clarabel"),
         "penalty": cq.solve(problem, method="penalty", penalty=1e4),
         "judged": (cq.certify(problem, solution.displacement, solution.normal_force), wrong),

@@ -26,7 +26,7 @@ NOT_CALLED: dict[str, str] = {
     **dict.fromkeys(
         ("AssociatedDifference", "Certificate", "ConstrainedMinimum", "CriticalFriction", "ExactEquilibrium",
          "ExactSolution", "Finding", "History", "JudgedAnswer", "LocalCertificate", "LocalSolution", "MotionHistory",
-         "Pairing", "PartState", "Solution", "System", "testing.ExactAnswer", "testing.ExactProblem",
+         "Pairing", "PartState", "Solution", "Solutions", "System", "testing.ExactAnswer", "testing.ExactProblem",
          "testing.GalleryProblem",
          "testing.SolverReport", "testing.SolverVerdict"), ANSWER),
     **{f"{part}.state": "called with the energy's own answer" for part in
@@ -206,6 +206,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "JudgedAnswer.findings_within": (judged.findings_within, dict(operations=1e5)),
         "JudgedAnswer.table": (judged.table, {}),
         "Solution.plot": (solution.plot, {}),
+        **{f"Solutions.{name}": (getattr(given.objects()["cases"], name), dict(i=0))
+           for name in ("case", "displacement")},
         "Solution.derivative": (solution.derivative, dict(of="gap", with_respect_to="load", direction=np.ones(2))),
         "Solution.jacobian": (solution.jacobian, dict(of="displacement", with_respect_to="gap")),
         "Solution.pullback": (solution.pullback, dict(of="gap", weights=np.ones(2), with_respect_to="stiffness")),
@@ -270,6 +272,7 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "redistributed_mass": (cq.redistributed_mass, dict(mass=np.eye(3), problem=chain())),
         "run": (cq.run, dict(scene=cq.load_scene(scene))),
         "solve": (cq.solve, dict(problem=problem)),
+        "solve_many": (cq.solve_many, dict(problem=rubbing, loads=[[-1.0, -3.0]], gaps=[[0.2]], friction=0.1)),
         "write_fclib": (cq.write_fclib, dict(path=folder / "again.hdf5", problem=local)),
         "write_problem": (cq.write_problem, dict(folder=folder / "written", problem=problem)),
         "testing.problem": (testing.problem, dict(name="truss-over-floor")),
@@ -319,6 +322,7 @@ def options() -> dict[str, tuple[Call, list[str]]]:
         "impact": (cq.impact, moved, [*common, "restitution"]),
         "large_deformation": (cq.large_deformation, dict(body=free, loads=[[0.0, -0.1]], steps=1), common),
         "run": (cq.run, dict(scene=scene), common),
+        "solve_many": (cq.solve_many, dict(problem=problem, loads=[[10.0, 1.0]]), common),
         "ConstrainedEnergy.solve": (energy.solve, {}, common),
         "associated_difference": (cq.associated_difference, dict(problem=rubbing), ["tolerance", "max_iter"]),
     }  # fmt: skip

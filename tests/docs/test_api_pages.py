@@ -32,6 +32,7 @@ def test_every_public_name_is_documented_once() -> None:
         "contactqp.analysis.history.Event",
         "contactqp.analysis.large.deformation.LargeHistory",
         "contactqp.analysis.large.deformation.LargeSolution",
+        "contactqp.analysis.load_cases.Envelope",
         "contactqp.linalg.existence.Conflict",
         "contactqp.linalg.existence.DrivenMotion",
         "contactqp.model.solution.Candidate",

@@ -1,0 +1,254 @@
+"""Many load cases of one problem as rows of arrays, and their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, overload
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem, counted, counts
+from contactqp.model.arguments import checks
+from contactqp.model.arrays import Array, Mask, Vector, computes
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_array, read_matrix, read_only
+from contactqp.model.solution import Solution, Work
+from contactqp.model.summary import Printed, Table, number
+from contactqp.solving.solve import solve
+
+# The words of `Solution.contact_status`, in the order of their numbers here.
+STATUS = ("open", "closed", "grazing", "stick", "slip", "unknown")
+# Contacts of an envelope that are printed, and cases that failed.
+PRINTED = 20
+# Numbers that are looked at for NaN at once.
+BLOCK = 2**21
+
+
+class LoadCases:
+    """Loads, gaps and coefficients of friction of many cases, a row each; what is not given is the problem's own.
+
+    Loads and gaps in arrays of doubles are not copied, for they may take most of the memory there is. A sum over the
+    bits of each row tells whether it was changed since.
+    """
+
+    def __init__(self, problem: ContactProblem, loads: Any, gaps: Any, friction: Any) -> None:
+        self.problem = problem
+        given: dict[str, Any] = {}
+        if loads is not None:
+            given["loads"] = _read_rows("loads", loads, problem.dimension, problem.dof_name)
+        if gaps is not None:
+            given["gaps"] = _read_rows("gaps", gaps, problem.contacts, problem.contact_name, np.inf)
+        if friction is not None:
+            found = _read_friction(problem, friction)
+            given |= {} if found.ndim == 0 else {"friction": found}
+            self.problem = problem.replace(friction=found) if found.ndim == 0 else problem
+        if not given:
+            raise InvalidProblem("solve_many: expected loads, gaps or friction with one row for each case, got none")
+        counted_rows = {name: rows.shape[0] for name, rows in given.items()}
+        if len(set(counted_rows.values())) > 1:
+            found_rows = ", ".join(f"{counted('row', count)} of {name}" for name, count in counted_rows.items())
+            raise InvalidProblem(f"solve_many: expected as many rows of each, one for a case, got {found_rows}")
+        self.count: int = next(iter(counted_rows.values()))
+        self.loads, self.gaps = given.get("loads"), given.get("gaps")
+        self.friction: Array | None = given.get("friction")
+        self._digests = {name: _digests(rows) for name, rows in given.items()}
+
+    def load(self, i: int) -> Vector:
+        """Return the load of a case (n,)."""
+        if self.loads is None:
+            return self.problem.load
+        return np.asarray(self.loads[[i]].toarray()[0] if sp.issparse(self.loads) else self.loads[i], dtype=float)
+
+    def gap(self, i: int) -> Vector:
+        """Return the gaps of a case (m,)."""
+        return self.problem.gap if self.gaps is None else np.asarray(self.gaps[i], dtype=float)
+
+    def case(self, i: int) -> ContactProblem:
+        """Return the problem of a case, which shares the factorisation.
+
+        Raises
+        ------
+        InvalidProblem
+            The arrays of the cases were changed after `solve_many` had read them.
+        """
+        for name, digests in self._digests.items():
+            if _digests(getattr(self, name)[[i]])[0] != digests[i]:
+                raise InvalidProblem(f"{name}[{i}]: expected what solve_many was given, got other numbers since")
+        changes: dict[str, Any] = {} if self.loads is None else {"load": self.load(i)}
+        changes |= {} if self.gaps is None else {"gap": self.gap(i)}
+        changes |= {} if self.friction is None else {"friction": self.friction[i]}
+        return self.problem.replace(**changes)
+
+
+def _read_rows(name: str, value: Any, width: int, name_of: Any, allowed: float = np.nan) -> Any:
+    """Return rows of finite numbers, as they are where they are doubles; `allowed` need not be finite.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, no real numbers, or a number that is not finite: its row and its column are named.
+    """
+    kept = isinstance(value, np.ndarray) and value.dtype == float and not isinstance(value, np.ma.MaskedArray)
+    rows = read_matrix(name, value) if sp.issparse(value) else value if kept else read_array(name, value)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise InvalidProblem(f"{name}: expected shape (N, {width}), a row for each case, got {rows.shape}")
+    if not sp.issparse(rows):
+        step = max(1, BLOCK // max(width, 1))
+        for start in range(0, len(rows), step):
+            block = rows[start : start + step]
+            wrong = ~np.isfinite(block) & (block != allowed)
+            if wrong.any():
+                i, j = (int(at) for at in np.argwhere(wrong)[0])
+                raise InvalidProblem(f"{name}[{start + i}]: expected finite numbers, got {block[i, j]} at {name_of(j)}")
+    return rows
+
+
+def _read_friction(problem: ContactProblem, friction: Any) -> Array:
+    """Return one coefficient, or one row for each case (N, m)."""
+    if is_number(friction):
+        return np.array(float(friction))
+    found, m = read_array("friction", friction), problem.contacts
+    if found.ndim == 0:
+        return found
+    if found.ndim != 2 or found.shape[1] not in (1, m):
+        raise InvalidProblem(
+            f"friction: expected a number, shape (N, 1), a coefficient for each case, or (N, {m}), got {found.shape}"
+        )
+    if problem.tangent is None and np.any(found != 0):
+        raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
+    wrong = ~np.isfinite(found) | (found < 0)
+    if wrong.any():
+        i, j = (int(at) for at in np.argwhere(wrong)[0])
+        raise InvalidProblem(f"friction[{i}]: expected coefficients that are not negative, got {found[i, j]}")
+    return read_only(np.broadcast_to(found, (len(found), m)).copy())
+
+
+def _digests(rows: Any) -> NDArray[np.uint64]:
+    """Return a number for each row that other numbers in it change."""
+    if sp.issparse(rows):
+        parts = (rows[[i]] for i in range(rows.shape[0]))
+        return np.array([_digest(part.data) ^ np.uint64(part.indices.sum()) for part in parts], dtype=np.uint64)
+    return np.array([_digest(row) for row in rows], dtype=np.uint64)
+
+
+def _digest(row: Vector) -> np.uint64:
+    bits = np.ascontiguousarray(row, dtype=float).view(np.uint64)
+    with np.errstate(over="ignore"):  # whole numbers that wrap round are what is wanted
+        return np.uint64(np.dot(bits, 2 * np.arange(len(bits), dtype=np.uint64) + np.uint64(1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope(ReadOnly, Printed):
+    """The largest force of each contact over all cases that have an answer, and the case that causes it."""
+
+    normal_force: Vector  # (m,), NaN where no case has an answer
+    load: NDArray[np.intp]  # (m,) the number of the case, -1 where none has an answer
+    names: tuple[str, ...] = field(repr=False)
+
+    def __str__(self) -> str:
+        worst = np.argsort(-self.normal_force, kind="stable")[:PRINTED]
+        rows = tuple((self.names[i], number(self.normal_force[i]), str(self.load[i])) for i in worst)
+        few = f", the {len(rows)} that press most" if len(rows) < len(self.names) else ""
+        return Table(f"{counted('contact', len(self.names))}{few}", ("contact", "normal", "load"), rows).text()
+
+
+@checks
+@computes
+@dataclass(frozen=True, eq=False)
+class Solutions(ReadOnly, Printed):
+    """The answers of many load cases of one problem; `solutions[i]` is the `Solution` of one, made when asked for.
+
+    Forces, gaps and states are kept, a row for each case; displacements are expanded when asked for, so that memory
+    does not grow with their number. A case that has no certified answer has NaN in its rows, `passed` is False there
+    and `failures` says why; `solutions[i]` raises what `solve` raises.
+    """
+
+    problem: ContactProblem = field(repr=False)
+    normal_force: Array  # (N, m)
+    friction_force: NDArray[np.float64] | None  # (N, m, d-1), None without tangential rows
+    tie_force: Array  # (N, k)
+    gap: Array  # (N, m), positive when open
+    force_bound: Array  # (N, m) proven errors of the normal forces, NaN where there is none
+    passed: Mask  # (N,) the verdict of each
+    proven: Mask  # (N,) whether the errors of each are bounded
+    failures: tuple[str, ...]  # (N,) why a case has not passed, "" where it has
+    method: str
+    seconds: float
+    work: Work
+    _status: NDArray[np.uint8] = field(repr=False)  # (N, m)
+    _cases: LoadCases = field(repr=False)
+    _arguments: dict[str, Any] = field(repr=False)  # of `solve`
+
+    def __len__(self) -> int:
+        return self._cases.count
+
+    @property
+    def contact_status(self) -> NDArray[np.str_]:
+        """(N, m) of "open", "closed", "grazing", "stick" and "slip"; "unknown" where a case has no answer."""
+        return np.array(STATUS)[self._status]
+
+    @overload
+    def __getitem__(self, place: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Solution]: ...
+
+    def __getitem__(self, place: int | slice) -> Solution | list[Solution]:
+        """Return the solution of a case, solved again from the shared factorisation, with its whole certificate."""
+        if isinstance(place, slice):
+            return [self[i] for i in range(len(self))[place]]
+        if is_whole(place) and not self._has(place):
+            raise IndexError(f"case {place} of {len(self)}")  # what ends a loop over a sequence
+        found: Solution = solve(self.case(place), self.method, **self._arguments)
+        return found
+
+    def __iter__(self) -> Iterator[Solution]:
+        return (self[i] for i in range(len(self)))
+
+    def case(self, i: int) -> ContactProblem:
+        """Return the problem of a case; a number below zero counts from the end.
+
+        Raises
+        ------
+        InvalidProblem
+            There is no such case, or its load was changed after `solve_many` had read it.
+        """
+        if not self._has(i):
+            raise InvalidProblem(f"i: expected the number of one of {counted('case', len(self))}, got {i}")
+        return self._cases.case(int(i) % len(self))
+
+    def displacement(self, i: int) -> Vector:
+        """Return the displacement (n,) of a case, with the digits of its `Solution`."""
+        found: Vector = self[i].displacement
+        return found
+
+    def envelope(self) -> Envelope:
+        """Return the largest force of each contact over all cases, and the case that causes it."""
+        m = self.problem.contacts
+        names = tuple(self.problem.contact_name(i) for i in range(m))
+        answered = np.flatnonzero(np.isfinite(self.normal_force).all(axis=1))
+        if not answered.size:
+            return Envelope(np.full(m, np.nan), np.full(m, -1), names)
+        load = answered[np.argmax(self.normal_force[answered], axis=0)] if m else np.zeros(0, dtype=np.intp)
+        return Envelope(self.normal_force[load, np.arange(m)], load, names)
+
+    def _has(self, i: int) -> bool:
+        return -len(self) <= i < len(self)
+
+    def __repr__(self) -> str:
+        return f"Solutions({self.method}, {self._verdict()})"
+
+    def _verdict(self) -> str:
+        sizes = f"{counted('case', len(self))}, {counts(contact=self.problem.contacts)}"
+        proven = "" if self.proven.all() else f", {int(self.proven.sum())} proven"
+        return f"{sizes}, {int(self.passed.sum())} passed{proven}"
+
+    def __str__(self) -> str:
+        failed = np.flatnonzero(~self.passed)
+        lines = [f"{self.method}: {self._verdict()}; {self.seconds:.3g} s"]
+        lines += [f"  case {i}: {self.failures[i]}" for i in failed[:PRINTED]]
+        lines += [f"  and {len(failed) - PRINTED} more"] if len(failed) > PRINTED else []
+        return "\n".join([*lines, *([str(self.envelope())] if self.problem.contacts else [])])

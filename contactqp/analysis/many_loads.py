@@ -1,0 +1,182 @@
+"""Many load cases of one problem: one factorisation, condensed once, every case certified."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contactqp.analysis.load_cases import STATUS, LoadCases, Solutions
+from contactqp.certificate.bounds import REDUNDANT
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported
+from contactqp.linalg.runtime import telling
+from contactqp.model.arguments import checked
+from contactqp.model.arrays import own_floating_point
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution, Work
+from contactqp.solving.methods import DEFAULT_METHOD, registered_name
+from contactqp.solving.solve import solve
+
+# A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
+OF_ALL = (BackendMissing, Unsupported)
+NUMBER = {word: number for number, word in enumerate(STATUS)}
+
+
+@checked
+@own_floating_point
+def solve_many(
+    problem: ContactProblem,
+    loads: Any = None,
+    gaps: Any = None,
+    friction: ArrayLike | None = None,
+    method: str = DEFAULT_METHOD,
+    progress: Callable[[str], object] | None = None,
+    **options: Any,
+) -> Solutions:
+    """Solve one problem for many loads, gaps or coefficients of friction, each certified as by `solve`.
+
+    The stiffness is factorised and condensed once. A case starts from the answer of the one before it where its answer
+    is unique, so that loads that are near to each other should stand next to each other. One that fails does not stop
+    the others.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        What is not given for each case is that of the problem.
+    loads : (N, n) array or sparse matrix, optional
+        A load for each case [force]. An array of doubles is not copied.
+    gaps : (N, m) array, optional
+        The initial gaps of each case [length]; infinity is that of a contact that never closes.
+    friction : number, (N, 1) or (N, m) array, optional
+        One coefficient for all cases, one for each, or one for each contact of each.
+    method : str
+        As in `solve`.
+    progress : callable, optional
+        Is called with a few words on what is done now.
+    **options
+        As in `solve`, but for `warm_start`.
+
+    Returns
+    -------
+    Solutions
+        Forces, gaps, states and verdicts in arrays, the envelope of the forces, and each `Solution` when asked for.
+
+    Raises
+    ------
+    InvalidProblem
+        A wrong shape, or a number that is not finite: the case is named.
+    BackendMissing, Unsupported
+        The method is not installed, or cannot do this.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> bar = cq.ContactProblem(stiffness=[[2.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
+    >>> many = cq.solve_many(bar, loads=[[1.0], [4.0], [6.0]])
+    >>> many.normal_force.ravel(), many.passed.all(), many.envelope().load
+    (array([0., 2., 4.]), np.True_, array([2]))
+    """
+    if "warm_start" in options:
+        raise InvalidProblem("solve_many: a case starts from the one before it; expected no warm_start")
+    method, cases, started = registered_name(method), LoadCases(problem, loads, gaps, friction), time.perf_counter()
+    rows = _Rows(cases)
+    with nullcontext() if progress is None else telling(progress):
+        _one_by_one(cases, rows, method, options)
+    return rows.solutions(cases, method, options, time.perf_counter() - started)
+
+
+def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, Any]) -> None:
+    """Solve each case, from the answer of the one before it where both are unique."""
+    before: Solution | None = None
+    refused: InvalidProblem | None = None
+    for i in range(cases.count):
+        problem = cases.case(i)
+        try:
+            found = _solved(problem, method, before, options)
+        except OF_ALL:
+            raise
+        except ContactQPError as error:
+            refused = error if isinstance(error, InvalidProblem) else refused
+            rows.fail(i, error)
+            continue
+        rows.take(i, found)
+        before = found if _is_unique(found) else None
+    if refused is not None and not rows.answered.any():
+        raise refused  # it is the problem, and no load of it
+
+
+def _solved(problem: ContactProblem, method: str, before: Solution | None, options: dict[str, Any]) -> Solution:
+    """Solve from another answer, or from none where that fails or the answer found is one of several."""
+    if before is not None:
+        try:
+            found = solve(problem, method, warm_start=before, **options)
+            if _is_unique(found):
+                return found
+        except ContactQPError:
+            pass  # what it says should not depend on the case before
+    return solve(problem, method, **options)
+
+
+def _is_unique(solution: Solution) -> bool:
+    """Return whether nothing speaks for other answers, or for other forces of the same displacement."""
+    certificate = solution.certificate
+    several = certificate.uniqueness or any(REDUNDANT in reason for reason in certificate.reasons)
+    return certificate.passed and not several and not solution.free_motions
+
+
+class _Rows:
+    """The arrays of all answers, filled case by case."""
+
+    def __init__(self, cases: LoadCases) -> None:
+        problem, count = cases.problem, cases.count
+        m, origin = problem.contacts, problem.slip_origin
+        self.normal_force = np.full((count, m), np.nan)
+        self.friction_force = None if origin is None else np.full((count, *origin.shape), np.nan)
+        self.tie_force = np.full((count, problem.ties), np.nan)
+        self.gap, self.force_bound = np.full((count, m), np.nan), np.full((count, m), np.nan)
+        self.status = np.full((count, m), NUMBER["unknown"], dtype=np.uint8)
+        self.passed, self.proven, self.answered = (np.zeros(count, dtype=bool) for _ in range(3))
+        self.failures = [""] * count
+        self.work = Work()
+
+    def take(self, i: int, found: Solution) -> None:
+        """Keep what is asked for of the answer of a case."""
+        certificate = found.certificate
+        self.normal_force[i], self.tie_force[i], self.gap[i] = found.normal_force, found.tie_force, found.gap
+        if self.friction_force is not None and found.friction_force is not None:
+            self.friction_force[i] = found.friction_force
+        if certificate.force_bound is not None:
+            self.force_bound[i] = certificate.force_bound
+        self.status[i] = [NUMBER[str(word)] for word in found.contact_status]
+        self.passed[i], self.proven[i], self.answered[i] = certificate.passed, certificate.proven, True
+        self.failures[i] = "; ".join(certificate.failures)
+        self.work = replace(found.work.after(self.work), routes=())
+
+    def fail(self, i: int, error: ContactQPError) -> None:
+        """Keep why a case has no answer."""
+        self.failures[i] = str(error)
+
+    def solutions(self, cases: LoadCases, method: str, options: dict[str, Any], seconds: float) -> Solutions:
+        """Return the answers of all cases."""
+        return Solutions(
+            problem=cases.problem,
+            normal_force=self.normal_force,
+            friction_force=self.friction_force,
+            tie_force=self.tie_force,
+            gap=self.gap,
+            force_bound=self.force_bound,
+            passed=self.passed,
+            proven=self.proven,
+            failures=tuple(self.failures),
+            method=method,
+            seconds=seconds,
+            work=self.work,
+            _status=self.status,
+            _cases=cases,
+            _arguments=options,
+        )

@@ -1,0 +1,151 @@
+"""Many load cases have the answers of `solve` one by one; one that fails, or is wrong, is named and stops no other."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+
+BAR = cq.ContactProblem([[157500.0]], [0.0], [[1.0]], [1e-3], units={"length": "m", "force": "kN"})
+
+
+def drawn(rng: np.random.Generator, kind: str) -> tuple[cq.ContactProblem, dict[str, np.ndarray]]:
+    """Draw a problem of a kind and the loads, gaps and coefficients of twelve cases."""
+    n, m = 8, 5
+    shape = rng.standard_normal((n, n))
+    K, E = shape @ shape.T + np.eye(n), rng.standard_normal((m, n))
+    data: dict[str, object] = {}
+    given = dict(loads=5 * rng.standard_normal((12, n)), gaps=rng.uniform(0.0, 0.5, (12, m)))
+    if kind == "ties":
+        data.update(tie=rng.standard_normal((2, n)), tie_value=[0.1, -0.2])
+    if kind == "redundant":
+        E[-1] = E[0]
+        given["gaps"][:, -1] = given["gaps"][:, 0]
+    if kind == "floats":  # two springs between four masses on two stops, pressed down
+        K = np.kron(np.eye(4), [[1.0, -1.0], [-1.0, 1.0]]) * np.repeat([1.0, 5.0, 2.0, 3.0], 2)
+        E = np.kron(np.eye(4), [[0.0, 1.0]])
+        given = dict(loads=rng.uniform(0.1, 1.0, (12, n)), gaps=rng.uniform(0.0, 0.5, (12, 4)))
+    if kind == "friction":
+        data.update(tangent=rng.standard_normal((m, n)), friction=0.1)
+        given["friction"] = rng.uniform(0.0, 0.2, (12, m))
+    if kind == "never closes":
+        given["gaps"][::2, 1] = np.inf
+    return cq.ContactProblem(K, np.zeros(n), E, np.zeros(len(E)), **data), given
+
+
+@pytest.mark.parametrize("kind", ["plain", "ties", "redundant", "floats", "friction", "never closes"])
+def test_each_case_has_the_answer_of_its_own_problem(kind: str) -> None:
+    rng, seen = np.random.default_rng(27), 0
+    for _ in range(4):
+        problem, given = drawn(rng, kind)
+        many = cq.solve_many(problem, **given)
+        assert many.passed.all()
+        for i in range(12):
+            changes = dict(load=given["loads"][i], gap=given["gaps"][i])
+            changes |= {"friction": given["friction"][i]} if kind == "friction" else {}
+            alone = cq.solve(problem.replace(**changes))
+            near = dict(rel=1e-9, abs=1e-9 * np.max(abs(alone.normal_force), initial=1.0))
+            assert problem.normal.T @ many.normal_force[i] == pytest.approx(
+                problem.normal.T @ alone.normal_force, **near
+            )
+            if kind != "redundant":
+                assert many.normal_force[i] == pytest.approx(alone.normal_force, **near)
+                assert many.contact_status[i].tolist() == alone.contact_status.tolist()
+            assert many.tie_force[i] == pytest.approx(alone.tie_force, **near)
+            assert many.gap[i] == pytest.approx(alone.gap, rel=1e-9, abs=1e-9)
+            assert many.displacement(i) == pytest.approx(alone.displacement, rel=1e-9, abs=1e-9)
+            if kind == "friction":
+                assert many.friction_force[i] == pytest.approx(alone.friction_force, **near)
+            seen += int(np.count_nonzero(alone.normal_force))
+    assert seen > 40
+
+
+@pytest.mark.parametrize("unit", [2.0**-30, 1e-9, 1.0, 1e9])
+def test_the_bar_and_the_wall_for_many_loads_in_any_units(unit: float) -> None:
+    bar = cq.ContactProblem([[157500.0 / unit]], [0.0], [[1.0]], [1e-3 * unit])
+    loads = np.linspace(0.0, 600.0, 31)[:, None]
+    many = cq.solve_many(bar, loads=loads)
+    assert many.passed.all()
+    assert many.normal_force[:, 0] == pytest.approx(np.maximum(loads[:, 0] - 157.5, 0.0), rel=1e-13, abs=1e-13)
+    assert many.gap[:, 0] == pytest.approx(np.maximum(1e-3 - loads[:, 0] / 157500.0, 0.0) * unit, abs=1e-17 * unit)
+    worst = many.envelope()
+    assert (worst.load.tolist(), worst.normal_force.tolist()) == ([30], pytest.approx([442.5]))
+
+
+def test_gaps_and_loads_may_be_given_alone_or_sparse() -> None:
+    gaps = np.array([[0.0], [1e-3], [1.0]])
+    pressed = BAR.replace(load=[300.0])
+    assert cq.solve_many(pressed, gaps=gaps).normal_force.ravel() == pytest.approx([300.0, 142.5, 0.0])
+    sparse = cq.solve_many(BAR, loads=sp.csr_array([[300.0], [0.0], [157.5]]))
+    assert sparse.normal_force.ravel() == pytest.approx([142.5, 0.0, 0.0], abs=1e-12)
+    assert sparse.contact_status.ravel().tolist() == ["closed", "open", "grazing"]
+    assert [one.normal_force.tolist() for one in sparse[:2]] == [pytest.approx([142.5]), [0.0]]
+    rough = cq.ContactProblem(np.eye(2), [1.0, 1.0], [[1.0, 0.0]], [0.0], tangent=[[0.0, 1.0]])
+    slid = cq.solve_many(rough, friction=np.array([[0.0], [0.5], [2.0]]))
+    assert slid.friction_force.ravel() == pytest.approx([0.0, 0.5, 1.0])
+    assert slid.contact_status.ravel().tolist() == ["closed", "slip", "stick"]
+    assert cq.solve_many(rough, loads=[[2.0, 5.0]], friction=0.25).friction_force.ravel() == pytest.approx([0.5])
+
+
+def test_one_that_fails_stops_no_other() -> None:
+    mass = cq.ContactProblem([[0.0]], [0.0], [[1.0]], [0.5], contact_names=["floor"])
+    many = cq.solve_many(mass, loads=[[1.0], [-1.0], [2.0]])
+    assert many.passed.tolist() == [True, False, True]
+    assert "the load drives a rigid motion" in many.failures[1]
+    assert np.isnan(many.normal_force[1, 0])
+    assert many.contact_status[1].tolist() == ["unknown"]
+    assert many.normal_force[[0, 2], 0].tolist() == [1.0, 2.0]
+    assert many.envelope().load.tolist() == [2]
+    assert "case 1: the load drives" in str(many)
+    with pytest.raises(cq.NoEquilibrium):
+        many[1]
+    none = cq.solve_many(mass, loads=[[-1.0]])
+    assert none.envelope().load.tolist() == [-1]
+
+
+def test_bad_arguments_are_one_clear_error() -> None:
+    loads = np.ones((600, 1))
+    loads[517] = np.nan
+    indefinite = cq.ContactProblem([[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0], [[1.0, 0.0]], [0.0])
+    for call, message in (
+        (lambda: cq.solve_many(BAR, loads=loads), r"loads\[517\]: expected finite numbers, got nan at unknown 0"),
+        (lambda: cq.solve_many(BAR), "expected loads, gaps or friction with one row for each case"),
+        (lambda: cq.solve_many(BAR, friction=0.0), "expected loads, gaps or friction with one row for each case"),
+        (lambda: cq.solve_many(BAR, loads=[1.0, 2.0]), r"loads: expected shape \(N, 1\), a row for each case"),
+        (lambda: cq.solve_many(BAR, loads=[[1.0]], gaps=[[1.0], [2.0]]), "1 row of loads, 2 rows of gaps"),
+        (lambda: cq.solve_many(BAR, gaps=[[1.0], [-np.inf]]), r"gaps\[1\]: expected finite numbers, got -inf"),
+        (lambda: cq.solve_many(BAR, loads=[[1.0]], friction=[0.3]), r"friction: expected a number, shape \(N, 1\)"),
+        (lambda: cq.solve_many(BAR, friction=[[0.3]]), "friction: a coefficient was given without tangent"),
+        (lambda: cq.solve_many(BAR, loads=[[1.0]], warm_start=None), "expected no warm_start"),
+        (lambda: cq.solve_many(indefinite, loads=[[1.0, 2.0]], penalty=1.0), "unknown option 'penalty'"),
+        (lambda: cq.solve_many(BAR, loads=[[1.0]])["a"], "i: expected a whole number, got 'a'"),
+    ):
+        with pytest.raises(cq.InvalidProblem, match=message):
+            call()
+    with pytest.raises(IndexError):
+        cq.solve_many(BAR, loads=[[1.0]])[1]
+
+
+def test_loads_that_are_changed_later_are_noticed() -> None:
+    loads = np.array([[300.0], [400.0]])
+    many = cq.solve_many(BAR, loads=loads)
+    loads[1] = 500.0
+    assert many[0].normal_force.tolist() == pytest.approx([142.5])
+    with pytest.raises(cq.InvalidProblem, match=r"loads\[1\]: expected what solve_many was given"):
+        many.displacement(1)
+
+
+def test_answers_are_pickled_and_printed() -> None:
+    many = cq.solve_many(BAR, loads=[[300.0], [400.0]])
+    again = pickle.loads(pickle.dumps(many))
+    assert again.normal_force.tolist() == many.normal_force.tolist()
+    assert again[1].normal_force.tolist() == many[1].normal_force.tolist()
+    assert repr(many) == "Solutions(active-set, 2 cases, 1 contact, 2 passed)"
+    assert str(many).splitlines()[-1].split() == ["contact", "0", "242.5", "1"]
+    told: list[str] = []
+    cq.solve_many(BAR, loads=[[300.0]], progress=told.append)
+    assert told
