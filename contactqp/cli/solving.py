@@ -65,6 +65,7 @@ MANY = 4
 @click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @click.option("--csv", metavar="FILE", help="Write status, forces and gap of each contact at each instant: .csv.")
+@click.option("--loads", metavar="FILE", help="Solve under each load case of a table: .csv.")
 @strict_option
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--quiet", is_flag=True, help="Print what is not met or has no answer, and no more.")
@@ -84,6 +85,7 @@ def run_command(
     plot: str | None,
     vtu: str | None,
     csv: str | None,
+    loads: str | None,
     verbose: bool,
     quiet: bool,
     jobs: int | None,
@@ -102,6 +104,10 @@ def run_command(
     displacements, forces and energies with its events, to FILE with "history" before the suffix; a problem of matrices
     as forces and gaps.
 
+    With --loads, one CASE is solved under each row of a table, by one method. The first column of the table is "case",
+    a name for each row; the others are named as unknowns (loads), as contacts (gaps) or "friction", with plain numbers
+    in the units of the case. What a row does not state is as in the case. --csv writes all contacts of all rows.
+
     With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
     the first one prints and writes the files.
     """
@@ -117,6 +123,11 @@ def run_command(
         knobs = read_knobs(penalty, perturbation, options, bare=not named)
         if csv is not None and engine != SERIAL:
             raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
+        if loads is not None:
+            one = not foreign and len(named) == 1 and len(methods) <= 1
+            if not one or engine != SERIAL or any((checkpoint, plot, vtu)):
+                raise InvalidProblem("--loads: expected one case file, one method and one process, to print or --csv")
+            sys.exit(_run_loads(named[0], loads, methods, knobs, csv, time_limit, as_json, quiet))
         scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
         if foreign and vtu is not None:
             raise InvalidProblem(f"{foreign[0]}: --vtu needs a case file, this file has no geometry")
@@ -153,6 +164,37 @@ def run_command(
     if as_json and speakers.speaks:
         print_json(data)
     sys.exit(0 if met else NOT_MET)
+
+
+def _run_loads(
+    case: str,
+    loads: str,
+    methods: Sequence[str],
+    knobs: Mapping[str, Any],
+    csv: str | None,
+    time_limit: float | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Solve a case under each load case of a table, print and write the answers, and return the exit code."""
+    from contactqp.scene.judging import case_files
+    from contactqp.scene.load_cases import cases_data, print_cases, solve_cases, write_cases
+    from contactqp.scene.scene import load_scene
+    from contactqp.solving.methods import DEFAULT_METHOD
+
+    (file,) = case_files([case])
+    options = dict(knobs) if time_limit is None else dict(knobs, time_limit=time_limit)
+    with whereabouts() as shown, telling(shown):
+        answers = solve_cases(load_scene(file), loads, methods[0] if methods else DEFAULT_METHOD, options)
+    if csv is not None:
+        write_cases(answers, csv)
+    if as_json:
+        print_json(cases_data(answers))
+    elif not (quiet and answers.met):
+        print_cases(console(), answers)
+    if csv is not None:
+        click.echo(f"written: {csv}", err=as_json)
+    return 0 if answers.met else NOT_MET
 
 
 def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -278,3 +278,63 @@ def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> li
 def _say(table: Table, names: list[str], what: str, unknowns: Unknowns, ledger: Ledger) -> None:
     ledger.read.append(f"{what}: {len(names)} in {len(table.rows)} rows")
     unknowns.say(what, ledger)
+
+
+# Load cases, a row each; a column for each unknown that is loaded, contact whose gap is another, or coefficient.
+#
+#     cases.csv      case[,UNKNOWN...][,CONTACT...][,friction]
+
+
+@dataclass(frozen=True)
+class CaseRows:
+    """Load cases by name; each entry is a number, or None where a cell is empty and the problem's own number counts."""
+
+    names: tuple[str, ...]
+    loads: dict[int, tuple[float | None, ...]]  # by the place of the unknown
+    gaps: dict[int, tuple[float | None, ...]]  # by the place of the contact
+    friction: tuple[float | None, ...] | None  # one coefficient for all contacts
+
+
+def read_case_rows(path: Path, unknowns: Sequence[str], contacts: Sequence[str]) -> CaseRows:
+    """Return the load cases in a table whose columns have the names of unknowns and of contacts.
+
+    Raises
+    ------
+    InvalidProblem
+        As `read_tables`; a column that is neither an unknown nor a contact, or may be both; a case twice.
+    """
+    tables = read_tables(path, ("case",))
+    if len(tables) != 1:
+        raise wrong(path, "content", "one table that begins with case", f"{len(tables)}")
+    table, names = tables[0], tuple(tables[0].column("case"))
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise wrong(path, "case", "every case once", repr(twice[:40]))
+    places = [_spelled(known) for known in (unknowns, contacts)]
+    loads: dict[int, tuple[float | None, ...]] = {}
+    gaps: dict[int, tuple[float | None, ...]] = {}
+    friction = None
+    for column in table.columns[1:]:
+        cells = tuple(
+            None if cell == "" else cell_number(path, line, cell)
+            for line, cell in zip(table.lines, table.column(column), strict=True)
+        )
+        at = [place.get(column, []) for place in places]
+        if sum(map(len, at)) > 1:
+            raise wrong(path, "columns", "names that one unknown or contact has", repr(column[:40]))
+        if at[0] or at[1]:
+            (loads if at[0] else gaps)[(at[0] or at[1])[0]] = cells
+        elif column == "friction":
+            friction = cells
+        else:
+            raise wrong(path, "columns", "names of unknowns (their loads), of contacts (their gaps) or friction",
+                        repr(column[:40]))  # fmt: skip
+    return CaseRows(names, loads, gaps, friction)
+
+
+def _spelled(names: Sequence[str]) -> dict[str, list[int]]:
+    """Return the places of names as columns are spelled: in small letters, without blanks."""
+    found: dict[str, list[int]] = {}
+    for place, name in enumerate(names):
+        found.setdefault(name.lower().replace(" ", "_"), []).append(place)
+    return found

@@ -1,0 +1,166 @@
+"""A case file under many loads: a table of load cases read, solved, printed and written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from rich.console import Console
+from rich.markup import escape
+
+from contactqp.analysis.load_cases import Solutions
+from contactqp.analysis.many_loads import solve_many
+from contactqp.errors import InvalidProblem, Unsupported, counted
+from contactqp.exchange.files import write_whole
+from contactqp.exchange.tables import CaseRows, read_case_rows
+from contactqp.model.problem import ContactProblem
+from contactqp.model.summary import csv_text, number
+from contactqp.scene.judging import Knob, Trial
+from contactqp.scene.scene import build_for
+from contactqp.scene.schema import SceneData
+from contactqp.scene.tables import print_noted
+
+
+@dataclass(frozen=True, eq=False)
+class CaseAnswers:
+    """The answers of a scene under many loads, by the names of the load cases."""
+
+    scene: SceneData
+    names: tuple[str, ...]
+    solutions: Solutions
+
+    @property
+    def met(self) -> bool:
+        """Whether every load case has a certified answer."""
+        return bool(self.solutions.passed.all())
+
+
+def solve_cases(scene: SceneData, file: str, method: str, knobs: Mapping[str, Knob]) -> CaseAnswers:
+    """Solve a scene under each load case of a table, in the scene's units; what it does not state is the scene's own.
+
+    Raises
+    ------
+    Unsupported
+        The scene has a load path, a motion or large deformations.
+    InvalidProblem
+        The table is none, or names what the scene has not.
+    """
+    if scene.path is not None or scene.motion is not None or scene.large:
+        raise Unsupported("--loads: of cases without load path, motion and large deformations")
+    problem: ContactProblem = build_for(scene).problem
+    contacts = [problem.contact_name(i) for i in range(problem.contacts)]
+    rows = read_case_rows(Path(file), [problem.dof_name(j) for j in range(problem.dimension)], contacts)
+    if not rows.names:
+        raise InvalidProblem(f"{file}: expected a row for each load case, got none")
+    given: dict[str, Any] = dict(loads=_loads(problem, rows), gaps=_filled(problem.gap, rows.gaps, len(rows.names)))
+    if rows.friction is not None and problem.friction is None:
+        raise InvalidProblem(f"{file}: friction: expected a case whose contacts have friction, got one without")
+    if rows.friction is not None and problem.friction is not None:
+        columns = dict.fromkeys(range(problem.contacts), rows.friction)
+        given["friction"] = _filled(problem.friction, columns, len(rows.names))
+    options = Trial(method, dict(knobs)).options(scene)
+    return CaseAnswers(scene, rows.names, solve_many(problem, method=method, **given, **options))
+
+
+def _loads(problem: ContactProblem, rows: CaseRows) -> Any:
+    """Return the loads of all cases as a sparse matrix: bodies have many unknowns and few that are loaded."""
+    loaded = np.union1d(np.flatnonzero(problem.load), np.array(list(rows.loads), dtype=np.intp))
+    own = {int(j): (None,) * len(rows.names) for j in loaded}
+    columns = _filled(problem.load[loaded], {k: (own | rows.loads)[j] for k, j in enumerate(own)}, len(rows.names))
+    at = np.tile(loaded, len(rows.names)), np.arange(0, columns.size + 1, max(len(loaded), 1))
+    ends = at[1] if len(loaded) else np.zeros(len(rows.names) + 1, dtype=np.intp)
+    return sp.csr_array((columns.ravel(), at[0], ends), shape=(len(rows.names), problem.dimension))
+
+
+def _filled(own: Any, columns: Mapping[int, Sequence[float | None]], count: int) -> Any:
+    """Return one row for each case: a problem's own numbers, but for those that are stated."""
+    filled = np.tile(own, (count, 1))
+    for place, cells in columns.items():
+        stated = [i for i, cell in enumerate(cells) if cell is not None]
+        filled[stated, place] = [cells[i] for i in stated]
+    return filled
+
+
+def print_cases(console: Console, answers: CaseAnswers) -> None:
+    """Print a line for each load case, with its largest force, and the envelope of the forces."""
+    many, problem = answers.solutions, answers.solutions.problem
+    console.print(f"[bold]{escape(answers.scene.title)}[/bold]", soft_wrap=True)
+    columns = ["load case", "closed", "largest force", "at", "certificate", ""]
+    print_noted(console, columns, list(_lines(answers)), [[why] for why in many.failures])
+    if problem.contacts:
+        worst = many.envelope()
+        named = [answers.names[i] if i >= 0 else "" for i in worst.load]
+        cells = zip(worst.names, map(number, worst.normal_force), named, strict=True)
+        print_noted(console, ["contact", "largest force", "load case"], list(map(list, cells)), [[]] * len(named))
+    console.print(f"{int(many.passed.sum())} of {counted('load case', len(many))} passed")
+
+
+def _lines(answers: CaseAnswers) -> Iterator[list[str]]:
+    many, problem = answers.solutions, answers.solutions.problem
+    status = many.contact_status
+    for i, name in enumerate(answers.names):
+        verdict = "passed" if many.passed[i] else "REFUSED"
+        verdict += ", proven" if many.proven[i] else ""
+        if not problem.contacts or np.isnan(many.normal_force[i]).any():
+            yield [name, "", "", "", verdict]
+            continue
+        worst = int(np.argmax(many.normal_force[i]))
+        closed = str(int(np.sum(status[i] != "open")))
+        yield [name, closed, number(many.normal_force[i, worst]), problem.contact_name(worst), verdict]
+
+
+def cases_table(answers: CaseAnswers) -> tuple[tuple[str, ...], list[list[Any]]]:
+    """Return the columns and the rows, one for each contact of each load case, numbers with all their digits."""
+    many, problem = answers.solutions, answers.solutions.problem
+    friction, status = many.friction_force, many.contact_status
+    width = 0 if friction is None else friction.shape[2]
+    shear = ["friction_force"] if width == 1 else [f"friction_force_{k + 1}" for k in range(width)]
+    units = problem.units
+    force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
+    columns = ("case", "contact", "status", *(f"{name}{force}" for name in ("normal_force", *shear)), f"gap{length}")
+    rows = [
+        [
+            name, problem.contact_name(j), str(status[i, j]), float(many.normal_force[i, j]),
+            *([] if friction is None else friction[i, j].tolist()), float(many.gap[i, j]), bool(many.passed[i]),
+        ]
+        for i, name in enumerate(answers.names)
+        for j in range(problem.contacts)
+    ]  # fmt: skip
+    return (*columns, "passed"), rows
+
+
+def write_cases(answers: CaseAnswers, file: str) -> None:
+    """Write `cases_table` as comma-separated values."""
+    text = csv_text(*cases_table(answers))
+    write_whole(Path(file), lambda beside: _write(beside, text))
+
+
+def _write(file: Path, text: str) -> None:
+    file.write_text(text, encoding="utf-8", newline="\n")
+
+
+def cases_data(answers: CaseAnswers) -> list[dict[str, Any]]:
+    """Return each load case as plain data."""
+    many, problem = answers.solutions, answers.solutions.problem
+    status, names = many.contact_status, [problem.contact_name(j) for j in range(problem.contacts)]
+
+    def by_name(values: Any) -> dict[str, Any]:
+        found = (value if isinstance(value, str | list) or np.isfinite(value) else None for value in values.tolist())
+        return dict(zip(names, found, strict=True))
+
+    return [
+        {
+            "case": name,
+            "passed": bool(many.passed[i]),
+            "proven": bool(many.proven[i]),
+            "failure": many.failures[i] or None,
+            "status": by_name(status[i]),
+            "normal_force": by_name(many.normal_force[i]),
+            "gap": by_name(many.gap[i]),
+        }
+        for i, name in enumerate(answers.names)
+    ]
