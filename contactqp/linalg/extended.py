@@ -12,6 +12,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,11 +26,11 @@ from contactqp.model.solution import Answer
 EPS = 2.0**-104
 # Rows with more entries are summed on their own, in pairs.
 LONG = 2**9
-# Matrices of at most so many places, as wide as their longest row, are one block, which takes a step for each column
-# of it: no wider than this.
-ONE_BLOCK, NARROW = 2**11, 2**6
+# Unknowns and rows of a problem, squared, up to which all its matrices are one array, zeros included: products with
+# zeros cost less than looking entries up.
+ONE_ARRAY = 2**13
 # Entries of a block whose products are formed at once: calls cost less than that, and all of it stays in the cache.
-WORTH_A_CALL = 2**11
+WORTH_A_CALL = 2**13
 _SPLITTER = 2.0**27 + 1.0
 _NONE: Array = np.zeros(0)  # a sum without terms
 
@@ -95,7 +96,7 @@ class Extended:
         product, error = two_product(self.hi, other.hi)
         error = error + (self.hi * other.lo + self.lo * other.hi)
         if len(product) > LONG:
-            return sum(_summed(product, error))
+            return float(sum(_added(product, error)))
         total, carried = 0.0, 0.0
         for term, rest in zip(product.tolist(), error.tolist(), strict=True):
             partial = total + term
@@ -115,6 +116,13 @@ def _holding(hi: Array, lo: Array) -> Extended:
 def _normalised(total: Array, error: Array, lower: Array) -> Extended:
     """Return total + (error + lower), the error being that of the total."""
     return _holding(*two_sum(total, error + lower))
+
+
+def joined(*parts: Extended) -> Extended:
+    """Return extended vectors one after the other in one, friction forces flat."""
+    return _holding(
+        np.concatenate([one.hi.ravel() for one in parts]), np.concatenate([one.lo.ravel() for one in parts])
+    )
 
 
 def extend(values: Any) -> Extended:
@@ -143,63 +151,13 @@ def _split(a: Array) -> tuple[Array, Array]:
     return high, a - high
 
 
-class _Entries(NamedTuple):
-    """The entries of a matrix, row by row, as those of a CSR matrix."""
-
-    data: Array
-    indices: NDArray[np.intp]
-    indptr: NDArray[np.intp]
-    shape: tuple[int, int]
-
-
-def _stacked(matrices: list[Any]) -> _Entries:
-    """Return the entries of [A; B; ...] of CSR matrices with the same columns; those without rows are left out."""
-    filled = [matrix for matrix in matrices if matrix.shape[0]]
-    if len(filled) < 2:
-        one = filled[0] if filled else matrices[0]
-        return _Entries(one.data, one.indices, one.indptr, one.shape)
-    indptr, before = [filled[0].indptr], filled[0].indptr[-1]
-    for matrix in filled[1:]:
-        indptr.append(matrix.indptr[1:] + before)
-        before = before + matrix.indptr[-1]
-    data, indices = (np.concatenate([getattr(one, name) for one in filled]) for name in ("data", "indices"))
-    return _Entries(data, indices, np.concatenate(indptr), (sum(one.shape[0] for one in filled), filled[0].shape[1]))
-
-
-def _transposed(matrices: list[Any]) -> _Entries:
-    """Return the entries of [A; B; ...]' of CSR matrices with the same columns."""
-    rows = _stacked(matrices)
-    size, count = rows.shape
-    order = rows.indices.argsort(kind="stable")
-    starts = np.zeros(count + 1, dtype=np.intp)
-    np.bincount(rows.indices, minlength=count).cumsum(out=starts[1:])
-    return _Entries(
-        rows.data[order], np.arange(size).repeat(rows.indptr[1:] - rows.indptr[:-1])[order], starts, (count, size)
-    )
-
-
-def _are_one_block(lengths: NDArray[np.intp]) -> bool:
-    """Whether rows with so many entries each are so few, and so short, that all of them are one block."""
-    widest = int(lengths.max(initial=0))
-    return widest * len(lengths) <= ONE_BLOCK and widest <= NARROW
-
-
 class SparseRows:
     """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
 
     def __init__(self, matrix: Any) -> None:
-        rows = (
-            matrix
-            if isinstance(matrix, _Entries) or (sp.issparse(matrix) and matrix.format == "csr")
-            else sp.csr_matrix(matrix)
-        )
+        rows = matrix if sp.issparse(matrix) and matrix.format == "csr" else sp.csr_matrix(matrix)
         self.shape: tuple[int, int] = rows.shape
         lengths = rows.indptr[1:] - rows.indptr[:-1]
-        self._long: list[tuple[int, Array, NDArray[np.intp]]] = []
-        self.is_one_block = _are_one_block(lengths)
-        if self.is_one_block:
-            self._blocks = [_block(rows, lengths.nonzero()[0], halves=True)] if lengths.any() else []
-            return
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
         short = (lengths > 0) & (lengths <= LONG)
         classes = np.unique(width_class[short])
@@ -218,41 +176,45 @@ class SparseRows:
             hi[block.members], lo[block.members] = two_sum(*_product(block, vector, doubles))
         for i, value, column in self._long:
             product, error = two_product(value, vector.hi[column])
-            hi[i], lo[i] = _summed(product, error + value * vector.lo[column])
+            hi[i], lo[i] = two_sum(*_added(product, error + value * vector.lo[column]))
         return _holding(hi, lo)
 
 
 def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Array]:
     """Return the rounded sums (q,) of the rows of a block times a vector, and their errors.
 
-    Products are formed for as many slots at once as make an operation worth its call; their sums run slot by slot.
+    Products are formed for as many slots at once as make an operation worth its call.
     """
     width, count = block.values.shape
     total, rest = _NONE, _NONE
-    together = width if block.halves is not None else max(1, WORTH_A_CALL // count)
+    together = max(1, WORTH_A_CALL // count)
     for start in range(0, width, together):
         values, columns = block.values[start : start + together], block.columns[start : start + together]
-        products, errors = two_product(values, vector.hi.take(columns), block.halves)
+        products, errors = two_product(values, vector.hi.take(columns))
         if not doubles:
-            errors = errors + values * vector.lo.take(columns)
-        for product, error in zip(products, errors, strict=True):
-            if total is _NONE:
-                total, rest = product, error
-                continue
-            total, carried = two_sum(total, product)
-            rest = rest + (carried + error)
+            errors += values * vector.lo.take(columns)
+        sums, left = _added(products, errors)
+        if total is _NONE:
+            total, rest = sums, left
+            continue
+        total, carried = two_sum(total, sums)
+        rest = rest + (carried + left)
     return total, rest
 
 
-def _summed(terms: Array, errors: Array) -> tuple[float, float]:
-    """Return the sum of terms and their errors, added in pairs."""
-    while len(terms) > 1:
-        if len(terms) % 2:
-            terms, errors = np.append(terms, 0.0), np.append(errors, 0.0)
-        terms, carried = two_sum(terms[::2], terms[1::2])
-        errors = errors[::2] + errors[1::2] + carried
-    total, rest = two_sum(terms, errors)
-    return float(total[0]), float(rest[0])
+def _added(terms: Array, errors: Array) -> tuple[Array, Array]:
+    """Return the rounded sum of terms (q, ...) over the first axis and its error, those of the terms included.
+
+    They are added in pairs, in place: both arrays are nobody else's.
+    """
+    count = len(terms)
+    while count > 1:
+        half = count // 2
+        sums, carried = two_sum(terms[:half], terms[count - half : count])
+        errors[:half] += errors[count - half : count] + carried
+        terms[:half] = sums
+        count -= half
+    return terms[0], errors[0]
 
 
 class _Block(NamedTuple):
@@ -261,10 +223,9 @@ class _Block(NamedTuple):
     members: NDArray[np.intp]  # (q,) which rows
     values: Array  # (width, q)
     columns: NDArray[np.intp]  # (width, q)
-    halves: tuple[Array, Array] | None  # of the values, where all products are formed at once
 
 
-def _block(rows: Any, members: NDArray[np.intp], halves: bool = False) -> _Block:
+def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
     start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
     width = int(lengths.max())
     slots = np.arange(width, dtype=start.dtype)[:, None] + start
@@ -272,7 +233,7 @@ def _block(rows: Any, members: NDArray[np.intp], halves: bool = False) -> _Block
     if not (lengths == width).all():
         filled = np.arange(width)[:, None] < lengths
         values, columns = np.where(filled, values, 0.0), np.where(filled, columns, 0)
-    return _Block(members, values, columns, _split(values) if halves else None)
+    return _Block(members, values, columns)
 
 
 class ExtendedMatrix(Protocol):
@@ -283,13 +244,45 @@ class ExtendedMatrix(Protocol):
     def __matmul__(self, vector: Extended) -> Extended: ...
 
 
+class DenseRows:
+    """A small matrix as an array, zeros included, whose product with an extended vector is extended."""
+
+    def __init__(self, transposed: Array, halves: tuple[Array, Array] | None = None) -> None:
+        self.shape: tuple[int, int] = (transposed.shape[1], transposed.shape[0])
+        self._transposed = transposed
+        self._halves = _split(transposed) if halves is None else halves
+
+    def part(self, rows: slice, columns: slice) -> DenseRows:
+        """Return a block of the matrix, which shares its entries."""
+        high, low = self._halves
+        return DenseRows(self._transposed[columns, rows], (high[columns, rows], low[columns, rows]))
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        if not self.shape[1]:
+            return Extended(np.zeros(self.shape[0]))
+        return _holding(*two_sum(*_added(*self._products(vector))))
+
+    def missing(self, limit: Array, vector: Extended) -> Extended:
+        """Return limit - A x, the limit being one more term of each sum."""
+        products, errors = self._products(vector)
+        terms = np.concatenate([products, -limit[None]])
+        hi, lo = two_sum(*_added(terms, np.concatenate([errors, np.zeros((1, len(limit)))])))
+        return _holding(-hi, -lo)
+
+    def _products(self, vector: Extended) -> tuple[Array, Array]:
+        products, errors = two_product(self._transposed, vector.hi[:, None], self._halves)
+        if vector.lo.any():
+            errors += self._transposed * vector.lo[:, None]
+        return products, errors
+
+
 class ClearedRows:
     """Q'KQ with Q = I - Z Y', Y'Z = I: a stiffness whose rounding along rigid motions Z (n, r) is taken away.
 
     Z and Y are doubles; what Y'Z misses of one by rounding is rounding of K's rounding.
     """
 
-    def __init__(self, stiffness: SparseRows, motions: Array, inverse: Array) -> None:
+    def __init__(self, stiffness: ExtendedMatrix, motions: Array, inverse: Array) -> None:
         self.shape = stiffness.shape
         self._stiffness = stiffness
         self._motions, self._resultants = SparseRows(motions), SparseRows(motions.T)
@@ -306,10 +299,34 @@ class ExtendedRows:
     def __init__(self, problem: ContactProblem) -> None:
         self._of_stiffness = problem._computed.of_stiffness
         self._given = problem.stiffness_rows, problem.normal, problem.tie, problem.tangent
+        counts = [0 if matrix is None else matrix.shape[0] for matrix in self._given]
+        self.ends = list(accumulate(counts))  # of unknowns, contacts, ties and tangents among all of them
+
+    @cached_property
+    def together(self) -> DenseRows | None:
+        """Return [K, E_N', A', E_T'; E_N, 0, ...; A, 0, ...; E_T, 0, ...] where that is small, else None."""
+        n, m, k, size = self.ends
+        if size * size > ONE_ARRAY:
+            return None
+        transposed = np.zeros((size, size))
+        transposed[:n, :n] = self._given[0].toarray().T
+        for matrix, start, end in zip(self._given[1:], (n, m, k), (m, k, size), strict=True):
+            if start < end:
+                transposed[start:end, :n] = rows = matrix.toarray()
+                transposed[:n, start:end] = rows.T
+        return DenseRows(transposed)
+
+    def _rows(self, which: int) -> ExtendedMatrix:
+        """Return the rows of contacts, ties or tangents."""
+        if self.together is None:
+            return SparseRows(self._given[which])
+        return self.together.part(slice(self.ends[which - 1], self.ends[which]), slice(self.ends[0]))
 
     @cached_property
     def stiffness(self) -> ExtendedMatrix:
         """Return the stiffness K (n, n), which is laid out once."""
+        if self.together is not None:
+            return self.together.part(slice(self.ends[0]), slice(self.ends[0]))
         if self._of_stiffness.extended is None:
             self._of_stiffness.extended = SparseRows(self._given[0])
         rows: SparseRows = self._of_stiffness.extended
@@ -318,77 +335,63 @@ class ExtendedRows:
     @cached_property
     def normal(self) -> ExtendedMatrix:
         """Return the normal rows E_N (m, n)."""
-        return SparseRows(self._given[1])
+        return self._rows(1)
 
     @cached_property
     def tie(self) -> ExtendedMatrix:
         """Return the ties A (k, n)."""
-        return SparseRows(self._given[2])
+        return self._rows(2)
 
     @cached_property
-    def tangent(self) -> SparseRows | None:
+    def tangent(self) -> ExtendedMatrix | None:
         """Return the tangential rows E_T (m (d - 1), n), None where there are none."""
-        return None if self._given[3] is None else SparseRows(self._given[3])
-
-    @cached_property
-    def together(self) -> SparseRows | None:
-        """[K; E_N; A; E_T] where these are one block, whose product takes as many steps as that with one of them."""
-        given = [matrix for matrix in self._given if matrix is not None]
-        if sum(matrix.shape[0] for matrix in given) > ONE_BLOCK:
-            return None
-        rows = SparseRows(_stacked(given))
-        return rows if rows.is_one_block else None
-
-    def parted(self, together: Extended) -> list[Extended]:
-        """The parts K u, E_N u, A u and, if there are tangents, E_T u of a product with all of them."""
-        stiffness, normal, tie, _ = self._given
-        contacts = stiffness.shape[0] + normal.shape[0]
-        return together.parted(stiffness.shape[0], contacts, contacts + tie.shape[0])
+        return None if self._given[3] is None else self._rows(3)
 
     @cached_property
     def outward(self) -> ExtendedMatrix:
         """Return the transpose [E_N; A]' (n, m + k), which takes forces to the unknowns."""
-        return SparseRows(_transposed(list(self._given[1:3])))
+        if self.together is not None:
+            return self.together.part(slice(self.ends[0]), slice(self.ends[0], self.ends[2]))
+        rows = sp.vstack(self._given[1:3]) if self.ends[2] > self.ends[1] else self._given[1]
+        return SparseRows(rows.T)
 
     @cached_property
-    def _tangent_transposed(self) -> SparseRows | None:
-        return None if self._given[3] is None else SparseRows(_transposed([self._given[3]]))
+    def _tangent_transposed(self) -> ExtendedMatrix | None:
+        if self._given[3] is None:
+            return None
+        if self.together is not None:
+            return self.together.part(slice(self.ends[0]), slice(self.ends[2], None))
+        return SparseRows(self._given[3].T)
 
     def lay_out(self) -> None:
         """Lay out what residuals of an answer are formed with."""
-        for name in ("outward", *(("stiffness", "normal", "tie") if self.together is None else ())):
+        for name in ("stiffness", "outward", "normal", "tie") if self.together is None else ():
             getattr(self, name)
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """Return E_N'l_N + A'nu (n,) [force]."""
-        if not len(tie_force):
-            return self.outward @ normal_force
-        hi = np.concatenate([normal_force.hi, tie_force.hi])
-        return self.outward @ _holding(hi, np.concatenate([normal_force.lo, tie_force.lo]))
+        return self.outward @ (joined(normal_force, tie_force) if len(tie_force) else normal_force)
 
     def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
         """Return E_T'l_T (n,) of friction forces (m, d-1), or of a flat vector in extended precision [force]."""
         if self._tangent_transposed is None or force is None:
-            return Extended(np.zeros(self.stiffness.shape[0]))
+            return Extended(np.zeros(self.ends[0]))
         return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
 
     def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
         """Return rows whose stiffness is zero along rigid motions Z (n, r); `inverse` (r, n) is Y' with Y'Z = I."""
-        assert isinstance(self.stiffness, SparseRows)
         twin = copy(self)
         twin.stiffness, twin.together = ClearedRows(self.stiffness, motions, inverse), None
         return twin
 
     def gap(self, problem: ContactProblem, displacement: Extended) -> Extended:
         """Return g - E_N u (m,)."""
-        if self.together is None:
-            return Extended(problem.gap) - self.normal @ displacement
-        return Extended(problem.gap) - self.parted(self.together @ displacement)[1]
+        if isinstance(self.normal, DenseRows):
+            return self.normal.missing(problem.gap, displacement)
+        return Extended(problem.gap) - self.normal @ displacement
 
     def slip(self, displacement: Extended) -> Extended:
         """Return E_T u as a flat vector."""
-        if self.together is not None:
-            return self.parted(self.together @ displacement)[3]
         return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
 
 
@@ -457,19 +460,22 @@ class Residuals:
 
 def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer) -> Residuals:
     """Return the residuals of an answer, formed with these rows in extended precision."""
-    u, friction = answer.displacement, answer.friction_force
-    outer = extend(problem.load) - rows.contact_force(answer.normal_force, answer.tie_force)
+    u, normal, tie, friction = answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force
+    if rows.together is not None:
+        n, m, k, size = rows.ends
+        parts, limits = [u, normal, tie], [problem.load, problem.gap, problem.tie_value]
+        if size > k:
+            tangential = np.zeros(size - k)
+            limits.append(tangential)
+            parts.append(extend(tangential if friction is None else friction))
+        left = rows.together.missing(np.concatenate(limits), joined(*parts))
+        force, gap, open_tie, beside = left.parted(n, m, k)
+        return Residuals(force, gap, open_tie, -beside if size > k else None)
+    outer = extend(problem.load) - rows.contact_force(normal, tie)
     if friction is not None:
         outer = outer - rows.friction_force(friction)
-    if rows.together is None:
-        gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
-        return Residuals(outer - rows.stiffness @ u, gap, open_tie)
-    product, m = rows.together @ u, problem.contacts
-    limit = np.zeros(len(product) - len(outer))
-    lower = np.concatenate([outer.lo, limit])
-    limit[:m], limit[m : m + problem.ties] = problem.gap, problem.tie_value
-    force, gap, open_tie, beside = rows.parted(_holding(np.concatenate([outer.hi, limit]), lower) - product)
-    return Residuals(force, gap, open_tie, -beside if len(beside) else None)
+    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
+    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
 
 
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:

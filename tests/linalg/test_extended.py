@@ -9,7 +9,15 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.linalg import extended, factorization
 from contactqp.linalg.equilibration import equilibrated
-from contactqp.linalg.extended import Extended, ExtendedRows, SparseRows, extended_rows, residuals_of
+from contactqp.linalg.extended import (
+    Extended,
+    ExtendedAnswer,
+    ExtendedRows,
+    SparseRows,
+    extended_rows,
+    joined,
+    residuals_of,
+)
 from contactqp.linalg.factorization import images
 from contactqp.model.computed import OfStiffness
 
@@ -44,9 +52,9 @@ def test_no_columns_have_no_images():
     assert images(sp.identity(4, format="csr"), np.zeros((4, 0))).shape == (4, 0)
 
 
-def residuals_laid_out(block, monkeypatch):
-    """Residuals of an answer with ties and friction, rows of different lengths; whether they came of one block."""
-    monkeypatch.setattr(extended, "ONE_BLOCK", block)
+def residuals_laid_out(array, monkeypatch):
+    """Residuals of an answer with ties and friction, rows of different lengths, and their exact values and sizes."""
+    monkeypatch.setattr(extended, "ONE_ARRAY", array)
     random = np.random.default_rng(1)
     K, rows = random.normal(size=(7, 7)), random.normal(size=(6, 7)) * (random.random((6, 7)) < 0.5)
     problem = cq.ContactProblem(
@@ -54,18 +62,44 @@ def residuals_laid_out(block, monkeypatch):
     )
     u, normal, tie, friction = (Extended(random.normal(size=n), 1e-18 * random.normal(size=n)) for n in (7, 2, 2, 2))
     exact = ExtendedRows(problem)
-    left = residuals_of(exact, problem, extended.ExtendedAnswer(u, normal, tie, friction))
-    return (left.force, left.gap, left.tie, exact.gap(problem, u), exact.slip(u)), left.slip, exact.together is not None
+    left = residuals_of(exact, problem, ExtendedAnswer(u, normal, tie, friction))
+    found = [left.force, left.gap, left.tie, exact.gap(problem, u), exact.slip(u)]
+    E_N, E_T, A = (matrix.toarray() for matrix in (problem.normal, problem.tangent, problem.tie))
+    outward = np.concatenate([problem.stiffness, E_N, A, E_T]).T, joined(u, normal, tie, friction)
+    expected = [missing(limit, matrix, vector) for limit, matrix, vector in (
+        (problem.load, *outward), (problem.gap, E_N, u), (problem.tie_value, A, u), (problem.gap, E_N, u),
+        (np.zeros(2), -E_T, u),
+    )]  # fmt: skip
+    if exact.together is not None:
+        found, expected = [*found, left.slip], [*expected, expected[-1]]
+    return found, expected, exact.together is not None
 
 
-def test_rows_in_one_block_leave_the_residuals_of_rows_apart_to_the_last_bit(monkeypatch):
-    together, slip, one_block = residuals_laid_out(extended.ONE_BLOCK, monkeypatch)
-    apart, unformed, one_block_too = residuals_laid_out(0, monkeypatch)
-    assert (one_block, one_block_too, unformed) == (True, False, None)
-    for one, other in zip((*together, slip), (*apart, apart[-1]), strict=True):
-        assert one.hi.tobytes() == other.hi.tobytes()
-        assert one.lo.tobytes() == other.lo.tobytes()
+def missing(limit, matrix, vector):
+    """Return limit - A x, entry by entry in rational numbers, and the sum of the sizes of its terms."""
+    exactly = [Fraction(float(hi)) + Fraction(float(lo)) for hi, lo in zip(vector.hi, vector.lo, strict=True)]
+    every = [
+        [Fraction(float(start)), *(-Fraction(float(a)) * x for a, x in zip(row, exactly, strict=True))]
+        for start, row in zip(limit, matrix, strict=True)
+    ]
+    return [(sum(terms), sum(abs(term) for term in terms)) for terms in every]
+
+
+@pytest.mark.parametrize("array", [extended.ONE_ARRAY, 0])
+def test_residuals_are_right_to_twice_double_precision_in_one_array_and_row_by_row(array, monkeypatch):
+    found, expected, in_one_array = residuals_laid_out(array, monkeypatch)
+    assert in_one_array == (array > 0)
+    for one, exact in zip(found, expected, strict=True):
         assert one.hi.size
+        for hi, lo, (value, size) in zip(one.hi, one.lo, exact, strict=True):
+            assert abs(Fraction(float(hi)) + Fraction(float(lo)) - value) <= 4 * extended.EPS * size
+            assert hi + lo == hi
+
+
+def test_a_matrix_without_columns_makes_nothing():
+    none = extended.DenseRows(np.zeros((0, 3))) @ Extended(np.zeros(0))
+    assert not none.hi.any()
+    assert len(none) == 3
 
 
 def test_rows_in_other_units_are_laid_out_once_and_equal_to_the_last_bit():
