@@ -101,6 +101,7 @@ if TYPE_CHECKING:
     from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
     from contactqp.oracle.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
+    from contactqp.scene.deck.deck import read_deck as read_deck
     from contactqp.scene.scene import Scene as Scene
     from contactqp.scene.scene import load_scene as load_scene
     from contactqp.scene.scene import run as run
@@ -205,6 +206,7 @@ _HOME = {
     "pair_mortar": "elements.mortar",
     "pair_node_to_segment": "elements.node_to_segment",
     "pair_scalar": "elements.pairing",
+    "read_deck": "scene.deck.deck",
     "read_fclib": "exchange.fclib",
     "read_fclib_guesses": "exchange.fclib",
     "read_fclib_solution": "exchange.fclib",

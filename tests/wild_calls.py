@@ -102,6 +102,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
     text.write_text("2 1  0 2 2  2 2  1 0.5 0.25 3   -1 -2   0.7")
     mesh_file = folder / "mesh.inp"
     mesh_file.write_text(MESH)
+    deck_file = folder / "deck.inp"
+    deck_file.write_text(MESH + DECK)
     judged = given.objects()["judged"][1]
     known = testing.problem("truss-over-floor")
     answer = dict(displacement=solution.displacement, normal_force=solution.normal_force)
@@ -263,6 +265,7 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "pair_mortar": (cq.pair_mortar, dict(slave=side(), master=side(4, up=False))),
         "pair_node_to_segment": (cq.pair_node_to_segment, dict(slave=side(), master=side(4, up=False))),
         "pair_scalar": (cq.pair_scalar, dict(points=[[0.0, 0.0], [1.0, 0.0]], obstacle_height=[0.5, 0.1])),
+        "read_deck": (cq.read_deck, dict(path=deck_file)),
         "read_fclib": (cq.read_fclib, dict(path=folder / "local.hdf5")),
         "read_fclib_guesses": (cq.read_fclib_guesses, dict(path=folder / "guess.hdf5")),
         "read_fclib_solution": (cq.read_fclib_solution, dict(path=folder / "local.hdf5")),
@@ -337,6 +340,15 @@ MESH = """\
 4, 0., 1.
 *ELEMENT, TYPE=CPE4, ELSET=E
 1, 1, 2, 3, 4
+"""
+DECK = """\
+*MATERIAL, NAME=STEEL
+*ELASTIC
+210000., 0.3
+*SOLID SECTION, ELSET=E, MATERIAL=STEEL
+*STEP
+*STATIC
+*END STEP
 """
 
 

@@ -61,7 +61,7 @@ def check_command(
 ) -> None:
     """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
 
-    PROBLEM is a case file; or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
+    PROBLEM is a case file; an input deck (.inp); or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
     normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's .full, ...), or contacts.csv. CANDIDATE
     then holds displacement, normal_force or both, and friction_force and tie_force, by name or in order: JSON (what
     `contactqp run CASE --method M --json` prints is one), CSV (columns dof,displacement and contact,normal_force),

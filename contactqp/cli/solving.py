@@ -93,8 +93,9 @@ def run_command(
 ) -> None:
     """Solve each CASE (a file, a folder of them, or - for standard input) and compare with what it expects.
 
-    A CASE may also be a folder or .npz of matrices, or a problem of frictional contact in a file of FCLIB (HDF5) or
-    Siconos (text): it is solved, and what is said of it is its certificate.
+    A CASE may also be an input deck of Abaqus or CalculiX (.inp), a folder or .npz of matrices, or a problem of
+    frictional contact in a file of FCLIB (HDF5) or Siconos (text): it is solved, and what is said of it is its
+    certificate.
 
     Without --method: by active-set, and by every method that the case itself says something about. Of one case the
     answer is printed, and of what it claims how much is met; of several each has a line.

@@ -29,7 +29,7 @@ _TYPES = (
     (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
 )
 # Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
-_HEX_FACES = (4, 5, 2, 1, 3, 0)
+HEX_FACES = (4, 5, 2, 1, 3, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,7 @@ def _cells(reading: _Reading) -> Cells:
             _places(f"element, in the surface {name},", every, members)
             for (kind, nodes), element_labels in zip(cells[: len(own)], own, strict=True):
                 local = REFERENCES[kind].facets
-                place = _HEX_FACES[face - 1] if kind.startswith("hex") else face - 1
+                place = HEX_FACES[face - 1] if kind.startswith("hex") else face - 1
                 chosen = nodes[np.isin(element_labels, members)]
                 if len(chosen) and place >= len(local):
                     raise InvalidProblem(f"*SURFACE {name:.40}: {kind} elements have no face S{face}")

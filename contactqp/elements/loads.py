@@ -59,7 +59,7 @@ class Traction:
             t = field_values(f"traction on {self.side!r}", self.value, facets.positions, (body.dimension,))
             return np.asarray(t * np.linalg.norm(facets.normal, axis=-1, keepdims=True))
 
-        return _integrated(body, body.mesh.side(self.side), per_reference_area)
+        return integrated(body, body.mesh.side(self.side), per_reference_area)
 
 
 @checks
@@ -83,7 +83,7 @@ class Pressure:
             p = field_values(f"pressure on {self.side!r}", self.value, facets.positions, ())
             return -p[..., None] * facets.normal
 
-        return _integrated(body, body.mesh.side(self.side), per_reference_area)
+        return integrated(body, body.mesh.side(self.side), per_reference_area)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class BodyForce:
             b = field_values("body force", self.value, elements.positions, (body.dimension,))
             return b * elements.determinant[..., None]
 
-        return _integrated(body, body.mesh.blocks, per_reference_volume)
+        return integrated(body, body.mesh.blocks, per_reference_volume)
 
 
 @checks
@@ -221,7 +221,7 @@ def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, .
     return np.broadcast_to(found, (len(points), *shape)).reshape(*positions.shape[:-1], *shape)
 
 
-def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry], Vector]) -> Vector:
+def integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry], Vector]) -> Vector:
     """Return f_i, the sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
 
     `density` is (E, q, d), per area or volume of the reference element.

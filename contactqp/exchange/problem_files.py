@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path as FilePath
 
@@ -19,16 +20,20 @@ from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
-EXPECTED = "a folder or .npz of matrices, a file of FCLIB (HDF5) or Siconos (text), or a quadratic program"
+EXPECTED = (
+    "a folder or .npz of matrices, a file of FCLIB (HDF5) or Siconos (text), a quadratic program, or a deck (.inp)"
+)
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
-HDF5, TEXT, ARCHIVE = (".hdf5", ".h5"), (".dat",), (".npz",)
+HDF5, TEXT, ARCHIVE, DECK = (".hdf5", ".h5"), (".dat",), (".npz",), (".inp",)
+# Decks become bodies before they are problems: what reads them lies above this room, and is found by its name.
+DECK_READER = "contactqp.scene.deck.deck:read_deck_problem"
 
 
 @checked
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """Return the problem in a folder or .npz of matrices, a quadratic program, or a file of FCLIB or Siconos.
+    """Return the problem in a folder or .npz of matrices, a quadratic program, a deck, or a file of FCLIB or Siconos.
 
-    Parameters, and what is returned and raised, as `read_fclib`; matrices make a ContactProblem.
+    Parameters, and what is returned and raised, as `read_fclib`; matrices and decks make a ContactProblem.
     """
     return read_problem_with_ledger(path, as_stored=as_stored)[0]
 
@@ -39,6 +44,10 @@ def read_problem_with_ledger(
     """Return the problem as `read_problem` does, and the ledger of what was read, converted, assumed and ignored."""
     if is_quadratic_program(path):
         return read_quadratic_program(path)
+    if is_deck(path):
+        module, _, function = DECK_READER.partition(":")
+        found: tuple[ContactProblem, Ledger] = getattr(importlib.import_module(module), function)(path)
+        return found
     if is_of_matrices(path):
         folder = _folder(path)
         if folder.is_dir() and not is_problem_folder(folder):
@@ -53,14 +62,19 @@ def read_problem_with_ledger(
     return problem, _ledger(path, problem, "FCLIB" if hdf5 else "Siconos")
 
 
+def is_deck(path: Path) -> bool:
+    """Return whether a file is an input deck of Abaqus or CalculiX, by its suffix."""
+    return FilePath(path).suffix.lower() in DECK
+
+
 def is_of_matrices(path: Path) -> bool:
-    """Return whether this is a folder (or the problem.json in it) or an archive of matrices."""
+    """Return whether this is a folder (or the problem.json in it) or an archive of matrices, or a deck."""
     file = FilePath(path)
     if os.path.isdir(file):
         return True
     if os.path.isfile(file) and is_quadratic_program(path):
         return True
-    if file.name == PROBLEM_FILE or file.suffix.lower() in ARCHIVE:
+    if file.name == PROBLEM_FILE or file.suffix.lower() in (*ARCHIVE, *DECK):
         return True
     return os.path.isfile(file) and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
 
@@ -78,7 +92,7 @@ def is_problem_file(path: Path) -> bool:
     if suffix == ".toml":
         return False
     if (
-        suffix in (*HDF5, *TEXT, *QPS, *MATLAB)
+        suffix in (*HDF5, *TEXT, *QPS, *MATLAB, *DECK)
         or file.name == PROBLEM_FILE
         or suffix in (*ARCHIVE, *stiffness_suffixes())
     ):

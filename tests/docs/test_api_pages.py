@@ -42,6 +42,7 @@ def test_every_public_name_is_documented_once() -> None:
         "contactqp.oracle.foreign.judging.JudgedContact",
         "contactqp.solving.methods.Method",
         "contactqp.solving.methods.Settings",
+        "contactqp.scene.deck.deck.Deck",
         "contactqp.solving.methods.backends.Backend",
         "contactqp.solving.methods.register",
         "contactqp.study.comparison.Comparison",

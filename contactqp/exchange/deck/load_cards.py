@@ -1,0 +1,264 @@
+"""Cards of supports, loads, equations, ties and contact."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from contactqp.exchange.deck.cards import Card, Line
+from contactqp.exchange.deck.mesh_cards import find, members
+from contactqp.exchange.deck.model import (
+    Acceleration,
+    AtNodes,
+    ContactPair,
+    DeckModel,
+    DeckTie,
+    Equation,
+    FacePressure,
+    Faces,
+    Interaction,
+)
+from contactqp.exchange.files import DECIMAL_COMMA
+from contactqp.model.arrays import Index, Vector
+
+Amplitudes = dict[str, tuple[Vector, Vector]]
+# Directions that these words hold, of unknowns that elements here have.
+HELD = {
+    "ENCASTRE": (0, 1, 2), "PINNED": (0, 1, 2), "XSYMM": (0,), "YSYMM": (1,), "ZSYMM": (2,),
+    "XASYMM": (1, 2), "YASYMM": (0, 2), "ZASYMM": (0, 1),
+}  # fmt: skip
+ROTATIONS = (4, 5, 6)
+TERMS_A_LINE = 4
+
+
+def read_amplitude(amplitudes: Amplitudes, card: Card) -> None:
+    """Read times and values, up to four pairs a line."""
+    numbers = [card.numbers(line, words, "times and values") for line, words in card.table("times and values")]
+    table = np.concatenate(numbers)
+    if len(table) % 2 or np.any(np.diff(table[::2]) < 0):
+        raise card.wrong("pairs of an ascending time and a value", f"{len(table)} numbers")
+    amplitudes[card.parameter("NAME")] = table[::2], table[1::2]
+
+
+def factor(amplitudes: Amplitudes, card: Card, end: float) -> float:
+    """Return what a load of this card is multiplied by at the end of the step."""
+    if not card.has("AMPLITUDE"):
+        return 1.0
+    times, values = find(amplitudes, card, card.head, card.parameter("AMPLITUDE"), "amplitude")
+    return float(np.interp(end, times, values))
+
+
+def read_boundary(model: DeckModel, card: Card, scale: float) -> None:
+    """Read displacements: nodes, a first and a last direction, a value; or nodes and a word such as ENCASTRE."""
+    rotations = 0
+    for line, words in card.table("nodes, a first and a last direction, a displacement"):
+        nodes = members(model.node_sets, card, line, words[0])
+        if len(words) == 2 and words[1] in HELD:
+            model.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in HELD[words[1]])
+            continue
+        if not 2 <= len(words) <= 4:
+            raise card.wrong("nodes, a first and a last direction, a displacement", repr(line.text[:40]), line)
+        first = _direction(card, line, words[1])
+        last = _direction(card, line, words[2]) if len(words) > 2 and words[2] else first
+        if last < first:
+            raise card.wrong("a last direction not below the first", repr(line.text[:40]), line)
+        value = scale * card.real(line, 3, "a displacement", 0.0)
+        for direction in range(first, last + 1):
+            if direction in ROTATIONS:
+                rotations += 1
+                if value:
+                    raise card.wrong("directions 1 to 3 with a value", f"the rotation {direction}", line)
+            else:
+                model.supports.append(AtNodes(nodes, direction - 1, value, line.place))
+    if rotations:
+        model.ledger.ignored.append(f"{card.head.place}: *BOUNDARY: rotations; the elements have none")
+
+
+def _direction(card: Card, line: Line, word: str) -> int:
+    if not re.fullmatch(r"[1-6]", word):
+        raise card.wrong("a direction 1, 2 or 3", repr(word[:40]), line)
+    return int(word)
+
+
+def read_forces(model: DeckModel, card: Card, scale: float) -> None:
+    """Read forces: nodes, a direction, a value; forces on one node add up."""
+    for line, words in card.table("nodes, a direction, a force"):
+        if len(words) != 3 or words[1] not in ("1", "2", "3"):
+            raise card.wrong("nodes, a direction 1, 2 or 3, a force", repr(line.text[:40]), line)
+        nodes = members(model.node_sets, card, line, words[0])
+        value = scale * card.real(line, 2, "a force")
+        model.forces.append(AtNodes(nodes, int(words[1]) - 1, value, line.place))
+
+
+def read_distributed(model: DeckModel, card: Card, scale: float) -> None:
+    """Read pressures ``elements, P1, value`` and weights ``elements, GRAV, g, nx, ny, nz``."""
+    for line, words in card.table("elements, P1 or GRAV, a value"):
+        if len(words) < 3:
+            raise card.wrong("elements, P1 or GRAV, a value", repr(line.text[:40]), line)
+        elements = members(model.element_sets, card, line, words[0])
+        face = re.fullmatch(r"P([1-6])", words[1])
+        if face is not None:
+            if len(words) > 3:
+                raise card.wrong("elements, P1, a pressure", repr(line.text[:40]), line)
+            value = scale * card.real(line, 2, "a pressure")
+            faces = Faces(elements, np.full(len(elements), int(face[1])))
+            model.pressures.append(FacePressure(faces, value, line.place))
+        elif words[1] == "GRAV":
+            model.accelerations.append(Acceleration(elements, scale * _gravity(card, line, words), line.place))
+        else:
+            raise card.refuse(f"the load {words[1][:40]} is not offered; P1 to P6 and GRAV are", line)
+
+
+def _gravity(card: Card, line: Line, words: list[str]) -> Vector:
+    if not 4 <= len(words) <= 6:
+        raise card.wrong("elements, GRAV, an acceleration and its direction", repr(line.text[:60]), line)
+    direction = np.pad(card.numbers(line, words[3:], "a direction"), (0, 6 - len(words)))
+    length = float(np.linalg.norm(direction))
+    if not length > 0:
+        raise card.wrong("a direction of gravity", "zeros", line)
+    return card.real(line, 2, "an acceleration") * direction / length
+
+
+def read_surface_load(model: DeckModel, card: Card, scale: float) -> None:
+    """Read pressures on surfaces: ``surface, P, value``."""
+    for line, words in card.table("a surface, P, a pressure"):
+        if len(words) != 3 or words[1] != "P":
+            raise card.wrong("a surface, P, a pressure", repr(line.text[:40]), line)
+        surface = find(model.surfaces, card, line, words[0], "surface")
+        if surface.faces is None:
+            raise card.wrong("a surface of faces", f"{surface.name}, of nodes", line)
+        model.pressures.append(FacePressure(surface.faces, scale * card.real(line, 2, "a pressure"), line.place))
+
+
+def read_equation(model: DeckModel, card: Card) -> None:
+    """Read equations: the number of terms, then node, direction and coefficient of each, four terms a line."""
+    lines = list(card.lines)
+    if not lines:
+        raise card.wrong("the number of terms", "no line of data")
+    while lines:
+        head = lines.pop(0)
+        words = head.words
+        if len(words) != 1 or not words[0].isdecimal() or not 1 <= int(words[0][:7]) <= 10**6:
+            raise card.wrong("the number of terms", repr(head.text[:40]), head)
+        count, terms, line = int(words[0]), list[str](), head
+        while lines and len(terms) < 3 * count:
+            line = lines.pop(0)
+            terms += line.words
+        if len(terms) != 3 * count:
+            raise card.wrong(f"{count} terms of node, direction and coefficient", f"{len(terms)} numbers", line)
+        nodes = np.array([card.label(line, word, "a node") for word in terms[::3]], dtype=np.int64)
+        if any(word not in ("1", "2", "3") for word in terms[1::3]):
+            raise card.wrong("directions 1, 2 or 3", repr(line.text[:60]), line)
+        axes = np.array([int(word) - 1 for word in terms[1::3]], dtype=np.int64)
+        coefficients = np.array([card.real_word(line, word, "coefficients") for word in terms[2::3]])
+        if not coefficients.any():
+            raise card.wrong("a coefficient other than zero", "zeros alone", line)
+        model.equations.append(Equation(nodes, axes, coefficients, head.place))
+
+
+def read_tie(model: DeckModel, card: Card) -> None:
+    """Read a tie: slave and master surface."""
+    line = card.only_line("a slave and a master surface")
+    slave, master = _two_surfaces(card, line)
+    tolerance = None
+    if card.has("POSITION TOLERANCE"):
+        tolerance = _positive(card, "POSITION TOLERANCE")
+    model.ties.append(DeckTie(slave, master, tolerance, card.parameter("ADJUST", "YES") == "YES", card.head.place))
+
+
+def read_pair(model: DeckModel, card: Card) -> None:
+    """Read contact pairs: slave and master surface, the interaction between them, how they are discretised."""
+    kind = " ".join(card.parameter("TYPE", "NODE TO SURFACE").split())
+    named = {"".join(name.split()): name for name in ("NODE TO SURFACE", "SURFACE TO SURFACE", "MORTAR")}
+    kind = named.get("".join(kind.split()), "MORTAR")
+    if not card.has("TYPE"):
+        model.ledger.assumed.append(f"{card.head.place}: *CONTACT PAIR: TYPE=NODE TO SURFACE, as nothing is stated")
+    for line, _ in card.table("a slave and a master surface"):
+        slave, master = _two_surfaces(card, line)
+        adjust: float | Index | None = None
+        if card.has("ADJUST"):
+            stated = card.parameter("ADJUST")
+            adjust = model.node_sets[stated] if stated in model.node_sets else _positive(card, "ADJUST", zero=True)
+        pair = ContactPair(slave, master, card.parameter("INTERACTION"), kind, adjust, line.place)
+        if any((one.slave, one.master) == (slave, master) for one in model.pairs):
+            raise card.refuse(f"the pair {pair.name} stands twice; expected each once", line)
+        model.pairs.append(pair)
+
+
+def _two_surfaces(card: Card, line: Line) -> tuple[str, str]:
+    words = line.words
+    if len(words) != 2 or not all(words):
+        raise card.wrong("a slave and a master surface", repr(line.text[:60]), line)
+    return words[0], words[1]
+
+
+def _positive(card: Card, name: str, *, zero: bool = False) -> float:
+    value = parameter_number(card, name)
+    if value < 0 or (value == 0 and not zero):
+        raise card.wrong(f"{name}=... above zero", f"{value:g}")
+    return value
+
+
+def parameter_number(card: Card, name: str) -> float:
+    """Return the number that a parameter has."""
+    word = card.parameter(name)
+    if DECIMAL_COMMA.fullmatch(word):
+        raise card.wrong(f"{name}=NUMBER", repr(word))
+    return card.real_word(card.head, word, f"{name}=NUMBER")
+
+
+def read_interaction(model: DeckModel, card: Card) -> None:
+    """Begin a surface interaction; the cards that follow state what it is."""
+    name = card.parameter("NAME")
+    if name in model.interactions:
+        raise card.refuse(f"there is an interaction {name} already, at {model.interactions[name].place}")
+    if card.lines and len(card.lines) == 1 and model.dimension == 2:
+        model.ledger.ignored.append(f"{card.lines[0].place}: *SURFACE INTERACTION: a thickness; sections state it")
+    else:
+        card.refuse_lines()
+    model.interactions[name] = Interaction(name, card.head.place)
+
+
+def read_behavior(model: DeckModel, card: Card) -> None:
+    """Read how pressure follows from overlap: HARD, or LINEAR with a stiffness, and what CalculiX reads beside it."""
+    interaction = _interaction(model, card)
+    if card.parameter("PRESSURE-OVERCLOSURE", "HARD") == "HARD":
+        for line in card.lines:
+            model.ledger.ignored.append(f"{line.place}: *SURFACE BEHAVIOR: numbers below HARD, which has none")
+        return
+    line = card.only_line("the stiffness of LINEAR")
+    if len(line.words) > 3:
+        raise card.wrong("a stiffness, a tension and a clearance", f"{len(line.words)} numbers", line)
+    interaction.stiffness = card.real(line, 0, "the stiffness of LINEAR")
+    if not interaction.stiffness > 0:
+        raise card.wrong("a stiffness > 0", f"{interaction.stiffness:g}", line)
+    for at, name in ((1, "tension"), (2, "clearance")):
+        if len(line.words) > at and line.words[at]:
+            setattr(interaction, name, card.real(line, at, f"a {name}"))
+
+
+def read_friction(model: DeckModel, card: Card) -> None:
+    """Read the coefficient of friction, and the stick slope that CalculiX reads beside it."""
+    interaction = _interaction(model, card)
+    line = card.only_line("the coefficient of friction")
+    interaction.friction = card.real(line, 0, "the coefficient of friction")
+    if interaction.friction < 0:
+        raise card.wrong("a coefficient of friction >= 0", f"{interaction.friction:g}", line)
+    if len(line.words) > 1 and line.words[1]:
+        interaction.stick = card.real(line, 1, "the stick slope")
+    if len(line.words) > 2:
+        raise card.wrong("a coefficient of friction and a stick slope", f"{len(line.words)} numbers", line)
+
+
+def _interaction(model: DeckModel, card: Card) -> Interaction:
+    if not model.interactions:
+        raise card.refuse("it belongs to a surface interaction; expected *SURFACE INTERACTION before it")
+    return list(model.interactions.values())[-1]
+
+
+def read_clearance(model: DeckModel, card: Card) -> None:
+    """Read the distance that takes the place of those of the mesh."""
+    card.refuse_lines()
+    pair = card.parameter("SLAVE"), card.parameter("MASTER")
+    model.clearances = {**model.clearances, pair: parameter_number(card, "VALUE")}

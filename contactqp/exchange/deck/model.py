@@ -1,0 +1,256 @@
+"""The model that a deck states: nodes, elements, sets, surfaces, materials, supports, loads, ties and contact pairs.
+
+Everything keeps the labels of the deck, and the line that it came from. Lengths, forces and moduli are in the
+deck's own units, whatever they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.exchange.files import Ledger
+from contactqp.model.arrays import Index
+
+# Elements that are offered, with their number of nodes; trusses and springs join two nodes.
+ELEMENT_NODES = {
+    "C3D4": 4, "C3D8": 8, "C3D10": 10, "C3D20": 20, "C3D20R": 20,
+    "CPE3": 3, "CPE4": 4, "CPE6": 6, "CPE8": 8, "CPE8R": 8,
+    "CPS3": 3, "CPS4": 4, "CPS6": 6, "CPS8": 8, "CPS8R": 8,
+    "CAX3": 3, "CAX4": 4, "CAX6": 6, "CAX8": 8, "CAX8R": 8,
+    "T2D2": 2, "T3D2": 2, "SPRINGA": 2,
+}  # fmt: skip
+_ONE_POINT = "its forces against hourglasses differ from code to code; {}, which is fully integrated, is offered"
+_MODES = "its incompatible modes differ from code to code; {} without them, or the quadratic {} is offered"
+# Elements that are known and refused, and why.
+OTHER_ELEMENTS = {
+    "C3D8R": _ONE_POINT.format("C3D8"),
+    **{f"{model}4R": _ONE_POINT.format(f"{model}4") for model in ("CPE", "CPS", "CAX")},
+    "C3D8I": _MODES.format("C3D8", "C3D20"),
+    **{f"{model}4I": _MODES.format(f"{model}4", f"{model}8") for model in ("CPE", "CPS")},
+    **dict.fromkeys(("C3D6", "C3D15"), "wedges are not offered; tetrahedra and hexahedra are"),
+    **dict.fromkeys(("C3D10M", "C3D10T", "C3D10I", "C3D10HS", "CPE6M", "CPS6M", "CAX6M"), "C3D10, CPE6 are offered"),
+    **dict.fromkeys(("S3", "S4", "S4R", "S6", "S8", "S8R", "M3D3", "M3D4", "M3D4R", "M3D6", "M3D8"),
+                    "shells and membranes are not offered"),
+    **dict.fromkeys(("B21", "B22", "B31", "B31R", "B32", "B32R", "B33", "T3D3"), "beams are not offered"),
+    **dict.fromkeys(("SPRING1", "SPRING2", "GAPUNI", "DASHPOTA", "MASS", "DCOUP3D", "R3D3", "R3D4", "D", "RNODE3D"),
+                    "SPRINGA is offered, and *EQUATION"),
+}  # fmt: skip
+AXES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """The elements of one card: type, labels (E,), and the labels (E, n) of their nodes."""
+
+    type: str
+    labels: Index
+    nodes: Index
+    place: str
+
+    @property
+    def dimension(self) -> int:
+        """Return 2 for elements in the plane, 3 in space, 0 for springs, which are in either."""
+        return 0 if self.type == "SPRINGA" else 3 if self.type.startswith(("C3D", "T3D")) else 2
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Faces of elements: labels (p,) and the number of the face of each, from 1 on."""
+
+    elements: Index
+    face: Index
+
+
+@dataclass(frozen=True, eq=False)
+class DeckSurface:
+    """A named surface, of faces or of nodes (labels); one of both is None."""
+
+    name: str
+    faces: Faces | None
+    nodes: Index | None
+    place: str
+
+
+@dataclass
+class DeckMaterial:
+    """A linear elastic material, as far as its cards have been read."""
+
+    name: str
+    place: str
+    modulus: float = 0.0
+    poisson: float = 0.0
+    density: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Which elements are of which material; `size` is a thickness, or the area of a truss."""
+
+    elements: Index
+    material: str
+    size: float | None
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class SpringSection:
+    """The stiffness [force / length] of springs along the line between their nodes."""
+
+    elements: Index
+    stiffness: float
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class AtNodes:
+    """A displacement or a force of some nodes (labels) along one axis, 0, 1 or 2."""
+
+    nodes: Index
+    axis: int
+    value: float
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class FacePressure:
+    """A pressure [force / length^2] on faces of elements, positive towards the body."""
+
+    faces: Faces
+    value: float
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class Acceleration:
+    """A body force of some elements: gravity, density times this vector [length / time^2]."""
+
+    elements: Index
+    vector: NDArray[np.float64]
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """Zero is the sum of coefficient times displacement: node labels, axes and coefficients of the terms."""
+
+    nodes: Index
+    axes: Index
+    coefficients: NDArray[np.float64]
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class DeckTie:
+    """Slave nodes that move with the master surface as far as they are within `tolerance` of it [length]."""
+
+    slave: str
+    master: str
+    tolerance: float | None
+    adjust: bool
+    place: str
+
+
+@dataclass
+class Interaction:
+    """What a surface interaction says.
+
+    Attributes
+    ----------
+    name, place : str
+    stiffness : float, optional
+        Of LINEAR [force / length^3]; None for HARD.
+    tension, clearance : float, optional
+        The second and third number of LINEAR, which CalculiX alone reads.
+    friction : float
+    stick : float, optional
+        The stick slope of *FRICTION [force / length^3], which CalculiX alone reads.
+    """
+
+    name: str
+    place: str
+    stiffness: float | None = None
+    tension: float | None = None
+    clearance: float | None = None
+    friction: float = 0.0
+    stick: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPair:
+    """Two surfaces that may touch.
+
+    Attributes
+    ----------
+    slave, master : str
+    interaction : str
+    type : str
+        ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``.
+    adjust : float or array of int, optional
+        Slave nodes nearer than this, or these, are moved onto the master surface.
+    place : str
+    """
+
+    slave: str
+    master: str
+    interaction: str
+    type: str
+    adjust: float | Index | None
+    place: str
+
+    @property
+    def name(self) -> str:
+        """Return ``SLAVE on MASTER``."""
+        return f"{self.slave} on {self.master}"
+
+
+@dataclass
+class DeckModel:
+    """All that a deck states.
+
+    Attributes
+    ----------
+    file : str
+    ledger : Ledger
+    labels : (N,) array of int
+        Of the nodes, ascending.
+    points : (N, 3) array
+    clearances : mapping of (slave, master) to length
+        What *CLEARANCE puts in the place of the distances.
+    long_numbers : list of str
+        Where numbers of more characters stand than CalculiX reads.
+    """
+
+    file: str
+    ledger: Ledger
+    labels: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    elements: list[Elements] = field(default_factory=list)
+    node_sets: dict[str, Index] = field(default_factory=dict)
+    element_sets: dict[str, Index] = field(default_factory=dict)
+    surfaces: dict[str, DeckSurface] = field(default_factory=dict)
+    materials: dict[str, DeckMaterial] = field(default_factory=dict)
+    sections: list[Section] = field(default_factory=list)
+    springs: list[SpringSection] = field(default_factory=list)
+    supports: list[AtNodes] = field(default_factory=list)
+    forces: list[AtNodes] = field(default_factory=list)
+    pressures: list[FacePressure] = field(default_factory=list)
+    accelerations: list[Acceleration] = field(default_factory=list)
+    equations: list[Equation] = field(default_factory=list)
+    ties: list[DeckTie] = field(default_factory=list)
+    interactions: dict[str, Interaction] = field(default_factory=dict)
+    pairs: list[ContactPair] = field(default_factory=list)
+    clearances: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    long_numbers: list[str] = field(default_factory=list)
+
+    @property
+    def dimension(self) -> int:
+        """Return 2 for a deck of plane or axisymmetric elements, 3 for one in space."""
+        return max((group.dimension for group in self.elements), default=3) or 3
+
+    def types(self) -> Sequence[str]:
+        """Return the types of elements in the deck, each once, in order."""
+        return list(dict.fromkeys(group.type for group in self.elements))

@@ -1,0 +1,208 @@
+"""Stiffness, loads, supports and equations of a deck, over the unknowns of all nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.elements.loads import integrated
+from contactqp.elements.members import spring_stiffness, truss_stiffness
+from contactqp.elements.reference_elements import REFERENCES, Block, Geometry
+from contactqp.elements.solid import Body
+from contactqp.errors import InvalidProblem, counted
+from contactqp.exchange.deck.model import AXES, AtNodes, Equation, Faces
+from contactqp.model.arrays import Index, Vector
+from contactqp.scene.deck.groups import Group, Topology
+
+
+@dataclass(frozen=True, eq=False)
+class DeckAssembly:
+    """The linear system of a deck without its contacts.
+
+    Parameters
+    ----------
+    topology : Topology
+    points : (N, d) array
+        Where the nodes are, as *CONTACT PAIR, ADJUST and *TIE, ADJUST moved them [length].
+    """
+
+    topology: Topology
+    points: NDArray[np.float64]
+
+    @cached_property
+    def bodies(self) -> Sequence[tuple[Group, Body, Index]]:
+        """Return each group, the body of its elements, and the unknowns of that body in u."""
+        found = []
+        for group in self.topology.groups:
+            body, used = group.body(self.points, self.topology.labels)
+            found.append((group, body, self.topology.unknowns[used].ravel()))
+        return found
+
+    @cached_property
+    def stiffness(self) -> Any:
+        """Return K of all unknowns, symmetric to the last digit, CSC [force / length]."""
+        n = self.topology.size
+        total = sp.csc_array((n, n))
+        for _, body, unknowns in self.bodies:
+            part = sp.coo_array(body.stiffness)
+            rows, columns = part.coords
+            total = total + sp.csc_array(sp.coo_array((part.data, (unknowns[rows], unknowns[columns])), shape=(n, n)))
+        return sp.csc_array(total + self._links())
+
+    def _links(self) -> Any:
+        n = self.topology.size
+        rows, columns, values = [], [], []
+        for elements, sizes, materials in self.topology.links:
+            each = zip(elements.labels.tolist(), elements.nodes, sizes.tolist(), materials, strict=True)
+            for label, nodes, size, material in each:
+                start, end = self.points[nodes]
+                if not np.linalg.norm(end - start) > 0:
+                    raise InvalidProblem(f"{elements.place}: element {label} has no length")
+                if material is None:
+                    K = spring_stiffness(size, end - start)
+                else:
+                    K = truss_stiffness(material.modulus, size, start, end)
+                unknowns = self.topology.unknowns[nodes].ravel()
+                rows.append(np.repeat(unknowns, len(unknowns)))
+                columns.append(np.tile(unknowns, len(unknowns)))
+                values.append(np.asarray(K, dtype=float).ravel())
+        if not rows:
+            return sp.csc_array((n, n))
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return sp.csc_array(sp.coo_array(entries, shape=(n, n)))
+
+    @cached_property
+    def load(self) -> Vector:
+        """Return the forces on all unknowns [force]."""
+        total = np.zeros(self.topology.size)
+        for force in self.topology.model.forces:
+            np.add.at(total, self._unknowns(force, "*CLOAD"), force.value)
+        self._press(total)
+        for acting in self.topology.model.accelerations:
+            self.topology.check_elements(acting.elements, acting.place)
+            for group in self.topology.groups:
+                mine = np.isin(group.labels, acting.elements)
+                if mine.any():
+                    density = self._density(group, acting.place)
+                    weight = _Weighing(density * acting.vector[: self.topology.dimension])
+                    self._add(total, group, Block(group.kind, self._within(group)[mine]), weight)
+            for links, _, _ in self.topology.links:
+                if np.isin(links.labels, acting.elements).any():
+                    raise InvalidProblem(f"{acting.place}: GRAV on {links.type}; expected solid elements")
+        return total
+
+    def _press(self, total: Vector) -> None:
+        pressures = self.topology.model.pressures
+        if not pressures:
+            return
+        faces = Faces(
+            *(np.concatenate([getattr(one.faces, part) for one in pressures]) for part in ("elements", "face"))
+        )
+        value = np.concatenate([np.full(len(one.faces.face), one.value) for one in pressures])
+        try:
+            found = self.topology.facets(faces, "")
+        except InvalidProblem:
+            for one in pressures:  # by one of them, whose line the message is to name
+                self.topology.facets(one.faces, one.place)
+            raise
+        for group, local, elements, entries in found:
+            kind = REFERENCES[group.kind.facet]
+            facets = Block(kind, self._within(group)[elements][:, list(group.kind.facets[local])])
+            self._add(total, group, facets, _Pressing(value[entries]))
+
+    def _within(self, group: Group) -> Index:
+        """Return the nodes of a group's elements as its own body counts them."""
+        _, inverse = np.unique(group.nodes, return_inverse=True)
+        return np.asarray(inverse.reshape(group.nodes.shape), dtype=np.int64)
+
+    def _add(self, total: Vector, group: Group, block: Block, density: Any) -> None:
+        body, unknowns = next((body, unknowns) for one, body, unknowns in self.bodies if one is group)
+        total[unknowns] += integrated(body, (block,), density)
+
+    def _density(self, group: Group, place: str) -> float:
+        if not group.material.density > 0:
+            raise InvalidProblem(f"{place}: GRAV: material {group.material.name} has no *DENSITY")
+        return group.material.density
+
+    def _unknowns(self, at: AtNodes, keyword: str) -> Index:
+        """Return the unknowns of some nodes along one axis; nodes without elements have none."""
+        if at.axis >= self.topology.dimension:
+            if at.value:
+                raise InvalidProblem(f"{at.place}: {keyword}: direction {at.axis + 1} in a plane deck")
+            return np.zeros(0, dtype=np.int64)
+        nodes, without = self.topology.places(at.nodes, f"{at.place}: {keyword}")
+        if len(without) and keyword == "*CLOAD" and at.value:
+            raise InvalidProblem(f"{at.place}: {keyword}: node {without[0]} is in no element and no equation")
+        return np.asarray(self.topology.unknowns[nodes, at.axis])
+
+    @cached_property
+    def prescribed(self) -> Vector:
+        """Return the prescribed displacements, NaN at free unknowns [length]; of two, the last one counts."""
+        values = np.full(self.topology.size, np.nan)
+        ledger = self.topology.model.ledger
+        for support in self.topology.model.supports:
+            unknowns = self._unknowns(support, "*BOUNDARY")
+            before = values[unknowns]
+            if np.any(before[~np.isnan(before)] != support.value):
+                node = self.topology.name(int(unknowns[~np.isnan(before) & (before != support.value)][0]))
+                ledger.assumed.append(f"{support.place}: *BOUNDARY: {node} has two displacements; the last one counts")
+            values[unknowns] = support.value
+        return values
+
+    @cached_property
+    def equations(self) -> Any:
+        """Return the rows of *EQUATION over all unknowns, (k, n) CSR; each is to be zero."""
+        found = [self._row(equation) for equation in self.topology.model.equations]
+        return sp.csr_array(sp.vstack([sp.csr_array((0, self.topology.size)), *found], format="csr"))
+
+    def _row(self, equation: Equation) -> Any:
+        flat = equation.axes >= self.topology.dimension
+        if flat.any():
+            raise InvalidProblem(f"{equation.place}: *EQUATION: direction 3 in a plane deck")
+        nodes, _ = self.topology.places(equation.nodes, equation.place)
+        columns = self.topology.unknowns[nodes, equation.axes]
+        entries = equation.coefficients, (np.zeros(len(columns), dtype=np.int64), columns)
+        return sp.csr_array(sp.coo_array(entries, shape=(1, self.topology.size)))
+
+    def rigid_motions(self) -> NDArray[np.float64]:
+        """Return the translations and rotations of all nodes together, for multigrid: (n, q)."""
+        d = self.topology.dimension
+        x = self.points - self.points.mean(axis=0)
+        motions = [np.tile(np.eye(d)[axis], len(x)) for axis in range(d)]
+        for a, b in ((0, 1), (1, 2), (0, 2))[: 1 if d == 2 else 3]:
+            turn = np.zeros_like(x)
+            turn[:, a], turn[:, b] = -x[:, b], x[:, a]
+            motions.append(turn.ravel())
+        return np.stack(motions, axis=1)
+
+    def contents(self) -> str:
+        """Return how many unknowns there are, for the ledger."""
+        free = int(np.isnan(self.prescribed).sum())
+        axes = ", ".join(AXES[: self.topology.dimension])
+        return f"{counted('unknown', self.topology.size)} ({axes} of each node), {free} of them free"
+
+
+@dataclass(frozen=True, eq=False)
+class _Pressing:
+    """Pressures on facets, (p,), per area of the reference facet."""
+
+    value: Vector
+
+    def __call__(self, facets: Geometry) -> Vector:
+        return np.asarray(-self.value[:, None, None] * facets.normal)
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighing:
+    """A force per volume, per volume of the reference element."""
+
+    force: NDArray[np.float64]
+
+    def __call__(self, elements: Geometry) -> Vector:
+        return np.asarray(self.force * elements.determinant[..., None])

@@ -1,0 +1,330 @@
+"""The elements of a deck by kind and section, the unknowns of their nodes, and the faces of their elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.abaqus import HEX_FACES
+from contactqp.elements.material import Material, Model
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.reference_elements import REFERENCES, Block, Geometry, Reference, gauss, tetrahedron
+from contactqp.elements.solid import Body
+from contactqp.errors import InvalidProblem
+from contactqp.exchange.deck.model import AXES, DeckMaterial, DeckModel, Elements, Faces, Section
+from contactqp.model.arrays import Index
+
+# Both programs integrate the quadratic tetrahedron with four points: eight differ where its edges are curved.
+_TETRAHEDRON = replace(REFERENCES["tet10"], rule=tetrahedron(4))
+_REDUCED = {
+    "hex20": replace(REFERENCES["hex20"], rule=gauss(2, 3)),
+    "quad8": replace(REFERENCES["quad8"], rule=gauss(2, 2), fine_rule=gauss(2, 2)),
+}
+_SHAPES = {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}
+_SOLIDS = {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20"}
+_MODELS: dict[str, Model] = {
+    "C3D": "3d",
+    "CPE": "plane-strain",
+    "CPS": "plane-stress",
+    "CAX": "axisymmetric",
+}
+# Where CalculiX, which turns plane elements into ones in space, computes something else than is computed here.
+_DIFFERS = {
+    "CPS": "no stress across the plane at any point; CalculiX leaves the thickness at each node free, which is stiffer",
+    "CAX": "integrated over the full circle; CalculiX takes a wedge of 2 degrees with plane sides, softer by some 1e-4",
+    "T3D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
+    "T2D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
+}
+LINKS = ("T2D2", "T3D2", "SPRINGA")
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Solid elements of one type and one section.
+
+    Attributes
+    ----------
+    type : str
+    kind : Reference
+    labels : (E,) array of int
+    nodes : (E, n) array of int
+        Their nodes, counted among the nodes that have unknowns.
+    model : str
+    material : DeckMaterial
+    thickness : float
+        1 in space and in axial symmetry.
+    """
+
+    type: str
+    kind: Reference
+    labels: Index
+    nodes: Index
+    model: Model
+    material: DeckMaterial
+    thickness: float
+
+    def body(self, points: NDArray[np.float64], labels: Index) -> tuple[Body, Index]:
+        """Return the elements as a body, and the nodes of the deck that its nodes are.
+
+        Raises
+        ------
+        InvalidProblem
+            An element that is turned inside out or flat, by its label.
+        """
+        self._check_shapes(points)
+        used, inverse = np.unique(self.nodes, return_inverse=True)
+        block = Block(self.kind, inverse.reshape(self.nodes.shape))
+        material = Material(
+            self.material.modulus, self.material.poisson, self.material.density, name=f"material {self.material.name}"
+        )
+        name = f"elements {self.type} of material {self.material.name}"
+        try:
+            mesh = Mesh(points[used], (block,))
+        except InvalidProblem as error:
+            first = f"its element 0 is {self.labels[0]}, its node 0 is {labels[used[0]]}"
+            raise InvalidProblem(f"{name}: {error} ({first})") from None
+        return Body(mesh, material, self.model, self.thickness, name), used
+
+    def _check_shapes(self, points: NDArray[np.float64]) -> None:
+        corners = points[self.nodes]
+        at = np.vstack([self.kind.rule.points, self.kind.fine_rule.points])
+        with np.errstate(over="ignore", invalid="ignore"):
+            determinant = Geometry(self.kind, corners, at).determinant.min(axis=1)
+        bad = np.flatnonzero(~(determinant > 0))
+        if bad.size:
+            raise InvalidProblem(
+                f"element {self.labels[bad[0]]} ({self.type}): its Jacobian is {determinant[bad[0]]:.3g}; expected a "
+                "positive one: its nodes are in the wrong order, or it is flat"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """What hangs together in a deck, whatever the coordinates.
+
+    Attributes
+    ----------
+    model : DeckModel
+    active : (N,) array of int
+        The nodes with unknowns, as places in `model.labels`: those of elements and of equations.
+    groups : sequence of Group
+    links : sequence of (Elements, sizes)
+        Trusses and springs with the area or the stiffness of each.
+    """
+
+    model: DeckModel
+    active: Index
+    groups: Sequence[Group]
+    links: Sequence[tuple[Elements, NDArray[np.float64], Sequence[DeckMaterial | None]]]
+
+    @property
+    def dimension(self) -> int:
+        """Return the number of unknowns of a node, 2 or 3."""
+        return self.model.dimension
+
+    @property
+    def size(self) -> int:
+        """Return the number of all unknowns, held ones included."""
+        return len(self.active) * self.dimension
+
+    @cached_property
+    def labels(self) -> Index:
+        """Return the labels of the nodes with unknowns, ascending."""
+        return self.model.labels[self.active]
+
+    @cached_property
+    def unknowns(self) -> Index:
+        """Return where the displacement of each node along each axis stands in u, (N, d)."""
+        return np.arange(self.size).reshape(-1, self.dimension)
+
+    @property
+    def revolved(self) -> bool:
+        """Return whether the deck is axisymmetric."""
+        return any(group.model == "axisymmetric" for group in self.groups)
+
+    def name(self, unknown: int) -> str:
+        """Return ``17.y``, the name of an unknown."""
+        return f"{self.labels[unknown // self.dimension]}.{AXES[unknown % self.dimension]}"
+
+    def places(self, labels: Index, place: str) -> tuple[Index, Index]:
+        """Return the nodes with unknowns among some labels, and the labels of those without.
+
+        Raises
+        ------
+        InvalidProblem
+            A label that no node has; `place` says where it stands.
+        """
+        at = np.searchsorted(self.model.labels, labels)
+        wrong = at >= len(self.model.labels)
+        wrong[~wrong] |= self.model.labels[at[~wrong]] != labels[~wrong]
+        if wrong.any():
+            raise InvalidProblem(f"{place}: there is no node {labels[wrong][0]}")
+        among = np.searchsorted(self.active, at)
+        has = among < len(self.active)
+        has[has] &= self.active[among[has]] == at[has]
+        return among[has], labels[~has]
+
+    def check_elements(self, labels: Index, place: str) -> None:
+        """Refuse labels of elements that are not there."""
+        every = np.concatenate([group.labels for group in self.model.elements])
+        missing = labels[~np.isin(labels, every)]
+        if len(missing):
+            raise InvalidProblem(f"{place}: there is no element {missing[0]}")
+
+    def facets(self, faces: Faces, place: str) -> list[tuple[Group, int, Index, Index]]:
+        """Return faces of solid elements: group, kind of facet as its place in the element, elements, entries.
+
+        The elements are places in the group, the entries are places in `faces`.
+
+        Raises
+        ------
+        InvalidProblem
+            An element that is not there or is no solid, a face that it has not.
+        """
+        self.check_elements(faces.elements, place)
+        found = []
+        seen = np.zeros(len(faces.elements), dtype=bool)
+        for group in self.groups:
+            order = np.argsort(group.labels, kind="stable")
+            at = np.searchsorted(group.labels[order], faces.elements)
+            inside = at < len(order)
+            inside[inside] &= group.labels[order[at[inside]]] == faces.elements[inside]
+            seen |= inside
+            for number in np.unique(faces.face[inside]).tolist():
+                local = HEX_FACES[number - 1] if group.kind.corners == 8 else number - 1
+                if local >= len(group.kind.facets):
+                    element = faces.elements[inside & (faces.face == number)][0]
+                    raise InvalidProblem(f"{place}: element {element} ({group.type}) has no face {number}")
+                entries = np.flatnonzero(inside & (faces.face == number))
+                found.append((group, local, order[at[entries]], entries))
+        if not seen.all():
+            raise InvalidProblem(f"{place}: element {faces.elements[~seen][0]} has no faces; expected solid elements")
+        return found
+
+
+def topology_of(model: DeckModel) -> Topology:
+    """Return the groups of a deck's elements and the nodes that have unknowns.
+
+    Raises
+    ------
+    InvalidProblem
+        Elements without a section or with two, of materials that are not there or not elastic, at nodes that are not
+        there; axisymmetric elements beside others.
+    """
+    used = [group.nodes.ravel() for group in model.elements] + [one.nodes for one in model.equations]
+    wanted = np.unique(np.concatenate(used))
+    at = np.searchsorted(model.labels, wanted)
+    missing = at >= len(model.labels)
+    missing[~missing] |= model.labels[at[~missing]] != wanted[~missing]
+    if missing.any():
+        raise InvalidProblem(_of_missing_node(model, int(wanted[missing][0])))
+    renumber = {kind.type: kind for kind in model.elements}
+    sections = _Sections(model)
+    groups, links = [], []
+    for elements in model.elements:
+        nodes = np.searchsorted(wanted, elements.nodes)
+        if elements.type in LINKS:
+            links.append(sections.of_links(replace(elements, nodes=nodes)))
+        else:
+            groups.extend(sections.groups(elements, nodes))
+    if len({group.model == "axisymmetric" for group in groups}) > 1:
+        raise InvalidProblem(f"{model.file}: expected axisymmetric elements alone, got {', '.join(renumber)}")
+    for kind in model.types():
+        if kind[:3] in _DIFFERS:
+            model.ledger.assumed.append(f"{kind}: {_DIFFERS[kind[:3]]}")
+    return Topology(model, at, groups, links)
+
+
+def _of_missing_node(model: DeckModel, label: int) -> str:
+    for group in model.elements:
+        rows = np.flatnonzero((group.nodes == label).any(axis=1))
+        if rows.size:
+            return f"{group.place}: *ELEMENT: element {group.labels[rows[0]]}: there is no node {label}"
+    equation = next(one for one in model.equations if label in one.nodes)
+    return f"{equation.place}: *EQUATION: there is no node {label}"
+
+
+class _Sections:
+    """The sections of a deck: which element has which."""
+
+    def __init__(self, model: DeckModel) -> None:
+        self.model = model
+        self.labels = np.sort(np.concatenate([group.labels for group in model.elements]))
+        self.section = np.full(len(self.labels), -1)
+        for number, section in enumerate(model.sections):
+            self._give(section.elements, number, section.place)
+        self.spring = np.full(len(self.labels), np.nan)
+        for spring in model.springs:
+            self.spring[self._at(spring.elements, spring.place)] = spring.stiffness
+
+    def _at(self, elements: Index, place: str) -> Index:
+        at = np.searchsorted(self.labels, elements)
+        wrong = at >= len(self.labels)
+        wrong[~wrong] |= self.labels[at[~wrong]] != elements[~wrong]
+        if wrong.any():
+            raise InvalidProblem(f"{place}: there is no element {elements[wrong][0]}")
+        return at
+
+    def _give(self, elements: Index, number: int, place: str) -> None:
+        at = self._at(elements, place)
+        twice = np.flatnonzero(self.section[at] >= 0)
+        if twice.size:
+            raise InvalidProblem(f"{place}: *SOLID SECTION: element {elements[twice[0]]} has a section already")
+        self.section[at] = number
+
+    def groups(self, elements: Elements, nodes: Index) -> list[Group]:
+        """Return solid elements by section."""
+        numbers = self.section[self._at(elements.labels, elements.place)]
+        if np.any(numbers < 0):
+            label = elements.labels[numbers < 0][0]
+            raise InvalidProblem(f"{elements.place}: element {label} has no *SOLID SECTION")
+        kind = _kind(elements.type)
+        model = _MODELS[elements.type[:3]]
+        found = []
+        for number in np.unique(numbers).tolist():
+            section, mine = self.model.sections[number], numbers == number
+            thickness = 1.0 if model in ("3d", "axisymmetric") or section.size is None else section.size
+            found.append(
+                Group(
+                    elements.type, kind, elements.labels[mine], nodes[mine], model, self._material(section), thickness
+                )
+            )
+        return found
+
+    def of_links(self, elements: Elements) -> tuple[Elements, NDArray[np.float64], Sequence[DeckMaterial | None]]:
+        """Return trusses with their areas and materials, springs with their stiffness."""
+        at = self._at(elements.labels, elements.place)
+        if elements.type == "SPRINGA":
+            sizes = self.spring[at]
+            if np.isnan(sizes).any():
+                label = elements.labels[np.isnan(sizes)][0]
+                raise InvalidProblem(f"{elements.place}: element {label} has no *SPRING")
+            return elements, sizes, [None] * len(at)
+        sections = [self.model.sections[number] if number >= 0 else None for number in self.section[at].tolist()]
+        for label, section in zip(elements.labels.tolist(), sections, strict=True):
+            if section is None or section.size is None:
+                raise InvalidProblem(f"{elements.place}: element {label} has no *SOLID SECTION with an area")
+        chosen = [section for section in sections if section is not None]
+        areas = np.array([section.size for section in chosen], dtype=float)
+        return elements, areas, [self._material(section) for section in chosen]
+
+    def _material(self, section: Section) -> DeckMaterial:
+        if section.material not in self.model.materials:
+            has = ", ".join(self.model.materials) or "none"
+            raise InvalidProblem(f"{section.place}: there is no material {section.material}; it has {has}")
+        material = self.model.materials[section.material]
+        if not material.modulus > 0:
+            raise InvalidProblem(f"{material.place}: material {material.name} has no *ELASTIC")
+        return material
+
+
+def _kind(type_: str) -> Reference:
+    reduced, nodes = type_.endswith("R"), type_.rstrip("R")[3:]
+    kind = REFERENCES[_SOLIDS[nodes] if type_.startswith("C3D") else _SHAPES[nodes]]
+    if kind.name == "tet10":
+        return _TETRAHEDRON
+    return _REDUCED[kind.name] if reduced else kind

@@ -1,0 +1,222 @@
+"""A deck is the contact problem that it states: elements as CalculiX has them, loads, equations, ties and contact."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+import time
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.elements.reference_elements import REFERENCES
+from contactqp.exchange.deck_matrices import read_sti
+from contactqp.exchange.problem_files import read_problem_with_ledger
+from tests.decks import STACK, needs_calculix, run_calculix, write
+
+
+def solved(folder: pathlib.Path, text: str, enforcement: str = "exact") -> cq.Solution:
+    return cq.solve(cq.read_deck(write(folder, text)).problem(enforcement))
+
+
+def test_two_cubes_touch_with_the_force_of_two_bars(tmp_path: pathlib.Path) -> None:
+    solution = solved(tmp_path, STACK)  # 0.02 less the gap 0.01 over two bars of E A / L = 1000
+    assert solution.certificate.passed
+    assert np.allclose(solution.normal_force, 5.0 / 4, rtol=1e-12)
+    assert solution.at("5.z") == pytest.approx(-0.005)
+
+
+def test_the_penalty_that_the_deck_states_is_one_more_spring(tmp_path: pathlib.Path) -> None:
+    solution = solved(tmp_path, STACK, "penalty")
+    assert solution.certificate.passed
+    assert solution.normal_force.sum() == pytest.approx(0.01 / (2 / 1000 + 1 / 1e4), rel=1e-12)
+    hard = STACK.replace("PRESSURE-OVERCLOSURE=LINEAR\n1e4", "PRESSURE-OVERCLOSURE=HARD")
+    assert solved(tmp_path, hard, "penalty").normal_force.sum() == pytest.approx(0.01 / (2 / 1000 + 1 / 5e4), rel=1e-12)
+
+
+def test_a_mortar_of_the_same_faces_gives_the_same(tmp_path: pathlib.Path) -> None:
+    problem = cq.read_deck(write(tmp_path, STACK)).problem(discretisation="mortar")
+    assert np.allclose(cq.solve(problem).normal_force, 5.0 / 4, rtol=1e-12)
+
+
+def test_names_are_those_of_the_deck(tmp_path: pathlib.Path) -> None:
+    deck = cq.read_deck(write(tmp_path, STACK))
+    assert deck.dof_names == tuple(f"{node}.z" for node in (5, 6, 7, 8, 11, 12, 13, 14))
+    assert deck.problem().contact_names == tuple(f"node {node}" for node in (11, 12, 13, 14))
+    labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
+    assert moved[labels.tolist().index(15)].tolist() == [0.0, 0.0, -0.02]
+
+
+def test_a_deck_is_read_like_any_problem(tmp_path: pathlib.Path) -> None:
+    problem, ledger = read_problem_with_ledger(write(tmp_path, STACK))
+    assert problem.contacts == 4
+    assert ledger.read[0] == "16 nodes, 2 C3D8"
+
+
+def test_clearance_takes_the_place_of_distances(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("*BOUNDARY\nBOTTOM", "*CLEARANCE, MASTER=BELOW, SLAVE=ABOVE, VALUE=-0.01\n*BOUNDARY\nBOTTOM")
+    assert solved(tmp_path, text).normal_force.sum() == pytest.approx(15.0)
+
+
+def test_adjust_moves_slave_nodes_onto_the_master(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("TYPE=NODE TO SURFACE", "TYPE=NODE TO SURFACE, ADJUST=0.02")
+    deck = cq.read_deck(write(tmp_path, text))
+    force = cq.solve(deck.problem()).normal_force.sum()
+    assert force == pytest.approx(0.02 / (1 / 1000 + 1.01 / 1000))  # the upper cube is 1.01 high now
+    assert any("4 slave nodes moved, by 0.01 at most" in line for line in deck.ledger.converted)
+
+
+def test_a_list_of_nodes_is_the_surface_of_its_faces(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("*SURFACE, NAME=ABOVE\n2, S1", "*SURFACE, NAME=ABOVE, TYPE=NODE\n11\n12\n13\n14")
+    assert solved(tmp_path, text).normal_force.sum() == pytest.approx(5.0)
+    with pytest.raises(cq.InvalidProblem, match=r"\*SURFACE ABOVE: node 11 has no face"):
+        solved(tmp_path, text.replace("11\n12\n13\n14", "11\n12\n13"))
+
+
+def test_a_tie_joins_what_it_is_near_to(tmp_path: pathlib.Path) -> None:
+    pair = re.search(r"\*CONTACT PAIR.*\n.*\n", STACK)
+    assert pair is not None
+    text = STACK.replace(pair[0], "*TIE, NAME=T, POSITION TOLERANCE=0.02, ADJUST=NO\nABOVE, BELOW\n")
+    solution = solved(tmp_path, text)
+    assert abs(solution.tie_force.sum()) == pytest.approx(0.02 / (2 / 1000))
+    far = cq.read_deck(write(tmp_path, text.replace("TOLERANCE=0.02", "TOLERANCE=0.001")))
+    assert far.problem().ties == 0
+
+
+def test_loads_add_up_and_the_weight_is_that_of_the_density(tmp_path: pathlib.Path) -> None:
+    free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*DLOAD\n2, P2, 30.\n*CLOAD\nTOP, 3, -1.\nTOP, 3, -1.\n")
+    assert solved(tmp_path, free).normal_force.sum() == pytest.approx(38.0)
+    heavy = free.replace("*CLOAD", "SOLID, GRAV, 10., 0., 0., -1.\n*CLOAD")
+    assert solved(tmp_path, heavy).normal_force.sum() == pytest.approx(58.0)
+
+
+def test_equations_bind_nodes(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("TOP, 3, 3, -0.02", "15, 3, 3, -0.02").replace(
+        "*STEP", "*EQUATION\n" + "".join(f"2\n{node}, 3, 1., 15, 3, -1.\n" for node in (16, 17, 18)) + "*STEP"
+    )
+    assert solved(tmp_path, text).normal_force.sum() == pytest.approx(5.0)
+
+
+WRONG = {
+    "an element inside out": (
+        "1, 1, 2, 3, 4, 5, 6, 7, 8",
+        "1, 5, 6, 7, 8, 1, 2, 3, 4",
+        "element 1 (C3D8): its Jacobian",
+    ),
+    "a node that is not there": ("15, 16, 17, 18\n*NSET", "15, 16, 17, 19\n*NSET", "element 2: there is no node 19"),
+    "an element without a section": ("ELSET=SOLID, MATERIAL", "ELSET=SOME, MATERIAL", "got 'SOME'; it has SOLID"),
+    "a face that is none": ("2, S1\n", "3, S1\n", "*SURFACE ABOVE: there is no element 3"),
+    "a material that is not there": (
+        "MATERIAL=STEEL\n*SURF",
+        "MATERIAL=IRON\n*SURF",
+        "there is no material IRON; it has STEEL",
+    ),
+    "surfaces that look away": ("2, S1\n", "2, S2\n", "do not face each other"),
+    "a surface against itself": ("ABOVE, BELOW", "ABOVE, ABOVE", "*CONTACT PAIR: "),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_makes_no_bodies_is_refused_by_name(tmp_path: pathlib.Path, name: str) -> None:
+    old, new, said = WRONG[name]
+    assert old in STACK
+    with pytest.raises(cq.InvalidProblem, match=re.escape(said)):
+        solved(tmp_path, STACK.replace(old, new, 1))
+
+
+STACK_OF_ONE = """\
+*NODE
+1, 5., 0.
+2, 6., 0.
+3, 6.1, 1.
+4, 5., 1.
+*ELEMENT, TYPE=CPE4, ELSET=E
+1, 1, 2, 3, 4
+*MATERIAL, NAME=M
+*ELASTIC
+1000., 0.3
+*SOLID SECTION, ELSET=E, MATERIAL=M
+*STEP
+*STATIC
+*END STEP
+"""
+# Elements as CalculiX has them, each distorted so that no integral is simpler than it looks.
+
+KINDS = {
+    "C3D4": "tet4", "C3D8": "hex8", "C3D10": "tet10", "C3D20": "hex20", "C3D20R": "hex20", "CPE3": "tri3",
+    "CPE4": "quad4", "CPE6": "tri6", "CPE8": "quad8", "CPE8R": "quad8",
+}  # fmt: skip
+
+
+def one_element(kind: str, seed: int) -> str:
+    """Return a deck of one element; %s is its procedure."""
+    nodes = REFERENCES[KINDS[kind]].nodes
+    points = nodes + 0.1 * np.random.default_rng(seed).uniform(-1, 1, nodes.shape)
+    rows = [f"{i + 1}, " + ", ".join(f"{x:.13e}" for x in point) for i, point in enumerate(points)]
+    labels = ["1", *(str(i + 1) for i in range(len(points)))]
+    lines = [
+        ", ".join(labels[:11]) + ("," if len(labels) > 11 else ""),
+        *([", ".join(labels[11:])] * (len(labels) > 11)),
+    ]
+    section = ["*SOLID SECTION, ELSET=E, MATERIAL=M", *(["0.7"] if kind.startswith("CP") else [])]
+    material = ["*MATERIAL, NAME=M", "*ELASTIC", "210000., 0.3", "*DENSITY", "1."]
+    return "\n".join(
+        ["*NODE", *rows, f"*ELEMENT, TYPE={kind}, ELSET=E", *lines, *material, *section, "*STEP", "%s", "*END STEP", ""]
+    )
+
+
+@needs_calculix
+@pytest.mark.parametrize("kind", KINDS)
+def test_elements_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:
+    for seed in range(3):
+        text = one_element(kind, seed)
+        run_calculix(tmp_path, text.replace("%s", "*FREQUENCY, SOLVER=MATRIXSTORAGE"))
+        theirs = read_sti(tmp_path / "job.sti")
+        deck = cq.read_deck(write(tmp_path, text.replace("%s", "*STATIC")))
+        at = [deck.dof_names.index(name) for name in map(_by_letter, theirs.labels or ())]
+        ours = deck.problem().stiffness[at][:, at]
+        assert abs(ours - theirs.matrix).max() <= 1e-10 * abs(theirs.matrix).max()
+        os.remove(tmp_path / "job.sti")
+
+
+def _by_letter(name: str) -> str:
+    node, _, axis = name.partition(".")
+    return f"{node}.{'xyz'[int(axis) - 1]}"
+
+
+@needs_calculix
+def test_springs_are_those_of_calculix(tmp_path: pathlib.Path) -> None:
+    text = one_element("C3D4", 0).replace("*MATERIAL", "*ELEMENT, TYPE=SPRINGA, ELSET=S\n9, 2, 3\n*MATERIAL", 1)
+    text = text.replace("*STEP", "*SPRING, ELSET=S\n\n55555.\n*STEP")
+    run_calculix(tmp_path, text.replace("%s", "*FREQUENCY, SOLVER=MATRIXSTORAGE"))
+    theirs = read_sti(tmp_path / "job.sti")
+    deck = cq.read_deck(write(tmp_path, text.replace("%s", "*STATIC")))
+    at = [deck.dof_names.index(name) for name in map(_by_letter, theirs.labels or ())]
+    assert abs(deck.problem().stiffness[at][:, at] - theirs.matrix).max() <= 1e-10 * abs(theirs.matrix).max()
+
+
+@pytest.mark.parametrize("kind", ["CPS4", "CAX4"])
+def test_plane_stress_and_axial_symmetry_tell_where_calculix_differs(tmp_path: pathlib.Path, kind: str) -> None:
+    text = STACK_OF_ONE.replace("CPE4", kind)
+    deck = cq.read_deck(write(tmp_path, text))
+    assert deck.problem().dimension == 8
+    assert any(line.startswith(f"{kind}: ") for line in deck.ledger.assumed)
+
+
+def test_a_truss_is_a_bar(tmp_path: pathlib.Path) -> None:
+    text = one_element("C3D4", 0).replace("*MATERIAL", "*ELEMENT, TYPE=T3D2, ELSET=T\n9, 2, 3\n*MATERIAL", 1)
+    text = text.replace("*STEP", "*SOLID SECTION, ELSET=T, MATERIAL=M\n0.04\n*STEP").replace("%s", "*STATIC")
+    plain = one_element("C3D4", 0).replace("%s", "*STATIC")
+    with_bar, without = (cq.read_deck(write(tmp_path, one)).problem().stiffness for one in (text, plain))
+    added = (with_bar - without).toarray()
+    assert np.linalg.matrix_rank(added, tol=1e-6 * abs(added).max()) == 1
+
+
+def test_many_lines_of_loads_are_read_in_little_time(tmp_path: pathlib.Path) -> None:
+    free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*DLOAD\n" + "2, P2, 0.01\n" * 3000)
+    began = time.perf_counter()
+    deck = cq.read_deck(write(tmp_path, free))
+    assert deck.problem().load.sum() == pytest.approx(-30.0)
+    assert time.perf_counter() - began < 5
