@@ -25,6 +25,8 @@ STATUS = ("open", "closed", "grazing", "stick", "slip", "unknown")
 PRINTED = 20
 # Numbers that are looked at for NaN at once.
 BLOCK = 2**21
+# Load cases whose loads are multiplied at once.
+ROWS = 32
 
 
 class LoadCases:
@@ -61,6 +63,31 @@ class LoadCases:
         if self.loads is None:
             return self.problem.load
         return np.asarray(self.loads[[i]].toarray()[0] if sp.issparse(self.loads) else self.loads[i], dtype=float)
+
+    def loaded(self) -> NDArray[np.intp]:
+        """Return the unknowns that any case loads."""
+        if self.loads is None:
+            return np.flatnonzero(self.problem.load)
+        if sp.issparse(self.loads):
+            return np.unique(self.loads.indices).astype(np.intp)
+        found = np.zeros(self.problem.dimension, dtype=bool)
+        for start in range(0, self.count, ROWS):
+            found |= (self.loads[start : start + ROWS] != 0).any(axis=0)
+        return np.flatnonzero(found)
+
+    def blocks(self, loaded: NDArray[np.intp]) -> Iterator[tuple[range, Any]]:
+        """Yield the numbers of some cases and their loads at these unknowns; one row where all have the same."""
+        if self.loads is None:
+            yield range(self.count), self.problem.load[None, loaded]
+            return
+        every = len(loaded) == self.problem.dimension
+        for start in range(0, self.count, ROWS):
+            cases = range(start, min(start + ROWS, self.count))
+            rows = self.loads[start : start + ROWS]
+            if sp.issparse(rows):
+                yield cases, rows[:, loaded].toarray()
+            else:
+                yield cases, rows if every else rows[:, loaded]
 
     def gap(self, i: int) -> Vector:
         """Return the gaps of a case (m,)."""

@@ -11,17 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contactqp.analysis.influence import Influence, ProvenForces
 from contactqp.analysis.load_cases import STATUS, LoadCases, Solutions
 from contactqp.certificate.bounds import REDUNDANT
-from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported
-from contactqp.linalg.runtime import telling
+from contactqp.certificate.number_range import near_one
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.runtime import METHOD, free_memory, one_blas_thread, stage, telling
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
 from contactqp.solving.methods import DEFAULT_METHOD, registered_name
+from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
 
+# A case pays for so many influence functions, which may take a part of the memory that is free.
+PER_CASE, PART_OF_MEMORY = 8, 0.125
 # A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
 OF_ALL = (BackendMissing, Unsupported)
 NUMBER = {word: number for number, word in enumerate(STATUS)}
@@ -40,9 +47,10 @@ def solve_many(
 ) -> Solutions:
     """Solve one problem for many loads, gaps or coefficients of friction, each certified as by `solve`.
 
-    The stiffness is factorised and condensed once. A case starts from the answer of the one before it where its answer
-    is unique, so that loads that are near to each other should stand next to each other. One that fails does not stop
-    the others.
+    The stiffness is factorised and condensed once. Without friction, and where nothing floats, the forces of a case
+    then take a product with influence functions and a small system, and `force_bound` proves them. What is nearer than
+    that to another set of closed contacts is solved by itself, as is all else, from the answer of the case before where
+    that is unique: loads that are near to each other should stand next to each other. A case that fails stops no other.
 
     Parameters
     ----------
@@ -86,15 +94,64 @@ def solve_many(
     method, cases, started = registered_name(method), LoadCases(problem, loads, gaps, friction), time.perf_counter()
     rows = _Rows(cases)
     with nullcontext() if progress is None else telling(progress):
+        if method == DEFAULT_METHOD and not options and cases.count:
+            _by_influence(cases, rows)
         _one_by_one(cases, rows, method, options)
     return rows.solutions(cases, method, options, time.perf_counter() - started)
+
+
+def _by_influence(cases: LoadCases, rows: _Rows) -> None:
+    """Solve what is proven by influence functions, where there are cases enough to pay for these."""
+    try:
+        problem = cases.case(0)
+        if not _pays(cases, problem):
+            return
+        meter = Meter(problem)
+        with problem.lock, one_blas_thread(problem), stage(METHOD), meter.running():
+            condensation, loaded = condense(problem), cases.loaded()
+            size, free = len(loaded) * (problem.contacts + problem.ties) * loaded.itemsize, free_memory()
+            if condensation.rigid.count or not len(condensation.schur) or size > PART_OF_MEMORY * (free or np.inf):
+                return
+            influence = Influence(problem, condensation, loaded)
+            if influence.accurate:
+                _take_blocks(cases, rows, influence, loaded)
+    except ContactQPError:
+        return  # `solve` says of each case what there is to say
+    route = f"influence functions: {int(rows.answered.sum())} of {counted('case', cases.count)}"
+    rows.work = replace(meter.read(0, 0), routes=(route,))
+
+
+def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
+    """Return whether influence functions are offered of a problem, and the cases are enough for their number."""
+    rough = problem.frictional or (cases.friction is not None and np.any(cases.friction > 0))
+    count = problem.contacts + problem.ties
+    if rough or not 0 < count <= min(PER_CASE * cases.count, problem.dimension) or problem.has_idle_rows:
+        return False
+    if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
+        return False
+    return near_one(problem) is None
+
+
+def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: Any) -> None:
+    """Solve the cases in blocks, each from the closed contacts of the one before it."""
+    problem = cases.problem
+    closed = np.zeros(problem.contacts, dtype=bool)
+    for numbers, loads in cases.blocks(loaded):
+        free, sizes = influence.free(loads)
+        for place, i in enumerate(numbers):
+            at = place % len(free)
+            limit = np.concatenate([cases.gap(i), problem.tie_value])
+            found = influence.forces(free[at], float(sizes[at]), limit, closed)
+            if found is not None:
+                rows.take_forces(i, found)
+                closed = found.closed
 
 
 def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, Any]) -> None:
     """Solve each case, from the answer of the one before it where both are unique."""
     before: Solution | None = None
     refused: InvalidProblem | None = None
-    for i in range(cases.count):
+    for i in np.flatnonzero(~rows.answered).tolist():
         problem = cases.case(i)
         try:
             found = _solved(problem, method, before, options)
@@ -155,7 +212,17 @@ class _Rows:
         self.status[i] = [NUMBER[str(word)] for word in found.contact_status]
         self.passed[i], self.proven[i], self.answered[i] = certificate.passed, certificate.proven, True
         self.failures[i] = "; ".join(certificate.failures)
-        self.work = replace(found.work.after(self.work), routes=())
+        self.work = replace(found.work.after(self.work), routes=self.work.routes)
+
+    def take_forces(self, i: int, found: ProvenForces) -> None:
+        """Keep the proven forces of a case without friction."""
+        m = len(found.closed)
+        self.normal_force[i], self.tie_force[i], self.gap[i] = found.force[:m], found.force[m:], found.gap
+        self.force_bound[i] = found.bound[:m]
+        if self.friction_force is not None:
+            self.friction_force[i] = 0.0
+        self.status[i] = np.where(found.closed, NUMBER["closed"], NUMBER["open"])
+        self.passed[i] = self.proven[i] = self.answered[i] = True
 
     def fail(self, i: int, error: ContactQPError) -> None:
         """Keep why a case has no answer."""

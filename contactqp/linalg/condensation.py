@@ -38,7 +38,7 @@ from contactqp.linalg.factorization import (
 )
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
-from contactqp.linalg.schur import LARGE, Elimination, NestedBlock, eliminate
+from contactqp.linalg.schur import LARGE, Elimination, LastBlock, NestedBlock, eliminate
 from contactqp.model.arrays import Array, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
@@ -259,6 +259,21 @@ class Condensation:
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
         """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
         return self._elimination.reduce(load)
+
+    def responses(self, retained: Array) -> Array:
+        """Return displacements (n, q) without loads inside, from those of the retained unknowns (p, q)."""
+        return self._elimination.expand_motions(retained)
+
+    def free_displacements(self, loads: Array) -> Array:
+        """Return displacements (n, q) under loads without contacts and ties, in doubles; nothing may float."""
+        if isinstance(self._elimination, LastBlock):  # which reads its factors once for all of them
+            reduced, inner = self._elimination.reduce(loads)
+            return self.expand(self._free(reduced), inner)
+        states = (self.reduce_passing_load(load) for load in loads.T)
+        return np.column_stack([self.expand(self._free(reduced), inner) for reduced, inner in states])
+
+    def _free(self, reduced: Array) -> Array:
+        return np.asarray((self.schur_factor.solve((reduced.T * self.scale).T).T * self.scale).T)
 
     def correction(
         self, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector

@@ -197,28 +197,31 @@ class LastBlock:
         self.schur = self._factor.schur
         self.half_substitutions = 0
 
-    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
-        self.half_substitutions += 1
-        if (clock := RUNNING.get()) is not None:
-            clock.half_substitutions += 1
+    def reduce(self, load: Array) -> tuple[Array, Array]:
+        """As of any elimination, or of several loads (n, q) at once."""
+        self._count(load)
         eliminated = self._factor.forward(load)
         return eliminated[self._retained], eliminated
 
-    def expand(self, retained: Vector, state: Vector) -> Vector:
-        self.half_substitutions += 1
-        if (clock := RUNNING.get()) is not None:
-            clock.half_substitutions += 1
+    def expand(self, retained: Array, state: Array) -> Array:
+        """As of any elimination, or of several loads (n, q) at once."""
+        self._count(state)
         right = state.copy()
         right[self._retained] = retained
         return self._factor.backward(right)
 
     def expand_motions(self, retained: Array) -> Array:
-        self.half_substitutions += retained.shape[1]
-        if (clock := RUNNING.get()) is not None:
-            clock.half_substitutions += retained.shape[1]
         right = np.zeros((self._factor.size, retained.shape[1]))
         right[self._retained] = retained
+        self._count(right)
         return self._factor.backward(right)
+
+    def _count(self, right: Array) -> None:
+        """Count half a back-substitution for each right-hand side."""
+        count = right.shape[1] if right.ndim > 1 else 1
+        self.half_substitutions += count
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += count
 
 
 class NestedBlock:

@@ -149,3 +149,81 @@ def test_answers_are_pickled_and_printed() -> None:
     told: list[str] = []
     cq.solve_many(BAR, loads=[[300.0]], progress=told.append)
     assert told
+
+
+def plate(cells: int, unit: float = 1.0, apart: float = 1.0) -> cq.ContactProblem:
+    """A strip of plane-strain elements over a floor, held at its top; units of its unknowns that far apart."""
+    steel = cq.Material(1.0 / unit, 0.3)
+    body = cq.Body(cq.rectangle(2.0, 1.0, (2 * cells, cells)), steel, "plane-strain", name="block")
+    structure = cq.Structure([body])
+    system = structure.assemble([cq.Support("block", "top", axis) for axis in range(2)])
+    floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, -1e-3], [0.0, 1.0]))
+    problem = system.problem([floor])
+    scale = sp.diags(np.where(np.arange(problem.dimension) % 2, apart, 1.0))
+    return cq.ContactProblem(scale @ problem.stiffness @ scale, problem.load, problem.normal @ scale, problem.gap)
+
+
+@pytest.mark.parametrize(("unit", "apart"), [(1.0, 1.0), (2.0**40, 1.0), (1e-9, 1.0), (1.0, 1e-3), (1e6, 1e3)])
+def test_influence_functions_prove_forces_that_solve_finds_too(unit: float, apart: float) -> None:
+    problem, rng = plate(8, unit, apart), np.random.default_rng(5)
+    push = np.zeros((40, problem.dimension))
+    push[:, problem.normal.indices] = -rng.uniform(0.0, 4e-3, (40, problem.contacts)) / unit * apart
+    many = cq.solve_many(problem, loads=push)
+    assert many.passed.all()
+    assert many.proven.all()
+    assert many.work.routes == ("influence functions: 40 of 40 cases",)
+    closed = 0
+    for i in range(0, 40, 5):
+        alone = cq.solve(problem.replace(load=push[i]))
+        largest = np.max(alone.normal_force)
+        assert many.normal_force[i] == pytest.approx(alone.normal_force, abs=1e-11 * largest)
+        assert np.all(abs(many.normal_force[i] - alone.normal_force) <= many.force_bound[i])
+        assert np.all(many.force_bound[i] <= 1e-6 * largest)
+        assert many.gap[i] == pytest.approx(alone.gap, rel=1e-9, abs=1e-15)
+        assert many.contact_status[i].tolist() == alone.contact_status.tolist()
+        closed += int(np.sum(alone.contact_status == "closed"))
+    assert closed > 20
+    sparse = cq.solve_many(problem, loads=sp.csr_array(push))
+    assert sparse.normal_force == pytest.approx(many.normal_force, rel=1e-12)
+    gaps = problem.gap + rng.uniform(0.0, 1e-3, (20, problem.contacts))
+    wider = cq.solve_many(problem.replace(load=push[0]), gaps=gaps)
+    assert wider.work.routes == ("influence functions: 20 of 20 cases",)
+    alone = cq.solve(problem.replace(load=push[0], gap=gaps[7]))
+    assert wider.normal_force[7] == pytest.approx(alone.normal_force, abs=1e-11 * np.max(alone.normal_force))
+
+
+def test_no_bound_is_below_the_true_error() -> None:
+    rng, seen = np.random.default_rng(1), 0
+    for _ in range(10):
+        shape = rng.integers(-3, 4, (5, 5)).astype(float)
+        K = shape @ shape.T + np.eye(5)
+        problem = cq.ContactProblem(K, np.zeros(5), rng.integers(-2, 3, (3, 5)).astype(float), [0.125, 0.25, 0.5])
+        loads = rng.integers(-9, 10, (6, 5)).astype(float)
+        many = cq.solve_many(problem, loads=loads)
+        for i in np.flatnonzero(np.isfinite(many.force_bound).all(axis=1)):
+            true = np.array([float(force) for force in cq.exact(problem.replace(load=loads[i])).normal_force])
+            assert np.all(abs(many.normal_force[i] - true) <= many.force_bound[i])
+            seen += np.count_nonzero(true)
+    assert seen > 40
+
+
+def test_what_is_close_to_another_set_is_left_to_solve() -> None:
+    bars = cq.ContactProblem(np.diag([2.0, 4.0]), [0.0, 0.0], np.eye(2), [1.0, 1.0])
+    loads = np.array([[2.0, 8.0], [2.0 + 1e-12, 8.0], [3.0, 8.0], [0.0, 0.0]])
+    many = cq.solve_many(bars, loads=loads)
+    assert many.passed.all()
+    assert many.work.routes == ("influence functions: 2 of 4 cases",)
+    assert many.contact_status[0].tolist() == ["grazing", "closed"]
+    assert many.normal_force[2:].ravel() == pytest.approx([1.0, 4.0, 0.0, 0.0])
+
+
+def test_functions_that_are_not_accurate_are_not_used() -> None:
+    """A chain of bars, two of them 1e12 times as stiff: what its end feels of the first is lost in its factors."""
+    k = np.array([1.0, 1e12, 1e12, 1.0])
+    K = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    chain = cq.ContactProblem(K, np.zeros(4), [[0.0, 0.0, 0.0, 1.0]], [0.1])
+    many = cq.solve_many(chain, loads=np.outer(np.arange(1.0, 5.0), [0.0, 0.0, 0.0, 1.0]))
+    for i in range(4):
+        alone = cq.solve(chain.replace(load=[0.0, 0.0, 0.0, i + 1.0]))
+        assert many.normal_force[i] == pytest.approx(alone.normal_force, rel=1e-9)
+    assert many.work.routes == ("influence functions: 0 of 4 cases",)
