@@ -98,6 +98,7 @@ if TYPE_CHECKING:
     from contactqp.oracle.diagnosis.evidence import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
+    from contactqp.oracle.foreign.crosscheck import crosscheck as crosscheck
     from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
     from contactqp.oracle.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
@@ -189,6 +190,7 @@ _HOME = {
     "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
     "critical_friction": "certificate.critical_friction",
+    "crosscheck": "oracle.foreign.crosscheck",
     "draw": "study.answer_pictures",
     "draw_history": "pictures.history_drawing",
     "equilibria": "solving.equilibria",

@@ -104,6 +104,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
     mesh_file.write_text(MESH)
     deck_file = folder / "deck.inp"
     deck_file.write_text(MESH + DECK)
+    deck_results = folder / "deck.dat"
+    deck_results.write_text(RESULTS)
     judged = given.objects()["judged"][1]
     known = testing.problem("truss-over-floor")
     answer = dict(displacement=solution.displacement, normal_force=solution.normal_force)
@@ -249,6 +251,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "certify": (cq.certify, dict(problem=problem, **answer)),
         "compare": (cq.compare, dict(problem=problem, methods=["active-set"])),
         "critical_friction": (cq.critical_friction, dict(problem=rubbing)),
+        "crosscheck": (cq.crosscheck, dict(path=deck_file, results=deck_results, reference="exact",
+            error_tolerance=1e-2, time_limit=10.0, folder=folder / "run")),
         "draw": (cq.draw, dict(answer=solution)),
         "draw_history": (cq.draw_history, dict(history=history, file=folder / "history.svg")),
         "equilibria": (cq.equilibria, dict(problem=rubbing)),
@@ -349,6 +353,14 @@ DECK = """\
 *STEP
 *STATIC
 *END STEP
+"""
+RESULTS = """
+ displacements (vx,vy,vz) for set ALL and time  0.1000000E+01
+
+         1  0.000000E+00  0.000000E+00  0.000000E+00
+         2  0.000000E+00  0.000000E+00  0.000000E+00
+         3  0.000000E+00  0.000000E+00  0.000000E+00
+         4  0.000000E+00  0.000000E+00  0.000000E+00
 """
 
 

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 import click
 
-from contactqp.cli.judging import check_command, explain_command, oracle_command
+from contactqp.cli.judging import check_command, crosscheck_command, explain_command, oracle_command
 from contactqp.cli.output import (
     BAD_INPUT,
     INTERRUPTED,
@@ -51,6 +51,7 @@ def command() -> None:
 for _command in (
     run_command,
     check_command,
+    crosscheck_command,
     explain_command,
     oracle_command,
     methods_command,

@@ -1,4 +1,4 @@
-"""Commands that examine one problem or answer: check, explain, oracle."""
+"""Commands that examine one problem or answer: check, crosscheck, explain, oracle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import click
 
@@ -61,11 +61,12 @@ def check_command(
 ) -> None:
     """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
 
-    PROBLEM is a case file; an input deck (.inp); or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
-    normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's .full, ...), or contacts.csv. CANDIDATE
-    then holds displacement, normal_force or both, and friction_force and tie_force, by name or in order: JSON (what
-    `contactqp run CASE --method M --json` prints is one), CSV (columns dof,displacement and contact,normal_force),
-    .npz, one array or a folder of them, or a result file of a code that is known.
+    PROBLEM is a case file; an input deck of Abaqus or CalculiX (.inp); or a folder or .npz of matrices, by the names of
+    their files: stiffness or K, load or f, normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's
+    .full, ...), or contacts.csv. CANDIDATE then holds displacement, normal_force or both, and friction_force and
+    tie_force, by name or in order: JSON (what `contactqp run CASE --method M --json` prints is one), CSV (columns
+    dof,displacement and contact,normal_force), .npz, one array or a folder of them, or a result file of a code that is
+    known.
 
     Or PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
     contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.
@@ -109,6 +110,56 @@ def check_command(
     if receipt is not None:
         click.echo(f"written: {receipt}", err=as_json)
     sys.exit(0 if verdict.passed else NOT_MET)
+
+
+@click.command("crosscheck", short_help="Judge the contact of a deck in its own code.")
+@click.argument("model", metavar="MODEL.inp")
+@click.argument("results", required=False, metavar="[RESULTS]")
+@click.option(
+    "--reference",
+    type=click.Choice(["exact", "penalty"]),
+    default="exact",
+    show_default=True,
+    help="No overlap at all, or the springs that the deck states.",
+)
+@click.option(
+    "--error-tolerance",
+    type=float,
+    default=1e-2,
+    show_default=True,
+    help="Largest error that passes, of the resultant.",
+)
+@click.option("--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For CalculiX.")
+@click.option("--folder", metavar="DIR", help="Where CalculiX runs; MODEL.ccx by default. What it writes stays there.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
+def crosscheck_command(
+    model: str,
+    results: str | None,
+    reference: Literal["exact", "penalty"],
+    error_tolerance: float,
+    time_limit: float,
+    folder: str | None,
+    as_json: bool,
+) -> None:
+    """Judge the contact of MODEL.inp as CalculiX solves it, pair by pair: exit 0 if it is right, 1 if it is wrong.
+
+    MODEL.inp is an input deck of Abaqus or CalculiX: one linear elastic static step. RESULTS is a .dat or .frd file of
+    CalculiX with the displacements of all nodes (`*NODE PRINT` or `*NODE FILE`, U); without it the deck is run by ccx,
+    or by the command that CONTACTQP_CCX names, and exit 3 says that there is none.
+
+    Printed are the resultant of each pair in the other code and the exact one, what parts the two (springs in the place
+    of contact, nodes that pull, numbers that were cut off, contact that was not found), and the worst nodes.
+    """
+    from contactqp.oracle.foreign.crosscheck import crosscheck
+
+    found = crosscheck(
+        model, results, reference=reference, error_tolerance=error_tolerance, time_limit=time_limit, folder=folder
+    )
+    if as_json:
+        print_json(found.data())
+    else:
+        click.echo(found.summary())
+    sys.exit(0 if found.passed else NOT_MET)
 
 
 def _verify(receipt: str, as_json: bool) -> NoReturn:

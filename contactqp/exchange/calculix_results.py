@@ -321,6 +321,25 @@ def read_dat_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     return answer_of(path, problem, tables, ledger, DAT_EXPECTED)
 
 
+def read_displacements(path: Path) -> tuple[NodalField, Ledger]:
+    """Return the displacements of the last time in a .frd or .dat file, of all nodes that it has.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no displacements in it, a file that was cut off.
+    """
+    ledger = Ledger(str(path))
+    if read_bytes(path, FRD_EXPECTED, len(BEGINNING)) == BEGINNING:
+        fields = read_frd(path)
+    else:
+        fields, _ = read_dat(path)
+    moved = [field for field in fields if field.kind == DISPLACEMENT]
+    if not moved:
+        raise wrong(path, "content", "CalculiX's results with displacements (*NODE PRINT or *NODE FILE, U)", "none")
+    return _last(path, moved, "displacements", ledger), ledger
+
+
 def answer_of(
     path: Path, problem: ContactProblem, fields: list[NodalField], ledger: Ledger, expected: str
 ) -> AnswerFile:

@@ -42,6 +42,8 @@ def test_every_public_name_is_documented_once() -> None:
         "contactqp.oracle.foreign.judging.JudgedContact",
         "contactqp.solving.methods.Method",
         "contactqp.solving.methods.Settings",
+        "contactqp.oracle.foreign.crosscheck_verdict.CrossCheck",
+        "contactqp.oracle.foreign.crosscheck_verdict.PairVerdict",
         "contactqp.scene.deck.deck.Deck",
         "contactqp.solving.methods.backends.Backend",
         "contactqp.solving.methods.register",

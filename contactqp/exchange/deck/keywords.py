@@ -132,7 +132,8 @@ _READ = (
     _read("END STEP", STEP),
 )  # fmt: skip
 
-_REPORTS = "what is printed changes no answer"
+# What CalculiX is run without.
+PRINTED = "what is printed changes no answer"
 _COURSE = "how increments are chosen and iterations end changes no converged answer"
 _IDLE = {
     "HEADING": "words",
@@ -140,7 +141,7 @@ _IDLE = {
         ("NODE FILE", "EL FILE", "CONTACT FILE", "NODE PRINT", "EL PRINT", "CONTACT PRINT", "SECTION PRINT",
          "NODE OUTPUT", "ELEMENT OUTPUT", "CONTACT OUTPUT", "ENERGY OUTPUT", "INCREMENTATION OUTPUT", "OUTPUT",
          "ENERGY PRINT", "PREPRINT", "FILE FORMAT", "FILE OUTPUT", "PRINT", "MONITOR", "TIME POINTS", "RESTART",
-         "NODE RESPONSE", "EL RESPONSE", "DIAGNOSTICS", "CONTACT CONTROLS OUTPUT", "FILTER"), _REPORTS),
+         "NODE RESPONSE", "EL RESPONSE", "DIAGNOSTICS", "CONTACT CONTROLS OUTPUT", "FILTER"), PRINTED),
     **dict.fromkeys(("CONTROLS", "SOLUTION TECHNIQUE", "CONTACT CONTROLS", "SOLVER CONTROLS"), _COURSE),
     "EXPANSION": "no temperatures change",
     "CONDUCTIVITY": "no heat flows",

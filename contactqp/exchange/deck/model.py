@@ -220,6 +220,8 @@ class DeckModel:
     points : (N, 3) array
     clearances : mapping of (slave, master) to length
         What *CLEARANCE puts in the place of the distances.
+    end : float
+        The time at the end of the step.
     long_numbers : list of str
         Where numbers of more characters stand than CalculiX reads.
     """
@@ -244,6 +246,7 @@ class DeckModel:
     interactions: dict[str, Interaction] = field(default_factory=dict)
     pairs: list[ContactPair] = field(default_factory=list)
     clearances: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    end: float = 1.0
     long_numbers: list[str] = field(default_factory=list)
 
     @property

@@ -64,7 +64,7 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
     """
     cards = read_cards(path, columns)
     model = DeckModel(str(path), Ledger(str(path)))
-    end = _check_order(path, cards)
+    end = model.end = _check_order(path, cards)
     for card in cards:
         if card.keyword.name in _FIRST:
             _FIRST[card.keyword.name](model, card)

@@ -24,7 +24,6 @@ from contactqp.scene.deck.groups import Topology
 
 Points = NDArray[np.float64]
 Discretisation = Literal["node-to-segment", "mortar"]
-_MEANS = {"node-to-segment": "at slave nodes", "mortar": "on the average over each slave node's share of the surface"}
 NONE: Index = np.zeros(0, dtype=np.int64)
 # Where a tie states no tolerance: this part of the mean size of the master's faces, as CalculiX takes it.
 TIED = 0.025
@@ -245,8 +244,8 @@ def _contact(surfaces: Surfaces, pair: ContactPair, points: Points, discretisati
         numbers = f"nodes are counted from 0 here, node 0 is {surfaces.topology.labels[0]}"
         raise InvalidProblem(f"{pair.place}: *CONTACT PAIR: {error} ({numbers})") from None
     kind: Discretisation = "mortar" if mortar else "node-to-segment"
-    if pair.type != "NODE TO SURFACE" or kind != discretisation:
-        note(model.ledger.assumed, f"{pair.place}: {pair.type}: no overlap {_MEANS[kind]}")
+    if pair.type != "NODE TO SURFACE" and kind == "node-to-segment":
+        note(model.ledger.assumed, f"{pair.place}: {pair.type}: no overlap at slave nodes")
     if (pair.slave, pair.master) in model.clearances:
         value = model.clearances[pair.slave, pair.master]
         pairing = replace(pairing, gap=np.full(len(pairing.gap), value))

@@ -144,7 +144,7 @@ class Deck:
         assembly, free = self.assembly, self.free
         if not len(free):
             raise InvalidProblem("every node is held; expected some that are free")
-        given, tie = self._given, self._ties
+        given, tie = self._given, self.ties
         return ContactProblem(
             stiffness=self._stiffness,
             load=(assembly.load - assembly.stiffness @ given)[free],
@@ -165,7 +165,8 @@ class Deck:
         return sp.csc_array(self.assembly.stiffness[self.free][:, self.free])
 
     @cached_property
-    def _ties(self) -> Any:
+    def ties(self) -> Any:
+        """Return the rows of ties and equations over the unknowns of all nodes, (k, n) CSR."""
         rows, _ = tie_rows(self._surfaces, self.assembly.points)
         return sp.csr_array(sp.vstack([self.assembly.equations, rows], format="csr"))
 

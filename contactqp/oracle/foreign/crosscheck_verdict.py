@@ -1,0 +1,230 @@
+"""The verdict of a cross-check: pair by pair the forces of the other code, the exact ones, and what parts them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from contactqp.exchange.files import Ledger
+from contactqp.model.arrays import Index, Vector
+from contactqp.model.problem_data import ReadOnly
+
+Word = Literal["right", "wrong", "undecided"]
+# Nodes that a summary lists of each pair.
+WORST = 5
+
+
+@dataclass(frozen=True, eq=False)
+class PairVerdict(ReadOnly):
+    """One contact pair judged.
+
+    Attributes
+    ----------
+    name : str
+        ``SLAVE on MASTER``.
+    type : str
+        How the deck asks for it: ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``.
+    word : str
+        ``"right"``, ``"wrong"``, or ``"undecided"`` where printed digits or the mesh leave more open than is asked for.
+    resultant, reference_resultant : float
+        The sums of the normal forces of the other code and of the reference [force].
+    total, reference_total : (d,) arrays
+        The forces on the slave surface, friction included, as vectors [force].
+    error : float
+        The largest of the differences between the resultants, the vectors and the forces of single nodes, of the larger
+        resultant [-].
+    noise : float
+        What the printed digits leave of it [-].
+    penalty_resultant, mortar_resultant : float, optional
+        The sums of the exact forces on the springs that the deck states, and with no overlap on the average.
+    mesh_error : float
+        How far the resultants with no overlap on the average and with none at nodes are apart [-]; 0 where the deck
+        itself asks for nodes or the master is plane.
+    causes : tuple of str
+        What parts the two answers, in words.
+    labels : (m,) array of int
+        The slave nodes, those that cannot move left out.
+    force, reference_force : (m,) arrays
+        Their normal forces [force].
+    gap : (m,) array
+        Their gaps in the answer of the other code, negative for overlap [length].
+    """
+
+    name: str
+    type: str
+    word: Word
+    resultant: float
+    reference_resultant: float
+    total: Vector
+    reference_total: Vector
+    error: float
+    noise: float
+    penalty_resultant: float | None
+    mortar_resultant: float | None
+    mesh_error: float
+    causes: tuple[str, ...]
+    labels: Index
+    force: Vector
+    reference_force: Vector
+    gap: Vector
+
+    @property
+    def worst(self) -> Index:
+        """Return the contacts whose forces differ most, the worst first."""
+        order = np.argsort(-abs(self.force - self.reference_force), kind="stable")
+        return np.asarray(order[:WORST])
+
+    def data(self) -> dict[str, Any]:
+        """Return the verdict as plain data for JSON."""
+        return {
+            "pair": self.name,
+            "type": self.type,
+            "verdict": self.word,
+            "resultant": self.resultant,
+            "reference_resultant": self.reference_resultant,
+            "total": self.total.tolist(),
+            "reference_total": self.reference_total.tolist(),
+            "error": self.error,
+            "noise": self.noise,
+            "penalty_resultant": self.penalty_resultant,
+            "mortar_resultant": self.mortar_resultant,
+            "mesh_error": self.mesh_error,
+            "causes": list(self.causes),
+            "nodes": [
+                {
+                    "node": int(self.labels[i]),
+                    "force": float(self.force[i]),
+                    "reference_force": float(self.reference_force[i]),
+                    "gap": float(self.gap[i]),
+                }
+                for i in self.worst.tolist()
+            ],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck(ReadOnly):
+    """What `crosscheck` returns; it is false unless every pair is right and everything is in balance.
+
+    Attributes
+    ----------
+    deck : str
+    results : str
+        The file of the answer that was judged.
+    code : str
+        The program that wrote it, as far as it is known.
+    reference : str
+        ``"exact"`` or ``"penalty"``.
+    error_tolerance : float
+        What `error` of a pair may be.
+    pairs : tuple of PairVerdict
+    findings : tuple of str
+        What is wrong beside the contact pairs: unknowns out of balance, supports that moved.
+    warnings : tuple of str
+        What the program itself warned of.
+    ledger : Ledger
+        What became of the cards of the deck.
+    """
+
+    deck: str
+    results: str
+    code: str
+    reference: str
+    error_tolerance: float
+    pairs: tuple[PairVerdict, ...]
+    findings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    ledger: Ledger = field(default_factory=lambda: Ledger(""))
+
+    @property
+    def word(self) -> Word:
+        """Return ``"right"``, ``"wrong"`` or ``"undecided"``."""
+        words = {pair.word for pair in self.pairs}
+        if self.findings or "wrong" in words:
+            return "wrong"
+        return "undecided" if "undecided" in words else "right"
+
+    @property
+    def passed(self) -> bool:
+        """Return whether all of it is right within the tolerance."""
+        return self.word == "right"
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+    def __repr__(self) -> str:
+        return f"CrossCheck({self.deck}: {self.word})"
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def summary(self) -> str:
+        """Return the verdict in words, pair by pair."""
+        word = self.word if self.passed else self.word.upper()
+        lines = [f"{self.deck}: {word} by {self.code} ({self.results})"]
+        lines += [f"  {finding}" for finding in self.findings]
+        for pair in self.pairs:
+            lines += _of_pair(pair, self.reference, self.error_tolerance)
+        if not self.pairs:
+            lines.append("  the deck has no contact pairs")
+        lines += [f"  {self.code} warns: {warning}" for warning in self.warnings if not self.passed]
+        lines += [f"  assumed: {line}" for line in self.ledger.assumed]
+        return "\n".join(lines)
+
+    def data(self) -> dict[str, Any]:
+        """Return the verdict as plain data for JSON."""
+        return {
+            "deck": self.deck,
+            "results": self.results,
+            "code": self.code,
+            "reference": self.reference,
+            "error_tolerance": self.error_tolerance,
+            "verdict": self.word,
+            "passed": self.passed,
+            "findings": list(self.findings),
+            "warnings": list(self.warnings),
+            "pairs": [pair.data() for pair in self.pairs],
+            "ledger": self.ledger.data(),
+        }
+
+
+def _of_pair(pair: PairVerdict, reference: str, tolerance: float) -> list[str]:
+    word = pair.word if pair.word == "right" else pair.word.upper()
+    difference = pair.resultant - pair.reference_resultant
+    lines = [
+        f"  {pair.name} ({pair.type}): {word}, off by {pair.error:.2g} of the resultant, {tolerance:g} is asked for",
+        f"    resultant {pair.resultant:.6g}, {reference} {pair.reference_resultant:.6g}, "
+        f"difference {difference:.3g}{_others(pair, reference)}",
+    ]
+    if pair.noise > 0.1 * tolerance:
+        lines.append(f"    the printed digits leave {pair.noise:.2g} of the resultant open")
+    if pair.mesh_error > 0:
+        lines.append(
+            f"    no overlap at nodes and no overlap on the average differ by {pair.mesh_error:.2g} on this mesh"
+        )
+    lines += [f"    {cause}" for cause in pair.causes]
+    if pair.word != "right" and len(pair.labels):
+        lines += _table(pair, reference)
+    return lines
+
+
+def _others(pair: PairVerdict, reference: str) -> str:
+    told = ""
+    if pair.penalty_resultant is not None and reference == "exact":
+        told += f"; on the springs of the deck {pair.penalty_resultant:.6g}"
+    if pair.mortar_resultant is not None:
+        told += f"; on the average over faces {pair.mortar_resultant:.6g}"
+    return told
+
+
+def _table(pair: PairVerdict, reference: str) -> Sequence[str]:
+    rows = [("node", "force", reference, "gap")]
+    for i in pair.worst.tolist():
+        numbers = (pair.force[i], pair.reference_force[i], pair.gap[i])
+        force, right, gap = (f"{value:.4g}" for value in numbers)
+        rows.append((str(int(pair.labels[i])), force, right, gap))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    return ["      " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]

@@ -1,0 +1,196 @@
+"""A deck's contact in another code is judged pair by pair: what is right passes, and what is wrong is named."""
+
+from __future__ import annotations
+
+import pathlib
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck
+from tests.cli.commands import run as command
+from tests.decks import STACK, needs_calculix, write
+
+
+def printed(deck: pathlib.Path, displacement: np.ndarray, time_: float = 1.0, name: str = "model.dat") -> pathlib.Path:
+    """Write displacements of all nodes of a deck as CalculiX prints them."""
+    labels, moved = cq.read_deck(deck).displacements(displacement)
+    rows = [f"{label:10d}" + "".join(f" {x:13.6E}" for x in row) for label, row in zip(labels, moved, strict=True)]
+    title = f" displacements (vx,vy,vz) for set ALL and time {time_:14.7E}"
+    file = deck.with_name(name)
+    file.write_text("\n".join(["", title, "", *rows, ""]))
+    return file
+
+
+def exact(deck: pathlib.Path) -> np.ndarray:
+    return np.asarray(cq.solve(cq.read_deck(deck).problem()).displacement)
+
+
+def judged(folder: pathlib.Path, text: str = STACK, change: object = None, **options: object) -> CrossCheck:
+    deck = write(folder, text)
+    u = exact(deck)
+    return cq.crosscheck(deck, printed(deck, u if change is None else change(u)), **options)  # type: ignore[operator]
+
+
+def test_the_exact_answer_is_right_to_its_printed_digits(tmp_path: pathlib.Path) -> None:
+    found = judged(tmp_path)
+    assert found
+    assert found.word == "right"
+    pair = found.pairs[0]
+    assert (pair.name, pair.type, pair.word) == ("ABOVE on BELOW", "NODE TO SURFACE", "right")
+    assert pair.resultant == pytest.approx(5.0, rel=1e-4)
+    assert pair.reference_resultant == pytest.approx(5.0, rel=1e-9)
+    assert pair.penalty_resultant == pytest.approx(0.01 / 0.0021)
+    assert pair.total.tolist() == pytest.approx([0.0, 0.0, 5.0], abs=1e-4)
+
+
+def test_the_springs_that_a_deck_states_are_told_apart(tmp_path: pathlib.Path) -> None:
+    deck = write(tmp_path, STACK)
+    penalty = cq.solve(cq.read_deck(deck).problem("penalty")).displacement[: len(exact(deck))]
+    results = printed(deck, penalty)
+    found = cq.crosscheck(deck, results)
+    assert found.word == "wrong"
+    assert any("1e+04 times area and overlap: springs in the place of contact" in one for one in found.pairs[0].causes)
+    assert any("that of the springs that the deck states" in one for one in found.pairs[0].causes)
+    assert cq.crosscheck(deck, results, reference="penalty").passed
+    assert cq.crosscheck(deck, results, error_tolerance=0.1).passed
+
+
+def test_a_pair_without_force_is_told(tmp_path: pathlib.Path) -> None:
+    found = judged(tmp_path, change=lambda u: np.repeat([0.0, -0.02], len(u) // 2))
+    assert found.word == "wrong"
+    assert any("it has no contact force" in one for one in found.pairs[0].causes)
+
+
+def test_nodes_that_pull_are_told(tmp_path: pathlib.Path) -> None:
+    away = STACK.replace("TOP, 3, 3, -0.02", "TOP, 3, 3, 0.02")  # nothing touches; held together by a force of 1 each
+    deck = write(tmp_path, away)
+    found = cq.crosscheck(deck, printed(deck, np.array([0.004] * 4 + [0.016] * 4)))
+    assert found.word == "wrong"
+    assert any("4 nodes pull with 4 in all" in one for one in found.pairs[0].causes)
+
+
+def test_other_loads_are_out_of_balance_and_cut_numbers_are_named(tmp_path: pathlib.Path) -> None:
+    free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*CLOAD\nTOP, 3, -2.50000000000000e-01\n")
+    deck = write(tmp_path, free)
+    cut = write(tmp_path, free.replace("-2.50000000000000e-01", "-2.5"), "cut.inp")
+    results = printed(cut, exact(cut))
+    found = cq.crosscheck(deck, results)
+    assert "out of balance where nothing touches: " in found.findings[0]
+    assert "18.z by -2.25" in found.findings[0]
+    assert "first 20 characters of each number" in found.findings[1]
+    whole = write(tmp_path, free.replace("-2.50000000000000e-01", "-0.25"), "whole.inp")
+    assert len(cq.crosscheck(whole, results).findings) == 1
+
+
+def test_supports_that_moved_are_told(tmp_path: pathlib.Path) -> None:
+    deck = write(tmp_path, STACK)
+    other = write(tmp_path, STACK.replace("-0.02", "-0.021"), "other.inp")
+    found = cq.crosscheck(deck, printed(other, exact(other)))
+    assert "4 supports moved: 15.z by -0.021, the deck prescribes -0.02" in found.findings[0]
+
+
+def test_two_pairs_are_judged_one_by_one(tmp_path: pathlib.Path) -> None:
+    other = "\n".join(f"{n + 20}, {10 + x}., {y}., {z}" for n, x, y, z in (
+        (1, 0, 0, 0.0), (2, 1, 0, 0.0), (3, 1, 1, 0.0), (4, 0, 1, 0.0), (5, 0, 0, 1.0), (6, 1, 0, 1.0), (7, 1, 1, 1.0),
+        (8, 0, 1, 1.0), (11, 0, 0, 1.0), (12, 1, 0, 1.0), (13, 1, 1, 1.0), (14, 0, 1, 1.0), (15, 0, 0, 2.0),
+        (16, 1, 0, 2.0), (17, 1, 1, 2.0), (18, 0, 1, 2.0)))  # fmt: skip
+    text = STACK.replace("*ELEMENT", f"{other}\n*ELEMENT").replace(
+        "*NSET, NSET=TOP", "3, 21, 22, 23, 24, 25, 26, 27, 28\n4, 31, 32, 33, 34, 35, 36, 37, 38\n*NSET, NSET=TOP"
+    )
+    text = text.replace("15, 18\n", "15, 18\n35, 38\n").replace("1, 2, 3, 4\n*MAT", "1, 2, 3, 4, 21, 22, 23, 24\n*MAT")
+    text = text.replace("*SURFACE INTER", "*SURFACE, NAME=BELOW2\n3, S2\n*SURFACE, NAME=ABOVE2\n4, S1\n*SURFACE INTER")
+    text = text.replace("ABOVE, BELOW\n", "ABOVE, BELOW\nABOVE2, BELOW2\n")
+    found = judged(tmp_path, text)
+    assert [pair.reference_resultant for pair in found.pairs] == pytest.approx([5.0, 10.0])
+    assert [pair.word for pair in found.pairs] == ["right", "right"]
+    deck = tmp_path / "model.inp"
+    names = cq.read_deck(deck).dof_names
+    off = exact(deck).copy()
+    off[[names.index(f"{n}.z") for n in (31, 32, 33, 34)]] += 1e-3
+    found = cq.crosscheck(deck, printed(deck, off))
+    assert [pair.word for pair in found.pairs] == ["right", "wrong"]
+
+
+def test_few_printed_digits_leave_a_verdict_open(tmp_path: pathlib.Path) -> None:
+    deck = write(tmp_path, STACK.replace("1000., 0.", "1e12, 0.").replace("-0.02", "-0.0100000001"))
+    found = cq.crosscheck(deck, printed(deck, exact(deck)))
+    assert found.word == "undecided"
+    assert "printed digits" in found.summary()
+
+
+def test_results_that_fit_no_deck_are_refused(tmp_path: pathlib.Path) -> None:
+    deck = write(tmp_path, STACK)
+    results = printed(deck, exact(deck), 0.5)
+    with pytest.raises(cq.InvalidProblem, match=r"the results end at time 0\.5 of 1: the run broke off"):
+        cq.crosscheck(deck, results)
+    text = printed(deck, exact(deck)).read_text()
+    results.write_text(text.replace(text.splitlines()[5] + "\n", ""))
+    with pytest.raises(cq.InvalidProblem, match="got none of node 3; print U of all"):
+        cq.crosscheck(deck, results)
+    results.write_text(text[:-10])
+    with pytest.raises(cq.InvalidProblem, match="cut off"):
+        cq.crosscheck(deck, results)
+    with pytest.raises(cq.InvalidProblem, match="error_tolerance"):
+        cq.crosscheck(deck, results, error_tolerance=0.0)
+
+
+# Programs in the place of ccx that end as none should.
+
+BAD = {
+    "crashes": ("print(' *ERROR in e_c3d: nonpositive jacobian'); sys.exit(201)", "exit code 201: *ERROR in e_c3d"),
+    "is killed": ("os.kill(os.getpid(), 11)", "signal 11"),
+    "writes nothing": ("pass", "ended without results"),
+    "says so and goes on": ("print('*ERROR reading *NODE')", "*ERROR reading *NODE"),
+    "writes half a file": ("open('job.dat', 'w').write(' displacements (vx,vy,vz) for set A and time 1.0E+00\\n"
+                           " 1  0.1')", "left half a file"),
+    "stops early": ("open('job.dat', 'w').write(' displacements (vx,vy,vz) for set A and time 1.0E-01\\n"
+                    " 1  0.0E+00  0.0E+00  0.0E+00\\n')", "the run broke off"),
+    "loops": ("time.sleep(60)", "did not end within 1 s"),
+}  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script with a line #!")
+@pytest.mark.parametrize("how", BAD)
+def test_a_program_that_ends_badly_is_told_in_one_line(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    code, said = BAD[how]
+    program = tmp_path / "program"
+    program.write_text(f"#!{sys.executable}\nimport os, sys, time\n{code}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("CONTACTQP_CCX", str(program))
+    began = time.monotonic()
+    with pytest.raises(cq.BackendFailed) as caught:
+        cq.crosscheck(write(tmp_path, STACK), time_limit=1.0)
+    assert said in str(caught.value)
+    assert time.monotonic() - began < 30
+    assert (tmp_path / "model.ccx" / "job.inp").is_file()
+
+
+def test_the_command_says_right_wrong_or_not_installed(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deck = write(tmp_path, STACK)
+    results = printed(deck, exact(deck))
+    code, out, _ = command(capsys, "crosscheck", deck, results)
+    assert (code, ": right by its results" in out) == (0, True)
+    results = printed(deck, 1.1 * exact(deck))
+    code, out, _ = command(capsys, "crosscheck", deck, results, "--json")
+    assert (code, '"verdict": "wrong"' in out) == (1, True)
+    monkeypatch.setenv("CONTACTQP_CCX", "no-such-program")
+    code, _, error = command(capsys, "crosscheck", deck)
+    assert (code, len(error.splitlines())) == (3, 1)
+
+
+@needs_calculix
+def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
+    found = cq.crosscheck(write(tmp_path, STACK), reference="penalty", error_tolerance=1e-3)
+    assert found.passed, found.summary()
+    assert found.code.startswith("CalculiX 2.")
+    stiff = cq.crosscheck(write(tmp_path, STACK.replace("1e4\n", "1e8, 1e-6\n"), "stiff.inp"))
+    assert stiff.passed, stiff.summary()
+    assert (tmp_path / "stiff.ccx" / "job.log").is_file()
