@@ -29,6 +29,8 @@ from contactqp.solving.solve import solve
 
 # A case pays for so many influence functions, which may take a part of the memory that is free.
 PER_CASE, PART_OF_MEMORY = 8, 0.125
+# Of fewer unknowns solutions take a millisecond, and are right to the last digit, which forces by functions are not.
+FEWEST_UNKNOWNS = 500
 # A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
 OF_ALL = (BackendMissing, Unsupported)
 NUMBER = {word: number for number, word in enumerate(STATUS)}
@@ -125,6 +127,8 @@ def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
     """Return whether influence functions are offered of a problem, and the cases are enough for their number."""
     rough = problem.frictional or (cases.friction is not None and np.any(cases.friction > 0))
     count = problem.contacts + problem.ties
+    if problem.dimension < FEWEST_UNKNOWNS:
+        return False
     if rough or not 0 < count <= min(PER_CASE * cases.count, problem.dimension) or problem.has_idle_rows:
         return False
     if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
