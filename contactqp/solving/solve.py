@@ -157,9 +157,9 @@ def solve(
         The method promises the exact answer and the certificate refuses what it returned. Before the default method
         raises this, or NotConverged without friction, it tries other exact routes: Lemke's method, Lagrange
         multipliers, Clarabel and sparse systems, with friction other algorithms. The first answer that is certified is
-        returned, and `work.routes` says so. It does not where `polish` is False, `max_iter` or `time_limit` is given,
-        or the bodies are too large to factorise, and without friction not where constraints are so many that sparse
-        systems came first.
+        returned, and `work.routes` says so. It does not where `polish` is False, `max_iter` is given, `time_limit` is
+        over, or the bodies are too large to factorise, and without friction not where constraints are so many that
+        sparse systems came first.
     BackendMissing, Unsupported, InvalidProblem
         The method is not installed, cannot do this, or an argument is wrong.
 
@@ -236,7 +236,7 @@ def _solve(
     try:
         return _begun(problem, chosen, settings, condense, same["polish"], algorithm).finish()
     except (NotCertified, NotConverged) as error:
-        limited = not same["polish"] or same["max_iter"] or same["time_limit"] or time_is_up()
+        limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
             raise
         if iterated(problem):
@@ -313,6 +313,8 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     seconds = first.seconds if isinstance(first, Solution) else 0.0
     names: list[str] = []
     for route, changed in _routes(problem).items():
+        if time_is_up():
+            break
         names.append(route)
         try:
             found = begin(problem, **{**same, **changed}).finish()

@@ -124,3 +124,18 @@ def test_penetrations_and_forces_whose_ratio_is_beyond_doubles_are_told_all_the_
     assert not judged.passed
     assert judged.findings
     assert judged.diagnosis
+
+
+def test_free_motions_beside_rows_whose_sizes_leave_the_range_of_doubles(capfd: pytest.CaptureFixture[str]) -> None:
+    problem = cq.ContactProblem(
+        [[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 14, -14], [0, 0, 0, -14, 14]],
+        [0.0, -1.0, -0.6875, -22.5, 23.1875],
+        [[-1e229, 0, 1e229, 0, 0], [0, 4e-264, -4e-264, 0, 0], [0, 0, -1e-141, 0, 1e-141]],
+        [7e228, 2e-264, 5e-142], tie=[[0.0, 1.0, 0.0, 0.0, 0.0]], tie_value=[0.0],
+    )  # fmt: skip
+    right = cq.solve(problem)
+    assert right.free_motions
+    judged = cq.certify(problem, 1.1 * right.displacement, right.normal_force, None, right.tie_force)
+    assert not judged.passed
+    assert judged.findings
+    assert capfd.readouterr().out == ""

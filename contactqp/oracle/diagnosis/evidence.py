@@ -334,7 +334,7 @@ class Evidence:
         return 1e-3 * max(sizes, default=0.0)
 
     def _without_free_motions(self, difference: Vector) -> Vector:
-        if self.right is None or not self.right.free_motions:
+        if self.right is None or not self.right.free_motions or not np.isfinite(difference).all():
             return difference
         motions = np.column_stack([motion.direction for motion in self.right.free_motions])
         motions = motions * self.weights["displacement"][:, None]
