@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium
-from contactqp.linalg.equilibration import mostly_bare
+from contactqp.linalg.equilibration import ALIKE, balanced_exponents, mostly_bare
 from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.computed import Computed
@@ -36,9 +36,8 @@ ABSURD = 2.0**200
 FAR_AWAY = 2.0**300
 # Tangential rows that are so much smaller or larger than the normal row of their contact have a unit of their own.
 OWN_UNIT = 60
-# Rows that differ from one, or from each other, by more than this factor (1e9) say nothing of the size of an unknown
-# that K gives none.
-ALIKE = 30
+# Entries of a row that differ by more than this factor (7e19) are no rounding of each other.
+NO_ROUNDING = 66
 # Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
 LEAST_FRICTION = 2.0**-900
 # Says of a problem that it is one in these units.
@@ -283,7 +282,7 @@ def _units_are_own(problem: ContactProblem) -> bool:
     """
     if problem.diagonal.all() or mostly_bare(problem):
         return True
-    return _rows_are_alike(problem) and _uniform_unit(problem) == 0
+    return _rows_are_alike(problem) and _columns_are_alike(problem) and _uniform_unit(problem) == 0
 
 
 def _rows_are_alike(problem: ContactProblem) -> bool:
@@ -291,6 +290,20 @@ def _rows_are_alike(problem: ContactProblem) -> bool:
     sizes = np.concatenate([_row_exponents(problem.normal), _row_exponents(problem.tie)])
     sizes = np.append(sizes[sizes > LEAST], 0)
     return int(np.ptp(sizes)) <= ALIKE
+
+
+def _columns_are_alike(problem: ContactProblem) -> bool:
+    """Return whether the largest entries at unknowns without stiffness are near one, and rows hold none far smaller."""
+    matrices = _matrices(problem)
+    sizes = _exponent(_largest_without_stiffness(problem, matrices))
+    sizes = np.append(sizes[sizes > LEAST], 0)
+    entries = _entries(matrices)
+    bare = problem.diagonal[entries.col] == 0
+    exponent, row = _exponent(entries.data[bare]), entries.row[bare]
+    largest, least = np.full(entries.shape[0], NONE), np.full(entries.shape[0], -NONE)
+    np.maximum.at(largest, row, exponent)
+    np.minimum.at(least, row, exponent)
+    return int(np.ptp(sizes)) <= ALIKE and bool(np.all(largest - least <= NO_ROUNDING))
 
 
 def _row_exponents(rows: Any) -> Index:
@@ -317,7 +330,7 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
     diagonal, rows, unit = problem.diagonal[problem.diagonal > 0], _matrices(problem), _uniform_unit(problem)
     exponents = _exponent(diagonal) + 2 * unit
     near = bool(np.all(abs(exponents) <= FARTHEST)) and all(_near(_largest(matrix)) for matrix in rows)
-    if not (near and _near(_largest_without_stiffness(problem, rows))):
+    if not (near and _near(_largest_without_stiffness(problem, rows))) or not _columns_are_alike(problem):
         return None
     sizes = np.concatenate([_row_exponents(matrix) for matrix in rows])
     alike = bool(problem.diagonal.all()) or _rows_are_alike(problem)
@@ -371,13 +384,28 @@ def _rescaled(
     return ContactProblem._of_checked(values, computed), (unknowns, normal, across, tie)
 
 
+def _entries(matrices: list[Any]) -> Any:
+    """Return the entries of rows that are not zero."""
+    entries = sp.coo_array(sp.vstack(matrices))
+    entries.eliminate_zeros()
+    return entries
+
+
+def _of_constraints(problem: ContactProblem, entries: Any) -> Any:
+    """Return entries of the rows of normals, ties and tangents with those of a contact in one row, in one unit."""
+    others = problem.contacts + problem.ties
+    width = max((entries.shape[0] - others) // max(problem.contacts, 1), 1)
+    row = np.where(entries.row < others, entries.row, (entries.row - others) // width)
+    return sp.coo_array((entries.data, (row, entries.col)), shape=entries.shape)
+
+
 def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
     """Return the exponents of D (n,), and of the rows of normals, ties and tangents.
 
-    Unknowns with stiffness make that one; those without have the unit in which the largest of their entries is that of
-    its row.
+    Unknowns with stiffness make that one; those without have the units in which all entries of rows are of a size, or
+    the largest of their entries is that of its row.
     """
-    entries = sp.coo_array(sp.vstack(_matrices(problem)))
+    entries = _entries(_matrices(problem))
     count, exponent, stiff = entries.shape[0], _exponent(entries.data), problem.diagonal > 0
 
     def largest(into: int, at: Index, values: Index) -> Index:
@@ -386,6 +414,10 @@ def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
         return found
 
     unknowns = np.where(stiff, -(_exponent(problem.diagonal) // 2), 0)
+    balanced = balanced_exponents(_of_constraints(problem, entries), exponent, unknowns, ~stiff)
+    if balanced is not None:
+        sizes = largest(count, entries.row, exponent + balanced[entries.col])
+        return balanced, np.where(sizes > LEAST, sizes, 0)
     use = stiff[entries.col]
     sizes = largest(count, entries.row[use], (exponent + unknowns[entries.col])[use])
     sizes = np.where(sizes > LEAST, sizes, largest(count, entries.row, exponent + unknowns[entries.col]))

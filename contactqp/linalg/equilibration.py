@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
@@ -28,6 +28,11 @@ MOST_BARE = 6
 NO_LENGTH = 1e-6
 # Sweeps over rows and columns; what is left to balance shrinks by each as the couplings of the bodies allow.
 BALANCING_SWEEPS = 10
+# Rows whose largest entries differ from one, or from each other, by more than this factor (2^30 = 1e9) say nothing of
+# the size of an unknown that K gives none; nor do the largest entries of such unknowns.
+ALIKE = 30
+# Weight of the exponents of unknowns beside those of entries, where they are balanced.
+HARDLY = 1e-2
 # An entry below this part of the largest of its row is what cancellation has left of zero.
 ROUNDING_OF_A_ROW = 1e-13
 
@@ -256,6 +261,39 @@ def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Ve
         of_column = -(each / in_columns) @ in_group
     size = np.where(there, logarithm + of_column, -np.inf).max(axis=1, initial=-np.inf)
     return np.exp(np.where(np.isfinite(size), -size, 0.0)), np.exp(of_column)
+
+
+def balanced_exponents(entries: Any, exponent: Index, unknowns: Index, free: Mask) -> Index | None:
+    """Return binary exponents of D (n,) for which the entries E_ij D_j of each row are alike; None where none do that.
+
+    Exponents of the `free` unknowns are the least squares of log |E_ij D_j / R_i| over D and R; the others are given.
+    Where nothing is given, those of D are small.
+
+    Parameters
+    ----------
+    entries : sparse array in coordinates, (r, n)
+        E, without entries of zero.
+    exponent : (z,) array
+        The binary exponents of the entries.
+    unknowns, free : (n,) arrays
+        The exponents of D that are given, and which are not.
+    """
+    from scipy.sparse.linalg import lsqr
+
+    count, z = entries.shape[0], len(exponent)
+    mine = np.flatnonzero(free[entries.col])
+    columns, at = np.unique(entries.col[mine], return_inverse=True)
+    q = len(columns)
+    place = np.concatenate([np.arange(z), mine, z + np.arange(q)])
+    unknown = np.concatenate([entries.row, count + at, count + np.arange(q)])
+    factors = np.concatenate([-np.ones(z), np.ones(len(mine)), np.full(q, HARDLY)])
+    given = np.append(exponent + np.where(free[entries.col], 0, unknowns[entries.col]), np.zeros(q))
+    equations = sp.csr_array((factors, (place, unknown)), shape=(z + q, count + q))
+    found = np.round(lsqr(equations, -given.astype(float), atol=1e-12, btol=1e-12)[0]).astype(np.int64)
+    balanced = unknowns.copy()
+    balanced[columns] = found[count:]
+    left = exponent + balanced[entries.col] - found[entries.row]
+    return balanced if int(np.max(abs(left), initial=0)) <= ALIKE else None
 
 
 def unknown_scale(problem: ContactProblem) -> Array:

@@ -334,3 +334,33 @@ def test_rows_of_several_sizes_hide_no_tension_where_nothing_is_stiff() -> None:
     torn = cq.certify(problem, u, [0.0, 256.0 - 2.0**-8 * 4.194304, -4.194304, 0.0, 0.0], tie_force=ties)
     assert not torn.passed
     assert "tension" in torn.failures[0]
+
+
+@pytest.mark.parametrize("apart", [1e6, 1e12, 1e16, 1e40, 1e100])
+def test_unknowns_that_nothing_is_stiff_at_have_units_of_their_own(apart: float) -> None:
+    """Two unknowns tied and held by rows alone, in units far apart: lengths of one hide none of the other."""
+    units = np.exp2(np.round(np.log2([1 / apart, apart])))
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)), units * [0.0, 2.0], units * [[-1.0, 2.0], [2.0, -1.0]], [4.0, -2.0],
+        tie=units * [[-2.0, 0.0]], tie_value=[4.0],
+    )  # fmt: skip
+    solution = cq.solve(problem)
+    assert solution.displacement * units == pytest.approx([-2.0, 1.0])
+    assert solution.normal_force == pytest.approx([1.0, 0.0])
+    pushing = [1 + np.sqrt(2.0), 2 * np.sqrt(2.0)], [0.25 + 0.97 * np.sqrt(2.0)]
+    tie = (2 * pushing[0][1] - pushing[0][0]) / 2
+    assert not cq.certify(problem, np.array([-2.0, -0.5]) / units, pushing[0], None, [tie]).passed
+
+
+def test_rows_and_unknowns_in_units_of_both_that_hide_each_other() -> None:
+    """Every unknown has an entry of one half, yet what meets in the rows is 1e-25: open contacts do not push there."""
+    e = 2.0**-82
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)), [0.0, 0.5], [[-e, 0.5], [4 * e, -0.5]], [e, -e], tie=[[-0.5, 0.0]], tie_value=[0.25]
+    )
+    assert cq.solve(problem).normal_force == pytest.approx([1.0, 0.0])
+    forces = [1 + 2 * np.sqrt(2.0), 2 * np.sqrt(2.0)]
+    tie = 2 * (4 * e * forces[1] - e * forces[0])
+    judged = cq.certify(problem, [-0.5, -e / 2], forces, None, [tie])
+    assert not judged.passed
+    assert any("complementarity" in text for text in judged.failures)

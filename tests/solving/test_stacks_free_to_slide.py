@@ -209,11 +209,18 @@ def test_where_all_routes_are_refused_the_user_is_told_of_all(monkeypatch: pytes
     assert caught.value.solution.method == "active-set"
 
 
-def test_who_names_a_limit_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_limits_iterations_is_told_at_once_and_who_limits_time_while_there_is_any_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     problem = cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3])
     monkeypatch.setattr(solving, "find", _spoiling("active-set"))
     with pytest.raises(cq.NotCertified):
-        cq.solve(problem, time_limit=10.0)
+        cq.solve(problem, max_iter=10)
+    solution = cq.solve(problem, time_limit=60.0)
+    assert solution.work.routes[-1] == "lemke: its answer is certified"
+    monkeypatch.setattr(solving, "time_is_up", lambda: True)
+    with pytest.raises(cq.NotCertified):
+        cq.solve(problem, time_limit=60.0)
 
 
 def rough(seed: int, decades: float) -> cq.ContactProblem:

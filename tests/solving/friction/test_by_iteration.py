@@ -279,7 +279,7 @@ def test_where_the_iteration_ends_without_an_answer_the_body_is_factorised(
     monkeypatch.setattr(by_iteration.FrictionNewton, "run", lambda *_: None)
     monkeypatch.setattr(by_iteration, "MAX_STEPS", 2)
     with pytest.raises(cq.NotConverged):
-        cq.solve(large, time_limit=600.0)
+        cq.solve(large, max_iter=2)
     solution = cq.solve(large)
     assert solution.work.factorisations > 0
     assert solution.work.routes[0].startswith(
