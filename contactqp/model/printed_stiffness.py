@@ -44,8 +44,9 @@ INEXACT = 8.0
 DEVIATIONS = 4.0
 # Springs push back where they are moved to: of the work z_j (K z)_j of lost digits this part has the other sign.
 OTHER_SIGN = 0.01
-# Decimal digits of a printed matrix, at most, and entries that are looked at first.
-MOST_DIGITS, LOOKED_AT = 12, 64
+# Decimal digits of a printed matrix, at least and at most, and entries that are looked at first. Fewer are those of
+# whole numbers, which are exact: what half a digit of theirs would be holds or drives anything.
+FEWEST_DIGITS, MOST_DIGITS, LOOKED_AT = 4, 12, 64
 # A change of so many roundings of the largest entries, the diagonal being one, is no rounding of them.
 MOST_ROUNDINGS, COARSEST_ROUNDINGS = 2.0, 16.0
 # Entries of a single motion that are so near to 0, 1 or -1 are that.
@@ -150,7 +151,7 @@ def _scaled(matrix: Any, members: NDArray[np.intp], scale: Array) -> Any:
 
 
 def _rounding_of_digits(stiffness: Any) -> Any | None:
-    """Half a unit of the last printed digit of each entry, on the pattern of K; None where entries have all digits.
+    """Half a unit of the last printed digit of each entry, on the pattern of K; None where digits are few or all.
 
     Digits are counted from the first of each entry, or, where all have as many after the point, from there.
     """
@@ -162,6 +163,8 @@ def _rounding_of_digits(stiffness: Any) -> Any | None:
         if _has_digits(entries, digits):
             break
     else:
+        return None
+    if digits < FEWEST_DIGITS:
         return None
     half = 0.5 * 10.0 ** (np.floor(np.log10(entries)) - digits + 1)
     places = _places(entries)

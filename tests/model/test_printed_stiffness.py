@@ -221,3 +221,15 @@ def test_large_bodies_are_recognised_too() -> None:
     printed = sp.csr_array((print_and_read(K.data[None], 9)[0], (K.row, K.col)), shape=K.shape)
     problem = cq.ContactProblem(printed, np.zeros(900), np.zeros((0, 900)), [])
     assert 0 < problem.rigid_change < 1e-7
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-2, 1e5])
+def test_whole_numbers_were_not_printed(unit: float) -> None:
+    """Semidefinite matrices of one digit, whose translations half a digit of every entry would resist."""
+    rows = [[8.0, 0, -2, 0], [0, 2, 1, 4], [-2, 1, 1, 2], [0, 4, 2, 8]]
+    more = [[1, 0, -2, 2, 2, -1], [0, 1, 1, -2, 1, -1], [-2, 1, 5, -6, -3, 1], [2, -2, -6, 8, 2, 0],
+            [2, 1, -3, 2, 5, -3], [-1, -1, 1, 0, -3, 2]]  # fmt: skip
+    for given in (unit * np.array(rows), unit * np.array(more, dtype=float)):
+        problem = cq.ContactProblem(given, np.zeros(len(given)), np.eye(len(given))[:1], [0.0])
+        assert problem.rigid_change == 0
+        assert np.array_equal(problem.stiffness, given)

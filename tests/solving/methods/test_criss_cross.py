@@ -94,6 +94,7 @@ def feasible_set(problem: ContactProblem) -> bool:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6))
+@example(seed=659)  # whole numbers that were taken for printed digits
 @example(seed=769)  # two equal contacts at an unknown without stiffness, which is zero but for rounding of other rows
 def test_every_solvable_problem_that_contacts_hold_is_solved(seed: int) -> None:
     _is_solved_if_held(seed)
