@@ -38,15 +38,16 @@ class PairVerdict(ReadOnly):
         resultant [-].
     noise : float
         What the printed digits leave of it [-].
-    penalty_resultant, mortar_resultant : float, optional
-        The sums of the exact forces on the springs that the deck states, and with no overlap on the average.
+    penalty_resultant, other_resultant : float, optional
+        The sums of the exact forces on the springs that the deck states, and in another discretisation of the mesh: no
+        overlap on the average over faces or, of quadratic and axisymmetric faces, at their Gauss points.
     mesh_error : float
-        How far the resultants with no overlap on the average and with none at nodes are apart [-]; 0 where the deck
-        itself asks for nodes or the master is plane.
+        How far the resultant in the other discretisation is from the exact one [-]; 0 where the deck itself asks for
+        nodes, or linear faces meet a plane.
     causes : tuple of str
         What parts the two answers, in words.
     labels : (m,) array of int
-        The slave nodes, those that cannot move left out.
+        The slave nodes, those that cannot move left out; of quadratic faces that are integrated over, the corners.
     force, reference_force : (m,) arrays
         Their normal forces [force].
     gap : (m,) array
@@ -63,7 +64,7 @@ class PairVerdict(ReadOnly):
     error: float
     noise: float
     penalty_resultant: float | None
-    mortar_resultant: float | None
+    other_resultant: float | None
     mesh_error: float
     causes: tuple[str, ...]
     labels: Index
@@ -90,7 +91,7 @@ class PairVerdict(ReadOnly):
             "error": self.error,
             "noise": self.noise,
             "penalty_resultant": self.penalty_resultant,
-            "mortar_resultant": self.mortar_resultant,
+            "other_resultant": self.other_resultant,
             "mesh_error": self.mesh_error,
             "causes": list(self.causes),
             "nodes": [
@@ -202,9 +203,7 @@ def _of_pair(pair: PairVerdict, reference: str, tolerance: float) -> list[str]:
     if pair.noise > 0.1 * tolerance:
         lines.append(f"    the printed digits leave {pair.noise:.2g} of the resultant open")
     if pair.mesh_error > 0:
-        lines.append(
-            f"    no overlap at nodes and no overlap on the average differ by {pair.mesh_error:.2g} on this mesh"
-        )
+        lines.append(f"    two exact discretisations of this mesh differ by {pair.mesh_error:.2g} of the resultant")
     lines += [f"    {cause}" for cause in pair.causes]
     if pair.word != "right" and len(pair.labels):
         lines += _table(pair, reference)
@@ -215,8 +214,8 @@ def _others(pair: PairVerdict, reference: str) -> str:
     told = ""
     if pair.penalty_resultant is not None and reference == "exact":
         told += f"; on the springs of the deck {pair.penalty_resultant:.6g}"
-    if pair.mortar_resultant is not None:
-        told += f"; on the average over faces {pair.mortar_resultant:.6g}"
+    if pair.other_resultant is not None:
+        told += f"; discretised otherwise {pair.other_resultant:.6g}"
     return told
 
 

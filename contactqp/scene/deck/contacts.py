@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 from contactqp.elements.mortar import pair_mortar
 from contactqp.elements.nodal_pressure import node_normals
 from contactqp.elements.node_to_segment import Partners, nearest_facets, pair_node_to_segment
-from contactqp.elements.pairing import Pairing
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.pairing import Pairing, contact_rows
 from contactqp.elements.reference_elements import REFERENCES, facet_keys, groups
-from contactqp.elements.surface import Surface, diameters, kind_of, middle_normals
+from contactqp.elements.surface import Surface, diameters, kind_of, middle_normals, normal_vectors, tangent_vectors
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import ContactPair, DeckSurface, DeckTie, Faces, Interaction
 from contactqp.model.arrays import Index, Vector
 from contactqp.scene.deck.groups import Topology
 
 Points = NDArray[np.float64]
-Discretisation = Literal["node-to-segment", "mortar"]
+Discretisation = Literal["node-to-segment", "mortar", "points"]
 NONE: Index = np.zeros(0, dtype=np.int64)
 # Where a tie states no tolerance: this part of the mean size of the master's faces, as CalculiX takes it.
 TIED = 0.025
@@ -46,7 +47,7 @@ class DeckContact:
     labels : (m,) array of int
         The slave node of each contact, by its label.
     discretisation : str
-        ``"node-to-segment"`` or ``"mortar"``.
+        ``"node-to-segment"``, ``"mortar"`` or ``"points"``.
     """
 
     pair: ContactPair
@@ -220,7 +221,8 @@ def tie_rows(surfaces: Surfaces, points: Points) -> tuple[Any, list[str]]:
 def contacts_of(surfaces: Surfaces, points: Points, discretisation: Discretisation) -> list[DeckContact]:
     """Return the contact pairs of a deck, each with its rows and gaps.
 
-    A mortar takes linear faces in the plane and in space; all else is paired node to segment.
+    A mortar takes linear faces in the plane and in space; all else is paired node to segment. By points, Gauss
+    points of the slave's faces take the place of its nodes.
 
     Raises
     ------
@@ -238,12 +240,15 @@ def _contact(surfaces: Surfaces, pair: ContactPair, points: Points, discretisati
     mortar = discretisation == "mortar" and takes
     overlap = DEEPEST * float(diameters(slave.points[slave.facets]).max())
     try:
-        make = pair_mortar if mortar else pair_node_to_segment
-        pairing = make(slave, master, overlap=overlap, dimension=surfaces.topology.size)
+        if discretisation == "points":
+            pairing = _pair_points(slave, master, surfaces.topology.size)
+        else:
+            make = pair_mortar if mortar else pair_node_to_segment
+            pairing = make(slave, master, overlap=overlap, dimension=surfaces.topology.size)
     except InvalidProblem as error:
         numbers = f"nodes are counted from 0 here, node 0 is {surfaces.topology.labels[0]}"
         raise InvalidProblem(f"{pair.place}: *CONTACT PAIR: {error} ({numbers})") from None
-    kind: Discretisation = "mortar" if mortar else "node-to-segment"
+    kind: Discretisation = "mortar" if mortar else "points" if discretisation == "points" else "node-to-segment"
     if pair.type != "NODE TO SURFACE" and kind == "node-to-segment":
         note(model.ledger.assumed, f"{pair.place}: {pair.type}: no overlap at slave nodes")
     if (pair.slave, pair.master) in model.clearances:
@@ -257,6 +262,43 @@ def _contact(surfaces: Surfaces, pair: ContactPair, points: Points, discretisati
     return DeckContact(pair, interaction, slave, master, pairing, labels, kind)
 
 
+def _pair_points(slave: Surface, master: Surface, dimension: int) -> Pairing:
+    """Pair the Gauss points of the slave's faces, two along each direction, with the nearest points of the master.
+
+    It is what springs at integration points tend to as they get stiff. Each contact has the node nearest to it.
+    """
+    kind, other = kind_of(slave), kind_of(master)
+    xi, weight = kind.quadrature(2)
+    shape, count = kind.shape(xi), len(slave.facets)
+    corners = slave.points[slave.facets]
+    points = np.einsum("qk,pkd->pqd", shape, corners).reshape(-1, slave.dimension)
+    slopes = np.tile(kind.derivatives(xi), (count, 1, 1))
+    outward = normal_vectors(tangent_vectors(np.repeat(corners, len(xi), axis=0), slopes))
+    size = np.linalg.norm(outward, axis=1)
+    partners = nearest_facets(points, outward / size[:, None], master, None)
+    near = np.flatnonzero(partners.found & ~partners.beyond)
+    if not len(near):
+        raise InvalidProblem(f"{slave.name} and {master.name} do not face each other")
+    facet, local = np.divmod(near, len(xi))
+    theirs = master.facets[partners.facet[near]]
+    weights = np.concatenate([shape[local], -other.shape(partners.xi[near])], axis=1)
+    columns = np.concatenate([slave.unknowns[slave.facets[facet]], master.unknowns[theirs]], axis=1)
+    normals, entry = partners.normal[near], np.repeat(np.arange(len(near)), weights.shape[1])
+    E_N, E_T = contact_rows(
+        entry,
+        weights.ravel(),
+        columns.reshape(len(entry), slave.dimension),
+        normals[entry],
+        tangent_frames(normals)[entry],
+        (len(near), dimension),
+    )
+    area = (size * np.tile(weight, count))[near] * slave.thickness
+    area = area * (2 * np.pi * points[near, 0] if slave.revolved else 1.0)
+    nodes = slave.facets[facet, np.argmax(shape[local], axis=1)]
+    none = np.zeros(0, dtype=np.int64)
+    return Pairing(E_N, partners.gap[near], E_T, nodes, points[near], normals, none, area)
+
+
 def note(lines: list[str], line: str) -> None:
     """Add a line to a part of a ledger, once."""
     if line not in lines:
@@ -265,6 +307,8 @@ def note(lines: list[str], line: str) -> None:
 
 def contact_names(contacts: Sequence[DeckContact]) -> list[str]:
     """Return ``node 17`` for each contact; with the pair where a node has several."""
+    if any(one.discretisation == "points" for one in contacts):
+        return [f"point {i} of {one.pair.name}" for one in contacts for i in range(len(one.labels))]
     every = np.concatenate([NONE, *(one.labels for one in contacts)])
     values, count = np.unique(every, return_counts=True)
     several = set(values[count > 1].tolist())

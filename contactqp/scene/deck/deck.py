@@ -78,6 +78,11 @@ class Deck:
         """Return the contact pairs as a mortar, where their faces are linear: no overlap on the average."""
         return self._contacts("mortar")
 
+    @cached_property
+    def by_points(self) -> DeckContacts:
+        """Return the contact pairs at the Gauss points of the slaves' faces: none of them overlaps."""
+        return self._contacts("points")
+
     def _contacts(self, discretisation: Discretisation) -> DeckContacts:
         with naming(self.model.file):
             contacts = contacts_of(self._surfaces, self.assembly.points, discretisation)
@@ -123,7 +128,8 @@ class Deck:
         discretisation : str
             ``"node-to-segment"``: no slave node overlaps. ``"mortar"``: no overlap on the average over each slave
             node's share of the surface, for pairs of linear faces that are not axisymmetric; others stay as they are.
-            How far the two are apart is what the mesh leaves open.
+            ``"points"``: no Gauss point of a slave's face overlaps, which springs at integration points tend to. How
+            far they are apart is what the mesh leaves open.
 
         Returns
         -------
@@ -135,10 +141,16 @@ class Deck:
         InvalidProblem
             A deck whose nodes are all held; elements, surfaces or pairs that are none, by line.
         """
-        contacts = self.by_mortar if discretisation == "mortar" else self.by_nodes
+        contacts = self.contacts(discretisation)
         with naming(self.model.file):
             exact = self._exact(contacts.free)
             return exact if enforcement == "exact" else self._on_springs(exact, contacts)
+
+    def contacts(self, discretisation: Discretisation) -> DeckContacts:
+        """Return the contact pairs of the deck in one discretisation."""
+        found = {"node-to-segment": "by_nodes", "mortar": "by_mortar", "points": "by_points"}
+        contacts: DeckContacts = getattr(self, found[discretisation])
+        return contacts
 
     def _exact(self, contacts: FreeContacts) -> ContactProblem:
         assembly, free = self.assembly, self.free

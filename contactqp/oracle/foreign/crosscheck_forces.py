@@ -1,0 +1,213 @@
+"""Forces of another code and of the exact answer at the slave nodes of a deck's contact pairs.
+
+The forces of the other code follow from its displacements u by the deck's own stiffness: K u - f is what contacts, ties
+and supports do to the bodies, node by node. At a slave node that is the contact force, along the normal of the master.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.elements.nodal_pressure import node_normals, tributary_areas
+from contactqp.elements.surface import kind_of
+from contactqp.linalg.equilibration import unknown_scale
+from contactqp.model.arrays import Index, Vector
+from contactqp.oracle.foreign.recovery import balancing_forces
+from contactqp.scene.deck.contacts import DeckContact, Discretisation
+from contactqp.scene.deck.deck import Deck, Enforcement
+from contactqp.solving.solve import solve
+
+# Rounding of printed digits is even over half a unit of the last one: so many standard deviations are no doubt left.
+SURE = 6.0
+# A component of a unit normal below this is rounding.
+ALONG = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignAnswer:
+    """The displacements of another code over all unknowns of a deck, held ones included.
+
+    Attributes
+    ----------
+    deck : Deck
+    u : (n,) array [length]
+    unit : (n,) array
+        What the last printed digit of each is worth [length].
+    """
+
+    deck: Deck
+    u: Vector
+    unit: Vector
+
+    @cached_property
+    def forces(self) -> Vector:
+        """Return K u - f, what contacts, ties and supports do to the bodies, (n,) [force]."""
+        return np.asarray(self.deck.assembly.stiffness @ self.u - self.deck.assembly.load)
+
+    @cached_property
+    def variance(self) -> Vector:
+        """Return the variance of the rounding of each u, even over one unit of the last digit [length^2]."""
+        return np.asarray(self.unit**2 / 12)
+
+    @cached_property
+    def noise(self) -> Vector:
+        """Return what the printed digits leave of `forces`, (n,) [force]."""
+        squares = self.deck.assembly.stiffness.copy()
+        squares.data = squares.data**2
+        return np.asarray(SURE * np.sqrt(squares @ self.variance))
+
+    def noise_along(self, direction: Vector) -> float:
+        """Return what the printed digits leave of the sum of the forces times a direction (n,) [force]."""
+        along = self.deck.assembly.stiffness @ direction
+        return float(SURE * np.sqrt((along**2) @ self.variance))
+
+    @cached_property
+    def recovered(self) -> Vector:
+        """Return the forces of all contacts, node to segment, that balance together what acts on the free unknowns."""
+        problem = self.deck.problem()
+        rows = sp.csr_array(sp.vstack([problem.normal, problem.tie], format="csr"))
+        pushing = np.zeros(rows.shape[0], dtype=bool)
+        found, _ = balancing_forces(rows, -self.forces[self.deck.free], pushing, unknown_scale(problem))
+        return found[: problem.contacts]
+
+
+@dataclass(frozen=True, eq=False)
+class PairNodes:
+    """The slave nodes at which a pair is judged.
+
+    Attributes
+    ----------
+    contact : DeckContact
+        Node to segment.
+    nodes : (q,) array of int
+    direction : (q, d) array
+        The normal of the master at each, or minus the slave's own where it has no partner.
+    row : (q,) array of int
+        The contact of each among those of the pair, -1 where it has none.
+    contacts : (q,) array of int
+        The contact of each among those of the problem, -1 where it has none or where nothing moves it.
+    alone : bool
+        Nothing but the pair acts on these nodes along their normals, so that their forces are known one by one.
+    """
+
+    contact: DeckContact
+    nodes: Index
+    direction: NDArray[np.float64]
+    row: Index
+    contacts: Index
+    alone: bool
+
+    @property
+    def unknowns(self) -> Index:
+        """Return where the displacements of the nodes stand in u, (q, d)."""
+        return np.asarray(self.contact.slave.unknowns[self.nodes])
+
+    @property
+    def of_quadratic_faces(self) -> bool:
+        """Return whether the deck asks for contact of faces, and the slave's are quadratic."""
+        return self.contact.pair.type != "NODE TO SURFACE" and kind_of(self.contact.slave).quadratic
+
+    @cached_property
+    def area(self) -> Vector:
+        """Return the share of the slave surface that belongs to each node, (q,) [area]."""
+        slave = self.contact.slave
+        return np.asarray(tributary_areas(slave)[np.searchsorted(slave.nodes, self.nodes)])
+
+    def gap(self, u: Vector) -> Vector:
+        """Return the gaps at a displacement of all unknowns, NaN where a node has no partner, (q,) [length]."""
+        pairing = self.contact.pairing
+        return np.where(self.row < 0, np.nan, (pairing.gap - pairing.normal @ u)[self.row])
+
+    def forces(self, answer: ForeignAnswer) -> tuple[Vector, NDArray[np.float64]]:
+        """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
+        if self.alone:
+            vectors = answer.forces[self.unknowns]
+            return self.along(vectors), vectors
+        force = np.where(self.contacts < 0, 0.0, answer.recovered[self.contacts])
+        return force, force[:, None] * self.direction
+
+    def along(self, vectors: NDArray[np.float64]) -> Vector:
+        """Return the parts of vectors (q, d) along the normals, (q,)."""
+        return np.asarray(np.einsum("qd,qd->q", vectors, self.direction))
+
+    @cached_property
+    def shares(self) -> Any:
+        """Return how the forces of nodes are shared before they are compared, (q, q) CSR: each is its own as a rule.
+
+        Forces of faces on quadratic elements are no forces of nodes: under an even pressure the corners of a
+        serendipity face pull. Half of the force in the middle of an edge goes to each of its ends: the integrals of the
+        pressure with the linear shape functions, in which a pull is one.
+        """
+        count, slave = len(self.nodes), self.contact.slave
+        kind = kind_of(slave)
+        if not self.of_quadratic_faces:
+            return sp.eye_array(count, format="csr")
+        place = np.full(len(slave.points), -1)
+        place[self.nodes] = np.arange(count)
+        edges = kind.edges if kind.nodes.shape[1] == 2 else np.array([[0, 1]])
+        ends: dict[int, set[int]] = {}
+        for facet in slave.facets.tolist():
+            for at, edge in enumerate(edges.tolist()):
+                ends.setdefault(facet[kind.corners + at], set()).update(facet[end] for end in edge)
+        share = sp.lil_array((count, count))
+        for at, node in enumerate(self.nodes.tolist()):
+            corners = [place[end] for end in ends.get(node, ()) if place[end] >= 0] or [at]
+            for corner in corners:
+                share[corner, at] += 1.0 / len(corners)
+        return sp.csr_array(share)
+
+
+def pair_nodes(deck: Deck, number: int) -> PairNodes:
+    """Return the nodes at which a contact pair is judged: all slave nodes that the pair alone acts on, if it can be."""
+    contacts = deck.by_nodes
+    contact = contacts.pairs[number]
+    slave, pairing = contact.slave, contact.pairing
+    nodes = slave.nodes
+    row = np.full(len(nodes), -1)
+    row[np.searchsorted(nodes, pairing.nodes)] = np.arange(len(pairing.nodes))
+    direction = -node_normals(slave)
+    direction[row >= 0] = pairing.direction[row[row >= 0]]
+    of_problem, of_pair = contacts.of_pair(number)
+    place = np.full(len(pairing.nodes) + 1, -1)
+    place[of_pair] = of_problem
+    parts = [np.flatnonzero(~np.isnan(deck.assembly.prescribed)), deck.ties.indices]
+    parts += [one.pairing.normal.indices for other, one in enumerate(contacts.pairs) if other != number]
+    acted = np.isin(slave.unknowns[nodes], np.concatenate(parts)) & (abs(direction) > ALONG)
+    lone = np.asarray(~acted.any(axis=1))
+    alone = bool(lone[place[row] >= 0].all())
+    kept = lone if alone else place[row] >= 0
+    return PairNodes(contact, nodes[kept], direction[kept], row[kept], place[row[kept]], alone)
+
+
+def reference_forces(
+    deck: Deck, pairs: list[PairNodes], enforcement: Enforcement, discretisation: Discretisation
+) -> list[NDArray[np.float64]]:
+    """Return the forces (q, d) of the exact answer on the slave nodes of each pair, friction included [force].
+
+    Where forces are not known node by node, they are those of the contacts along their normals.
+    """
+    contacts = deck.contacts(discretisation)
+    solution = solve(deck.problem(enforcement, discretisation))
+    found = []
+    for number, judged in enumerate(pairs):
+        contact = contacts.pairs[number]
+        of_problem, of_pair = contacts.of_pair(number)
+        force = np.zeros(len(contact.labels))
+        force[of_pair] = solution.normal_force[of_problem]
+        on_bodies = -(contact.pairing.normal.T @ force)
+        if solution.friction_force is not None and judged.alone:
+            d = contact.pairing.direction.shape[1]
+            along = np.zeros((len(force), d - 1))
+            along[of_pair] = np.asarray(solution.friction_force)[of_problem].reshape(-1, d - 1)
+            on_bodies -= contact.pairing.tangent.T @ along.ravel()
+        if not judged.alone and discretisation == "node-to-segment":
+            found.append(np.where(judged.row < 0, 0.0, force[judged.row])[:, None] * judged.direction)
+        else:
+            found.append(on_bodies[judged.unknowns])
+    return found
