@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.surface import kind_of
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
 from contactqp.exchange.calculix_process import run_calculix
 from contactqp.exchange.calculix_results import read_displacements
@@ -48,8 +47,9 @@ def crosscheck(
     """Judge the contact of a deck as CalculiX solves it, pair by pair.
 
     A pair is right where its resultant, the vector of its forces and the force of every node are within
-    `error_tolerance` times the resultant of the reference. The verdict says what parts the answers: springs in the
-    place of contact, nodes that pull, numbers that were cut off, contact that was not found.
+    `error_tolerance` times the resultant of the reference; forces of nodes, where a deck asks for contact of faces,
+    also within what two exact discretisations of its mesh differ by. The verdict says what parts the answers: springs
+    in the place of contact, nodes that pull, numbers that were cut off, contact that was not found.
 
     Parameters
     ----------
@@ -132,6 +132,27 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
     return u, np.where(u == 0, 0.0, 10.0 ** (np.where(u == 0, 0.0, exponent) - digits + 1))
 
 
+@dataclass(frozen=True)
+class Errors:
+    """How far the resultant of a pair, and the force of its worst node, are from the reference, of the resultant."""
+
+    resultant: float
+    node: float
+
+
+def _word(off: Errors, noise: float, mesh: Errors, tolerance: float) -> Word:
+    """Return the verdict on a pair; what other discretisations of the mesh differ by is no mistake of a code.
+
+    Wrong is what is off by more than twice of that, and right what is off by no more, the resultant by no more than the
+    tolerance.
+    """
+    if off.resultant <= tolerance and off.node <= max(tolerance, mesh.node):
+        return "right" if noise <= tolerance else "undecided"
+    if off.resultant > max(tolerance + noise, 2 * mesh.resultant) or off.node > max(tolerance, 2 * mesh.node):
+        return "wrong"
+    return "undecided"
+
+
 @dataclass(frozen=True, eq=False)
 class _Judging:
     """The verdict on an answer, by a reference."""
@@ -149,41 +170,52 @@ class _Judging:
         return [pair_nodes(self.deck, number) for number in range(len(self.deck.by_nodes.pairs))]
 
     @cached_property
-    def _truth(self) -> list[Forces]:
-        """Return the forces of the reference: no overlap at slave nodes or, of quadratic faces, at their Gauss points.
+    def _types(self) -> set[str]:
+        return {one.contact.pair.type for one in self._nodes}
 
-        Where nothing overlaps at the nodes of linear faces, nothing does between them; of quadratic ones springs at
-        integration points tend to what is without overlap there.
-        """
-        by_nodes = reference_forces(self.deck, self._nodes, self.reference, "node-to-segment")
-        if not self._by_points or self.reference == "penalty":
-            return by_nodes
+    @cached_property
+    def _truth(self) -> list[Forces]:
+        """Return the forces of the reference: no overlap at slave nodes or, of quadratic faces, at Gauss points."""
+        if self.reference == "penalty" or not self._by_points:
+            return self._by_nodes
         return [
             points if one.of_quadratic_faces and one.alone else nodes
-            for one, nodes, points in zip(self._nodes, by_nodes, self._by_points, strict=True)
+            for one, nodes, points in zip(self._nodes, self._by_nodes, self._by_points, strict=True)
         ]
 
     @cached_property
+    def _by_nodes(self) -> list[Forces]:
+        return reference_forces(self.deck, self._nodes, self.reference, "node-to-segment")
+
+    @cached_property
     def _by_points(self) -> list[Forces]:
-        """Return the exact forces with no overlap at Gauss points, for pairs of faces; [] where there is none."""
-        types = {one.contact.pair.type for one in self._nodes}
-        return [] if types <= {"NODE TO SURFACE"} else self._if_any("exact", "points")
+        """Return the exact forces with no overlap at Gauss points, for pairs of faces; [] where there is none.
+
+        Springs at the integration points of faces tend to it, and to none at nodes where there are many of them.
+        """
+        if self.reference == "penalty" or self._types <= {"NODE TO SURFACE"}:
+            return []
+        return self._if_any("exact", "points")
+
+    @cached_property
+    def _by_mortar(self) -> list[Forces]:
+        """Return the exact forces with no overlap on the average, for mortars on curved masters; [] for none."""
+        curved = any(one.contact.pair.type == "MORTAR" and not is_plane(one.contact.master) for one in self._nodes)
+        if self.reference == "penalty" or not curved:
+            return []
+        return self._if_any("exact", "mortar")
 
     @cached_property
     def _springs(self) -> list[Forces]:
         return self._truth if self.reference == "penalty" else self._if_any("penalty", "node-to-segment")
 
-    @cached_property
-    def _beside(self) -> list[Forces]:
-        """Return the exact forces in another discretisation, of pairs of faces; [] where there is none."""
-        types = {one.contact.pair.type for one in self._nodes}
-        if self.reference == "penalty" or types <= {"NODE TO SURFACE"}:
+    def _others(self, number: int) -> list[Forces]:
+        """Return the exact forces of a pair of faces in other discretisations of the same mesh."""
+        judged = self._nodes[number]
+        if judged.contact.pair.type == "NODE TO SURFACE" or self.reference == "penalty":
             return []
-        if "MORTAR" in types and any(one.discretisation == "mortar" for one in self.deck.by_mortar.pairs):
-            return self._if_any("exact", "mortar")
-        if any(one.of_quadratic_faces for one in self._nodes):
-            return self._if_any("exact", "node-to-segment")
-        return self._by_points
+        every = (self._by_nodes if judged.of_quadratic_faces else self._by_points, self._by_mortar)
+        return [one[number] for one in every if one]
 
     def _if_any(self, enforcement: Enforcement, discretisation: Discretisation) -> list[Forces]:
         try:
@@ -212,31 +244,31 @@ class _Judging:
         force, truth, digits = (judged.shares @ values for values in (force, judged.along(truth_vectors), digits))
         each = np.maximum(abs(force - truth) - digits, 0.0)
         size = max(float(truth.sum()), float(np.maximum(abs(force) - digits, 0.0).sum()))
-        error = max(
-            abs(float(force.sum() - truth.sum())),
-            float(np.linalg.norm((vectors - truth_vectors).sum(axis=0))),
-            float(each.max(initial=0.0)),
-        )
+        error = max(abs(float(force.sum() - truth.sum())), float(np.linalg.norm((vectors - truth_vectors).sum(axis=0))))
         noise = self._noise(judged.direction, judged.unknowns)
         if size <= NEGLIGIBLE * self.tolerance * self.scale:  # nothing touches, but for the printed digits
-            error, noise, size = 0.0, 0.0, 1.0
-        mesh, relative, left = self._mesh_error(number, size), error / size, noise / size
+            error, each, noise, size = 0.0, np.zeros(1), 0.0, 1.0
+        off = Errors(error / size, float(each.max(initial=0.0)) / size)
+        mesh, left = self._mesh_errors(number, size), noise / size
+        word = _word(off, left, mesh, self.tolerance)
         found = Found(judged, force, truth, judged.gap(self.answer.u), size)
         kept = np.flatnonzero(judged.shares.diagonal())
         return PairVerdict(
             name=judged.contact.pair.name,
             type=judged.contact.pair.type,
-            word=self._word(relative, left, mesh),
+            word=word,
             resultant=float(force.sum()),
             reference_resultant=float(truth.sum()),
             total=vectors.sum(axis=0),
             reference_total=truth_vectors.sum(axis=0),
-            error=relative,
+            error=off.resultant,
+            node_error=off.node,
             noise=left,
             penalty_resultant=float(judged.along(self._springs[number]).sum()) if self._springs else None,
-            other_resultant=float(judged.along(self._beside[number]).sum()) if self._beside else None,
-            mesh_error=mesh,
-            causes=() if relative <= self.tolerance else tuple(self._causes(found, number)),
+            other_resultant=next((float(judged.along(one).sum()) for one in self._others(number)), None),
+            mesh_error=mesh.resultant,
+            mesh_node_error=mesh.node,
+            causes=() if word == "right" else tuple(self._causes(found, number)),
             labels=self.deck.assembly.topology.labels[judged.nodes[kept]],
             force=force[kept],
             reference_force=truth[kept],
@@ -252,11 +284,6 @@ class _Judging:
             if apart < off / 3:
                 yield f"of the difference {1 - apart / off:.0%} is that of the springs that the deck states"
 
-    def _word(self, error: float, noise: float, mesh: float) -> Word:
-        if error <= self.tolerance:
-            return "right" if noise <= self.tolerance else "undecided"
-        return "wrong" if error > self.tolerance + noise and error > mesh else "undecided"
-
     def _noise(self, direction: NDArray[np.float64], unknowns: Index) -> float:
         """Return what the printed digits leave of the resultant of a pair, and of its vector [force]."""
         along = np.zeros((1 + unknowns.shape[1], len(self.answer.u)))
@@ -265,20 +292,15 @@ class _Judging:
             along[1 + axis, unknowns[:, axis]] = 1.0
         return max(self.answer.noise_along(one) for one in along)
 
-    def _mesh_error(self, number: int, size: float) -> float:
-        """Return how far the resultants of the two discretisations are apart, of the resultant.
-
-        0 where the deck asks for nodes, and for linear faces on a plane master: what does not overlap at their nodes
-        overlaps nowhere.
-        """
+    def _mesh_errors(self, number: int, size: float) -> Errors:
+        """Return how far other discretisations of a pair of faces are from the reference."""
         judged = self._nodes[number]
-        contact = judged.contact
-        if not self._beside or contact.pair.type == "NODE TO SURFACE":
-            return 0.0
-        if is_plane(contact.master) and not kind_of(contact.slave).quadratic:
-            return 0.0
-        apart = judged.along(self._beside[number] - self._truth[number])
-        return abs(float(apart.sum())) / size
+        resultant = node = 0.0
+        for other in self._others(number):
+            apart = judged.shares @ judged.along(other - self._truth[number])
+            resultant = max(resultant, abs(float(apart.sum())))
+            node = max(node, float(abs(apart).max(initial=0.0)))
+        return Errors(resultant / size, node / size)
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
