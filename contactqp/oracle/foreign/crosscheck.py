@@ -30,6 +30,8 @@ DAT_DIGITS, FRD_DIGITS = 7, 6
 MOVED = 10.0
 # A pair whose forces are below this part of what the tolerance is of all forces has none.
 NEGLIGIBLE = 1e-3
+# What rounding of coordinates leaves of gaps, in units of the largest one.
+ROUNDING = 64 * float(np.finfo(float).eps)
 # The forces on the slave nodes of a pair, (q, d).
 Forces = NDArray[np.float64]
 
@@ -226,9 +228,12 @@ class _Judging:
 
     @cached_property
     def scale(self) -> float:
-        """Return the size of the forces of the deck: loads, supports and contacts [force]."""
-        held = ~np.isnan(self.deck.assembly.prescribed)
-        sizes = [float(np.linalg.norm(self.deck.assembly.load)), float(np.linalg.norm(self.answer.forces[held]))]
+        """Return the size of the forces of the deck: loads, supports and contacts, rounding of its places [force]."""
+        assembly = self.deck.assembly
+        held = ~np.isnan(assembly.prescribed)
+        rounding = ROUNDING * float(assembly.stiffness.diagonal().max()) * float(abs(assembly.points).max())
+        sizes = [rounding / (NEGLIGIBLE * self.tolerance)]
+        sizes += [float(np.linalg.norm(self.deck.assembly.load)), float(np.linalg.norm(self.answer.forces[held]))]
         return max(*sizes, *(float(np.linalg.norm(force.sum(axis=0))) for force in self._truth), 0.0)
 
     @cached_property
@@ -245,7 +250,7 @@ class _Judging:
         each = np.maximum(abs(force - truth) - digits, 0.0)
         size = max(float(truth.sum()), float(np.maximum(abs(force) - digits, 0.0).sum()))
         error = max(abs(float(force.sum() - truth.sum())), float(np.linalg.norm((vectors - truth_vectors).sum(axis=0))))
-        noise = self._noise(judged.direction, judged.unknowns)
+        noise = self._noise(judged)
         if size <= NEGLIGIBLE * self.tolerance * self.scale:  # nothing touches, but for the printed digits
             error, each, noise, size = 0.0, np.zeros(1), 0.0, 1.0
         off = Errors(error / size, float(each.max(initial=0.0)) / size)
@@ -273,6 +278,7 @@ class _Judging:
             force=force[kept],
             reference_force=truth[kept],
             gap=found.gap[kept],
+            notes=judged.contact.pairing.notes,
         )
 
     def _causes(self, found: Found, number: int) -> Iterator[str]:
@@ -284,12 +290,13 @@ class _Judging:
             if apart < off / 3:
                 yield f"of the difference {1 - apart / off:.0%} is that of the springs that the deck states"
 
-    def _noise(self, direction: NDArray[np.float64], unknowns: Index) -> float:
+    def _noise(self, judged: PairNodes) -> float:
         """Return what the printed digits leave of the resultant of a pair, and of its vector [force]."""
+        unknowns = judged.unknowns
         along = np.zeros((1 + unknowns.shape[1], len(self.answer.u)))
-        along[0, unknowns] = direction
+        along[0, unknowns] = judged.direction
         for axis in range(unknowns.shape[1]):
-            along[1 + axis, unknowns[:, axis]] = 1.0
+            along[1 + axis, unknowns[:, axis]] = judged.known[:, axis]
         return max(self.answer.noise_along(one) for one in along)
 
     def _mesh_errors(self, number: int, size: float) -> Errors:

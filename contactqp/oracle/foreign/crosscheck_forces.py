@@ -25,8 +25,8 @@ from contactqp.solving.solve import solve
 
 # Rounding of printed digits is even over half a unit of the last one: so many standard deviations are no doubt left.
 SURE = 6.0
-# A component of a unit normal below this is rounding.
-ALONG = 1e-6
+# A normal may lean so far towards a direction in which its node is held: the others then tell its force.
+LEANING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,10 @@ class PairNodes:
         Node to segment.
     nodes : (q,) array of int
     direction : (q, d) array
-        The normal of the master at each, or minus the slave's own where it has no partner.
+        The normal of the master at each, or minus the slave's own where it has no partner; without the parts along
+        which supports, ties or other pairs act on the node, and longer by as much, so that force n times it is force.
+    known : (q, d) array of bool
+        Where the force of the pair on a node is known along an axis: nothing else acts there.
     row : (q,) array of int
         The contact of each among those of the pair, -1 where it has none.
     contacts : (q,) array of int
@@ -99,6 +102,7 @@ class PairNodes:
     contact: DeckContact
     nodes: Index
     direction: NDArray[np.float64]
+    known: NDArray[np.bool_]
     row: Index
     contacts: Index
     alone: bool
@@ -127,7 +131,7 @@ class PairNodes:
     def forces(self, answer: ForeignAnswer) -> tuple[Vector, NDArray[np.float64]]:
         """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
         if self.alone:
-            vectors = answer.forces[self.unknowns]
+            vectors = np.where(self.known, answer.forces[self.unknowns], 0.0)
             return self.along(vectors), vectors
         force = np.where(self.contacts < 0, 0.0, answer.recovered[self.contacts])
         return force, force[:, None] * self.direction
@@ -178,11 +182,15 @@ def pair_nodes(deck: Deck, number: int) -> PairNodes:
     place[of_pair] = of_problem
     parts = [np.flatnonzero(~np.isnan(deck.assembly.prescribed)), deck.ties.indices]
     parts += [one.pairing.normal.indices for other, one in enumerate(contacts.pairs) if other != number]
-    acted = np.isin(slave.unknowns[nodes], np.concatenate(parts)) & (abs(direction) > ALONG)
-    lone = np.asarray(~acted.any(axis=1))
+    acted = np.isin(slave.unknowns[nodes], np.concatenate(parts))
+    lone = np.asarray(np.linalg.norm(np.where(acted, direction, 0.0), axis=1) <= LEANING)
     alone = bool(lone[place[row] >= 0].all())
     kept = lone if alone else place[row] >= 0
-    return PairNodes(contact, nodes[kept], direction[kept], row[kept], place[row[kept]], alone)
+    if alone:
+        direction = np.where(acted, 0.0, direction)
+        direction[kept] /= (direction[kept] ** 2).sum(axis=1, keepdims=True)
+    known = np.asarray(~acted[kept]) if alone else np.ones((int(kept.sum()), slave.dimension), dtype=bool)
+    return PairNodes(contact, nodes[kept], direction[kept], known, row[kept], place[row[kept]], alone)
 
 
 def reference_forces(
@@ -209,5 +217,5 @@ def reference_forces(
         if not judged.alone and discretisation == "node-to-segment":
             found.append(np.where(judged.row < 0, 0.0, force[judged.row])[:, None] * judged.direction)
         else:
-            found.append(on_bodies[judged.unknowns])
+            found.append(np.where(judged.known, on_bodies[judged.unknowns], 0.0))
     return found

@@ -51,6 +51,8 @@ class PairVerdict(ReadOnly):
         Their normal forces [force].
     gap : (m,) array
         Their gaps in the answer of the other code, negative for overlap [length].
+    notes : tuple of str
+        What the mesh is too coarse for.
     """
 
     name: str
@@ -72,6 +74,7 @@ class PairVerdict(ReadOnly):
     force: Vector
     reference_force: Vector
     gap: Vector
+    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> Index:
@@ -97,6 +100,7 @@ class PairVerdict(ReadOnly):
             "mesh_error": self.mesh_error,
             "mesh_node_error": self.mesh_node_error,
             "causes": list(self.causes),
+            "notes": list(self.notes),
             "nodes": [
                 {
                     "node": int(self.labels[i]),
@@ -209,7 +213,7 @@ def _of_pair(pair: PairVerdict, reference: str, tolerance: float) -> list[str]:
     if pair.mesh_node_error > 0.1 * tolerance:
         mesh = f"{pair.mesh_error:.2g} in the resultant, {pair.mesh_node_error:.2g} at a node"
         lines.append(f"    two exact discretisations of this mesh differ by {mesh}")
-    lines += [f"    {cause}" for cause in pair.causes]
+    lines += [f"    {line}" for line in (*pair.notes, *pair.causes)]
     if pair.word != "right" and len(pair.labels):
         lines += _table(pair, reference)
     return lines
