@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from contactqp.certificate.energy_norm import energy_norm, rigid_rounding
+from contactqp.certificate.figures import kept_residuals
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
@@ -73,7 +74,8 @@ class CondensedBodies:
         """Return the answer of a combination, refined from a start."""
         from contactqp.linalg.friction_states import refined_in
 
-        return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True)
+        left = kept_residuals(self._problem, start)
+        return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True, left=left)
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""

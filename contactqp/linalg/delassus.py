@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
 from contactqp.linalg.extended import Extended, SparseRows, extend
+from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
 from contactqp.model.local_problem import LocalProblem
@@ -227,3 +228,21 @@ def _on_the_cone(along: Array, mu: Vector) -> sp.csr_array:
     values = np.concatenate([np.ones(m * width), (mu[:, None] * along).ravel()])
     places = np.concatenate([tangent, tangent]), np.concatenate([tangent, normal])
     return sp.csr_array((values, places), shape=(m * d, m * d))
+
+
+def compliance_of(S: Array, motions: Array) -> Array:
+    """Return the pseudoinverse S^+ (p, p) of a stiffness whose null space is spanned by orthonormal motions (p, q)."""
+    if not motions.shape[1]:
+        return _inverse(S)
+    inverse = _inverse(S + motions @ motions.T)
+    inverse = inverse - motions @ (motions.T @ inverse)
+    return np.asarray(inverse - (inverse @ motions) @ motions.T)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric matrix that is positive definite up to rounding."""
+    factor, failed = lapack().dpotrf(matrix, lower=1)
+    if failed or not len(matrix):
+        return np.asarray(np.linalg.inv(matrix))
+    lower = np.tril(lapack().dpotri(factor, lower=1)[0])
+    return np.asarray(lower + np.tril(lower, -1).T)

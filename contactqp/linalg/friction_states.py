@@ -20,19 +20,21 @@ A] become R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation
+from contactqp.linalg.delassus import compliance_of
 from contactqp.linalg.dense import BALANCED, independent_rows, orthonormal_motions
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
     ExtendedRows,
+    Residuals,
     extend,
     extended_rows,
     residuals_of,
@@ -108,6 +110,7 @@ class FrictionalRows:
         self.tie, self.tie_length = _unit(condensation.tie * self.scale)
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         self.motions = orthonormal_motions(condensation)
+        self.system: dict[bool, StateSystem] = {}  # the last one, by whether its rows were made independent
 
     @cached_property
     def all_rows(self) -> Array:
@@ -129,29 +132,11 @@ class FrictionalRows:
 def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
     """The rows of a problem, made once for its coefficients and its condensation."""
     known = problem._computed.frictional_rows
-    if known is None or known[0] is not problem.friction or known[1] is not condensation:
+    if known is None or known[1] is not condensation or np.any(known[0] != problem.friction):
         rows = FrictionalRows(problem, condensation)
         known = problem._computed.frictional_rows = problem.friction, condensation, rows
     found: FrictionalRows = known[2]
     return found
-
-
-def compliance_of(S: Array, motions: Array) -> Array:
-    """Return the pseudoinverse S^+ (p, p) of a stiffness whose null space is spanned by orthonormal motions (p, q)."""
-    if not motions.shape[1]:
-        return _inverse(S)
-    inverse = _inverse(S + motions @ motions.T)
-    inverse = inverse - motions @ (motions.T @ inverse)
-    return np.asarray(inverse - (inverse @ motions) @ motions.T)
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a symmetric matrix that is positive definite up to rounding."""
-    factor, failed = lapack().dpotrf(matrix, lower=1)
-    if failed or not len(matrix):
-        return np.asarray(np.linalg.inv(matrix))
-    lower = np.tril(lapack().dpotri(factor, lower=1)[0])
-    return np.asarray(lower + np.tril(lower, -1).T)
 
 
 def _unit(rows: Array) -> tuple[Array, Vector]:
@@ -169,8 +154,14 @@ TURNS = 5
 SLOW_SWEEPS, HALVED = 60, 0.6
 # Factors are made anew where a sweep with the old ones has not made the correction this much smaller.
 WELL_TURNED = 0.1
-# Directions are doubles: corrections of this part of the answer may be all that their rounding leaves.
-ROUNDED = 1e-15
+# Directions are doubles: corrections of this part of the answer may be all that their rounding leaves, and those that
+# no double of the answer shows are.
+ROUNDED, UNSEEN = 1e-15, float(np.finfo(float).eps) / 2
+# Corrections to come may contract so much less than the last one did. A comparison does not rely on that: its last
+# correction is a part of the bounds.
+CAUTION = 1e4
+# Slip directions, and mu l_N / |s| relative to itself, that differ by less have one system.
+SAME_SYSTEM = 1e-9
 # Refinement whose last correction is larger than this part of the answer went nowhere.
 SETTLED = 1e-12
 # A slip of this part of the friction bound, both in sqrt(energy), has no direction.
@@ -214,6 +205,7 @@ class StateSystem:
         turning: Vector | None = None,
         independent: bool = False,
     ) -> None:
+        self._of = status, directions, turning
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._condensation, self._rows = condensation, rows
         tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
@@ -234,22 +226,30 @@ class StateSystem:
         held, pushed = held[self._kept], pushed[self._kept]
         held, pushed = np.concatenate([held, across]), np.concatenate([pushed, across])
         p, kept = len(stiffness), len(self._kept)
-        self._matrix = np.zeros((p + len(held), p + len(held)))
-        self._matrix[:p, :p], self._matrix[:p, p:], self._matrix[p:, :p] = stiffness, pushed.T, held
+        matrix = np.zeros((p + len(held), p + len(held)))
+        matrix[:p, :p], matrix[:p, p:], matrix[p:, :p] = stiffness, pushed.T, held
         across_slip = np.arange(p + kept, p + len(held))
-        self._matrix[across_slip, across_slip] = -compliance
+        matrix[across_slip, across_slip] = -compliance
         self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
-        self._factorise(0.0 if independent else SINGULAR)
+        self._order = len(matrix)
+        self._factorise(matrix, 0.0 if independent else SINGULAR)
 
-    def _factorise(self, singular: float) -> None:
+    def suits(self, status: Status, directions: Array, turning: Vector | None) -> bool:
+        """Return whether this is the system of a combination, up to a turn of slip directions that is a rounding."""
+        own, along, turned = self._of
+        if not np.array_equal(own, status) or (abs(along - directions) > SAME_SYSTEM).any():
+            return False
+        return turned is None or turning is None or bool((abs(turned - turning) <= SAME_SYSTEM * turning).all())
+
+    def _factorise(self, matrix: Array, singular: float) -> None:
         self._inverse: Array | None = None
-        factor, pivots, info = lapack().dgetrf(self._matrix)
-        condition = (
-            lapack().dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 and singular else float(info == 0)
-        )
+        factor, pivots, info = lapack().dgetrf(matrix)
+        condition = float(info == 0)
+        if info == 0 and singular:
+            condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0]
         self.regular = condition >= singular and info == 0
         if not self.regular:  # the least correction that fits best
-            self._inverse = np.asarray(np.linalg.pinv(self._matrix, rcond=SINGULAR), dtype=float)
+            self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
         self._factor = (factor, pivots)
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
@@ -258,7 +258,7 @@ class StateSystem:
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
-        right = np.zeros(len(self._matrix))
+        right = np.zeros(self._order)
         right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
         found = lapack().dgetrs(*self._factor, right)[0] if self._inverse is None else self._inverse @ right
         y = np.zeros(p + self._count)
@@ -324,8 +324,12 @@ def refined_in(
     status: Status,
     start: Answer,
     independent: bool = False,
+    left: Residuals | None = None,
 ) -> RefinedState:
     """Refine the answer of one combination from `start`; `independent` as in `StateSystem`.
+
+    The system of the last combination serves again where it is the same. `left` are the residuals of the start, if they
+    are known.
 
     In space the first slip directions are those of the start. K is taken as it is stated unless its rounding along
     rigid motions spoils the resultants of the forces, as in `contactqp.linalg.refinement.answer_on`.
@@ -333,9 +337,16 @@ def refined_in(
     exact = extended_rows(problem)
 
     def system(directions: Array, turning: Vector | None) -> StateSystem:
-        return StateSystem(problem, condensation, rows, status, directions, turning, independent)
+        for kept in (rows.system.get(independent), rows.system.get(False)):
+            # Where a system has an inverse its rows are independent, and nothing is free.
+            if kept is not None and (kept.regular or not independent) and kept.suits(status, directions, turning):
+                return kept
+        made = StateSystem(problem, condensation, rows, status, directions, turning, independent)
+        rows.system[independent] = made
+        return made
 
-    found = refined_by(system, exact, problem, rows, status, start)
+    caution = np.inf if independent else CAUTION
+    found = refined_by(system, exact, problem, rows, status, start, left=left, caution=caution)
     balanced = not condensation.rigid.count
     if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
         return found
@@ -350,6 +361,8 @@ def refined_by(
     status: Status,
     start: Answer,
     sweeps: int = MAX_SWEEPS,
+    left: Residuals | None = None,
+    caution: float = np.inf,
 ) -> RefinedState:
     """Refine as `refined_in` does, with the products of `exact` and systems that `make` returns for slip directions.
 
@@ -359,31 +372,40 @@ def refined_by(
     sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
     origin = _origin(problem)
     u, force, stick, tie = (extend(part) for part in (start.displacement, pushing, sticking, start.tie_force))
-    system, size, last, regular = None, np.inf, np.inf, True
-    for sweep in range(sweeps if rows.width == 1 else SLOW_SWEEPS):
-        in_space, slip = rows.width > 1, np.zeros(0)  # in the plane the combination says all of the directions
-        if in_space:
-            slip = (exact.slip(u) - origin).double()
+    if exact.together is not None or not np.array_equal(pushing, start.normal_force):
+        left = None  # of small problems they are formed as fast as changed
+    system, size, last, regular, in_space = None, np.inf, np.inf, True, rows.width > 1
+    for sweep in range(SLOW_SWEEPS if in_space else sweeps):
+        # In the plane the combination says all of the directions.
+        slip = (exact.slip(u) - origin).double() if in_space else origin
         directions, turning = _directions(rows, status, slip, force)
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
-        if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
+        if system is None or (in_space and size > max(WELL_TURNED * last, ROUNDED)):
             refuse_late("the answer was solved for on its combination of open, stick and slip")
             system = make(directions, turning)
             regular = regular and system.regular
         last = size
         friction = stick + _bound(problem, force, directions)
-        left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
+        if left is None:
+            left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
+        else:
+            changed = friction - _friction_of(start, rows.width).ravel()
+            left = replace(left, force=left.force - exact.friction_force(changed))
         if not in_space:
             slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
+        left = None
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         whole = u.double(), force.double(), stick.double(), tie.double()
         size = max(_part(du, whole[0]), _pushed_part(rows, (dl, dt.ravel()), whole[1:3]), _part(dn, whole[3]))
-        turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
-        halves = rows.width > 1 and ROUNDED < size < HALVED * last
+        turns = in_space and sweep < TURNS and size > ROUNDED
+        halves = in_space and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
             break
-    if rows.width > 1:
+        foreseen = size * min(caution * size / last, 1.0)
+        if sweep and (foreseen <= NEGLIGIBLE or (turning is not None and turning.any() and size <= UNSEEN)):
+            break
+    if in_space:
         directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force)
     friction = stick + _bound(problem, force, directions)
     redundant = system is not None and system.redundant

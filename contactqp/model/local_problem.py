@@ -11,7 +11,7 @@ u_T = E_T u - slip_origin in the signs of `contactqp.model.problem` (Acary, Brem
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -42,6 +42,9 @@ INDEFINITE = 1e-5
 DEFINITENESS_CHECK_SIZE = 300
 # Scale of a contact that has no compliance, at most.
 LARGEST_SCALE = 1e150
+
+# What is computed of the matrices alone where every contact has a compliance of its own.
+OF_MATRICES = ("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale")
 
 
 @computes
@@ -145,6 +148,17 @@ class LocalProblem(ReadOnly):
             object.__setattr__(self, name, read_only(value))
         self._refuse_indefinite()
 
+    def with_offsets(self, offset: Vector, bilateral_offset: Vector) -> LocalProblem:
+        """Return the problem with other offsets (d m,), (p,); its matrices are neither read nor judged again."""
+        twin = object.__new__(LocalProblem)
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values["offset"] = read_only(read_vector("offset", offset, len(self.offset)))
+        values["bilateral_offset"] = read_only(read_vector("bilateral_offset", bilateral_offset, self.joints))
+        vars(twin).update(values)
+        if self._own_compliance.all():  # no scale is one of offsets
+            vars(twin).update({name: getattr(self, name) for name in OF_MATRICES})
+        return twin
+
     def _refuse_indefinite(self) -> None:
         W = self.delassus
         diagonal = W.diagonal()
@@ -171,6 +185,11 @@ class LocalProblem(ReadOnly):
         """Number of joints p."""
         return len(self.bilateral_offset)
 
+    @property
+    def _own_compliance(self) -> Vector:
+        """The mean diagonal entry of each contact's own block (m,)."""
+        return np.asarray(self.delassus.diagonal().reshape(self.contacts, self.dimension).mean(axis=1))
+
     @cached_property
     def contact_scale(self) -> Vector:
         """The factors s_i of the contacts' rows (m,) that give every contact's own block a mean diagonal of one.
@@ -178,7 +197,7 @@ class LocalProblem(ReadOnly):
         s_i u_i and r_i / s_i are roots of energies. A contact without a compliance of its own is given a row of V, or
         else an offset, as large as the other contacts have.
         """
-        size = self.delassus.diagonal().reshape(self.contacts, self.dimension).mean(axis=1)
+        size = self._own_compliance
         known = size > 0
         scale = 1.0 / np.sqrt(np.where(known, size, 1.0))
         rows = abs(self.bilateral).max(axis=1).toarray().ravel() if self.joints else np.zeros(len(self.offset))

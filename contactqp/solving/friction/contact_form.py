@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation
+from contactqp.linalg.delassus import compliance_of
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.friction_states import (
     OPEN,
@@ -27,7 +28,6 @@ from contactqp.linalg.friction_states import (
     FrictionalRows,
     Status,
     answer_in,
-    compliance_of,
 )
 from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
@@ -81,6 +81,23 @@ class ContactOperator:
         W = np.asarray(few @ (few @ self.compliance).T)
         self.delassus, self.rigid, self._HB = (W + W.T) / 2, HB @ self.motions, HB
         self._whole, self._uncertain = _whole_motions(condensation, rows, self.basis @ self.motions)
+        self._local: LocalProblem | None = None
+
+    def local(self, problem: ContactProblem, coefficient: Vector, offset: Vector) -> LocalProblem:
+        """Return the local problem of friction coefficients (m,) and an offset (d m,); W is read and judged once."""
+        joints, known = self.motions.shape[1] > 0, self._local
+        drive = self.drive(problem) if joints else np.zeros(0)
+        if known is None or known.contact_names != problem.contact_names or np.any(known.friction != coefficient):
+            self._local = known = LocalProblem(
+                delassus=self.delassus,
+                offset=offset,
+                friction=coefficient,
+                dimension=self._rows.width + 1,
+                bilateral=self.rigid if joints else None,
+                bilateral_offset=drive if joints else None,
+                contact_names=problem.contact_names,
+            )
+        return known.with_offsets(offset, drive)
 
     def start(self, value: Vector) -> Vector:
         """Return x0 (p,) of least norm.
@@ -161,16 +178,7 @@ class ContactForm:
         self._start = operator.start(value)
         self._load = operator.basis.T @ (self._scaled_load - rows.S @ self._start)
         w = np.column_stack([gap, -origin.reshape(-1, rows.width)]).ravel()
-        joints = operator.motions.shape[1] > 0
-        self.local = LocalProblem(
-            delassus=operator.delassus,
-            offset=operator.free(self._load, self._start) + w,
-            friction=rows.coefficient,
-            dimension=rows.width + 1,
-            bilateral=operator.rigid if joints else None,
-            bilateral_offset=operator.drive(problem) if joints else None,
-            contact_names=problem.contact_names,
-        )
+        self.local = operator.local(problem, rows.coefficient, operator.free(self._load, self._start) + w)
 
     def answer_in(self, status: Status, start: Answer) -> Answer:
         """The answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
