@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import root
 
 import contactqp as cq
+from contactqp.solving import runs
 
 SIDE_LOAD, SHORTENED = 0.05, 0.3
 
@@ -138,6 +139,25 @@ def test_a_step_that_does_not_converge_is_halved() -> None:
     assert np.all(np.diff(history.times) > 0)
     whole = pushed(8, 1e3, steps=8)
     assert history[-1].normal_force == pytest.approx(whole[-1].normal_force, rel=1e-9)
+
+
+def test_steps_of_newtons_method_are_refined_and_the_converged_one_is_certified(monkeypatch) -> None:
+    """Each of some ten a load step: a certificate of its linearised problem says nothing of the rod."""
+    certified = []
+    certify = runs.certificate_of
+    monkeypatch.setattr(runs, "certificate_of", lambda *given: certified.append(given) or certify(*given))
+    history = pushed(6, 1e3, steps=2)
+    assert sum(len(solution.iterations) for solution in history) > len(history)
+    assert all(solution.certificate.passed for solution in history)
+    assert not certified  # by `solve`: those of the history are made of the converged steps
+
+
+def test_a_step_whose_refined_signs_fail_is_solved_and_certified(monkeypatch) -> None:
+    whole = pushed(6, 1e3, steps=2)
+    monkeypatch.setattr(runs.CondensedRun, "_polished", lambda _: None)
+    again = pushed(6, 1e3, steps=2)
+    assert again[-1].certificate.passed
+    assert again[-1].normal_force == pytest.approx(whole[-1].normal_force, rel=1e-9)
 
 
 class Spring:

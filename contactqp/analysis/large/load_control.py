@@ -256,7 +256,7 @@ def large_solution(
         )
         certificate = replace(certificate, notes=(*certificate.notes, note))
     spent = time.perf_counter() - started
-    found = step.solution
+    found = step.found
     solution = LargeSolution(
         problem=problem,
         displacement=now.displacement,

@@ -20,11 +20,15 @@ from contactqp.analysis.large.active_kkt import (
     positive_semidefinite,
 )
 from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody
-from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.certificate.number_range import near_one
+from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.runtime import POLISH, one_blas_thread, stage
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.solving.solve import solve
+from contactqp.model.solution import Candidate, FreeMotion, Solution, Work
+from contactqp.solving.methods import find
+from contactqp.solving.solve import begin, solve
 
 # How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
 BEYOND = 1.2
@@ -33,6 +37,8 @@ SINGULAR_SHIFT = 1e-3
 ALONG_TIES = (1.0, 1e2)
 # Condensed, the step that is returned is the least where nothing holds: where a cable hangs straight, say.
 LEAST_STEP = {"condense": True}
+# Options of `solve` with which it runs a method and refines its answer.
+REFINED = {"condense", "tolerance", "polish"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +64,17 @@ class NewtonSettings:
 
 
 @dataclass(frozen=True, eq=False)
+class Found:
+    """What is kept of a method's answer to a step, for the next step to start from and for the solution in the end."""
+
+    start: Candidate
+    free_motions: tuple[FreeMotion, ...]
+    method: str
+    work: Work
+    solution: Solution | None = None  # where the answer was certified
+
+
+@dataclass(frozen=True, eq=False)
 class NewtonStep:
     """An increment, with the forces after it and the problem that both solve."""
 
@@ -66,7 +83,7 @@ class NewtonStep:
     forces: Forces
     shift: float = 0.0  # that a tangent without a way down was given [force / length]
     springs: float = 0.0  # that an indefinite tangent was given in `problem`, relaxed at du [force / length]
-    solution: Solution | None = None  # where a method of `solve` found it
+    found: Found | None = None  # where a method of `solve` found it
 
 
 def newton_step(
@@ -170,17 +187,47 @@ def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, bef
     Without friction the unknown is the increment: what nothing holds stays where it is. With friction it is the
     displacement, against whose size a slip is told from rounding.
     """
-    start = None if before is None or not settings.exact else before.solution
+    known = None if before is None or not settings.exact else before.found
+    if (refined := _refined(problem, settings, None if known is None else known.start)) is not None:
+        return refined
     asked = in_displacement(problem, now.displacement) if problem.frictional else problem
+    start = None if known is None else known.solution
     try:
-        found = solve(asked, settings.method, warm_start=start, **(LEAST_STEP | settings.options))
+        solution = solve(asked, settings.method, warm_start=start, **(LEAST_STEP | settings.options))
     except NotCertified as error:
         if not isinstance(error.solution, Solution):
             raise
-        found = error.solution
-    du = found.displacement - now.displacement if problem.frictional else found.displacement
-    friction = found.friction_force if problem.frictional else None
-    return NewtonStep(problem, du, Forces(found.normal_force, found.tie_force, friction), solution=found)
+        solution = error.solution
+    du = solution.displacement - now.displacement if problem.frictional else solution.displacement
+    forces = Forces(solution.normal_force, solution.tie_force, solution.friction_force if problem.frictional else None)
+    candidate = Candidate(solution.displacement, solution.normal_force, solution.tie_force)
+    found = Found(candidate, solution.free_motions, solution.method, solution.work, solution)
+    return NewtonStep(problem, du, forces, found=found)
+
+
+def _refined(problem: ContactProblem, settings: NewtonSettings, start: Candidate | None) -> NewtonStep | None:
+    """Return the answer of a method without friction, refined on its set of closed contacts, where its signs hold.
+
+    It gets no certificate: the converged step has one. None where that is not all that `solve` does.
+    """
+    options = LEAST_STEP | settings.options
+    plain = settings.exact and find(settings.method).polish and set(options) <= REFINED and options.get("polish", True)
+    if problem.frictional or not plain or problem.has_idle_rows or near_one(problem) is not None:
+        return None
+    if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
+        return None
+    try:
+        run = begin(problem, settings.method, start, **options)
+    except (NotConverged, BackendFailed):
+        return None
+    with problem.lock, one_blas_thread(problem), stage(POLISH), run.meter.running():
+        final = run.final()
+    if not final.polished:
+        return None
+    forces = Forces(final.normal_force, final.tie_force, None)
+    candidate = Candidate(final.displacement, final.normal_force, final.tie_force)
+    found = Found(candidate, final.free_motions, run.name, run.work(final.corrections))
+    return NewtonStep(problem, final.displacement, forces, found=found)
 
 
 def _indefinite(
@@ -233,7 +280,7 @@ def _shifted(
         step = _solved(problem, now, settings, None)
     except NoEquilibrium as error:
         raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
-    return NewtonStep(problem, step.increment, step.forces, shift=shift, solution=step.solution)
+    return NewtonStep(problem, step.increment, step.forces, shift=shift, found=step.found)
 
 
 def stationary_step(
