@@ -252,15 +252,23 @@ class StateSystem:
             self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
         self._factor = (factor, pivots)
 
-    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
+    def correct(
+        self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
+    ) -> tuple[Vector, Vector, Array, Vector]:
+        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for.
+
+        Of the transposed system rows hold what contacts that slip are dragged by, too, and forces push along normals.
+        """
         reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
         right = np.zeros(self._order)
         right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
-        found = lapack().dgetrs(*self._factor, right)[0] if self._inverse is None else self._inverse @ right
+        if self._inverse is not None:
+            found = (self._inverse.T if transposed else self._inverse) @ right
+        else:
+            found = lapack().dgetrs(*self._factor, right, trans=int(transposed))[0]
         y = np.zeros(p + self._count)
         y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
@@ -378,14 +386,14 @@ def refined_by(
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
         # In the plane the combination says all of the directions.
         slip = (exact.slip(u) - origin).double() if in_space else origin
-        directions, turning = _directions(rows, status, slip, force)
+        directions, turning = slip_directions(rows, status, slip, force)
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (in_space and size > max(WELL_TURNED * last, ROUNDED)):
             refuse_late("the answer was solved for on its combination of open, stick and slip")
             system = make(directions, turning)
             regular = regular and system.regular
         last = size
-        friction = stick + _bound(problem, force, directions)
+        friction = stick + friction_bound(problem, force, directions)
         if left is None:
             left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
         else:
@@ -406,8 +414,8 @@ def refined_by(
         if sweep and (foreseen <= NEGLIGIBLE or (turning is not None and turning.any() and size <= UNSEEN)):
             break
     if in_space:
-        directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force)
-    friction = stick + _bound(problem, force, directions)
+        directions, _ = slip_directions(rows, status, (exact.slip(u) - origin).double(), force)
+    friction = stick + friction_bound(problem, force, directions)
     redundant = system is not None and system.redundant
     return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
 
@@ -434,7 +442,7 @@ def _settled(refined: RefinedState) -> bool:
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
-def _directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
+def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
     """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane."""
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
@@ -466,7 +474,7 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
     )
 
 
-def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
+def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
     """Return mu l_N t as a flat vector; exact in the plane, where mu t is a double."""
     coefficient = 0.0 if problem.friction is None else problem.friction
     along = (np.asarray(coefficient)[..., None] * directions).ravel()

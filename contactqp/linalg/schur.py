@@ -199,6 +199,8 @@ class LastBlock:
 
     def reduce(self, load: Array) -> tuple[Array, Array]:
         """As of any elimination, or of several loads (n, q) at once."""
+        if not load.any():
+            return np.zeros((len(self._retained), *load.shape[1:])), np.zeros_like(load)
         self._count(load)
         eliminated = self._factor.forward(load)
         return eliminated[self._retained], eliminated

@@ -1,0 +1,259 @@
+"""The linear systems of the rates of an answer, whose contacts keep their states, and of their adjoints.
+
+With c the closed contacts, b those that stick, t the directions of slip and C = E_T' diag(mu l_N/|s| (I - t t')) E_T,
+
+    [ K + C   E_N' + E_T' diag(mu t)   E_T'   A' ] [ du   ]   [ load ]
+    [ E_N                                        ] [ dl_N ] = [ gap  ]  of c
+    [ E_T                                        ] [ dl_T ]   [ slip ]  of b
+    [ A                                          ] [ dnu  ]   [ tie  ]
+
+The factors that the answer was found with solve it in double precision (without friction `SaddlePoint`, with it
+`StateSystem`, which knows the transposed system, too); residuals in twice double precision refine what they give, as
+they refine answers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
+from contactqp.linalg.friction_states import StateSystem, condensed_frictional_rows, friction_bound, slip_directions
+from contactqp.linalg.refinement import CAUTION, INVISIBLE
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status
+from contactqp.model.problem import ContactProblem
+
+# Sweeps of refinement at most; two or three are made.
+MAX_SWEEPS = 12
+EPS = float(np.finfo(float).eps)
+# What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding.
+ENOUGH = 2.0**-10 * EPS
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """A part for each unknown (n,), contact (m,), its tangents (m, d-1) and tie (k,): data, or a solution of them."""
+
+    displacement: Vector
+    normal: Vector
+    tangent: Array
+    tie: Vector
+
+    @classmethod
+    def zero(cls, problem: ContactProblem) -> Parts:
+        return cls(
+            np.zeros(problem.dimension), np.zeros(problem.contacts), np.zeros(shape_of_tangents(problem)),
+            np.zeros(problem.ties),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solution in doubles, and what it may be off by for each part; None where that is not known."""
+
+    found: Parts
+    bound: Parts | None
+    settled: bool  # whether refinement led anywhere
+
+
+def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
+    """Return (m, d-1), or (m, 0) without tangential rows."""
+    origin = problem.slip_origin
+    return (problem.contacts, 0) if origin is None else (problem.contacts, origin.shape[1])
+
+
+class _System(Protocol):
+    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        """Return a solution in double precision."""
+
+    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
+        """Return what the rows of normals hold, from E_N u and E_T u."""
+
+    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
+        """Return the friction (m (d-1),) of contacts that slip."""
+
+
+class RateSystem:
+    """The rates of one answer in one combination of states; `closed` and `stuck` are its places.
+
+    Attributes
+    ----------
+    regular : bool
+        Whether the system has one solution for all data.
+    redundant : bool
+        Whether rows depend on others, so that forces are not unique.
+    """
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
+        self._problem, self._exact = problem, extended_rows(problem)
+        self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
+        self._unit = condensation.unknown_scale
+        with_friction = problem.frictional
+        self._system: _System
+        if with_friction:
+            frictional = _Frictional(problem, condensation, status, answer)
+            self._system, self.regular, self.redundant = frictional, frictional.regular, False
+            self.directions, self.turning = frictional.directions, frictional.turning
+        else:
+            plain = _Frictionless(problem, condensation, self.closed)
+            self._system, self.redundant = plain, plain.redundant
+            self.regular = not plain.redundant
+            self.directions = np.zeros(shape_of_tangents(problem))
+            self.turning = np.zeros((*self.directions.shape, self.directions.shape[1]))
+        self._sizes = [
+            np.sqrt(sp.csr_array(rows).power(2) @ self._unit**2) if rows is not None else np.zeros(0)
+            for rows in (problem.normal, problem.tangent, problem.tie)
+        ]
+
+    def solve(self, right: Parts, transposed: bool = False) -> Solved:
+        """Return the solution of the system, or of the transposed one."""
+        given = (right.displacement, right.normal, right.tangent, right.tie)
+        y = [Extended(np.zeros(part.size)) for part in given]
+        last, contraction, size = np.inf, 1.0, 0.0
+        for sweep in range(MAX_SWEEPS):
+            left = self._on_own_rows(right) if sweep == 0 else self._residual(right, y, transposed)
+            change = self._system.correct(left, transposed)
+            parts = (change.displacement, change.normal, change.tangent.ravel(), change.tie)
+            y = [whole + part for whole, part in zip(y, parts, strict=True)]
+            size, whole_size = self._size(parts), self._size([part.double() for part in y])
+            if sweep:
+                contraction = size / last if last > 0 else 0.0
+                if size * min(contraction * CAUTION, 1.0) <= ENOUGH * whole_size or size > 0.5 * last:
+                    break
+            last = size
+        u, normal, tangent, tie = self._without_noise([part.double() for part in y], INVISIBLE * whole_size)
+        found = Parts(u, normal, tangent.reshape(right.tangent.shape), tie)
+        contraction = max(contraction, EPS)
+        settled = contraction < 0.5
+        remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) if settled else np.inf
+        return Solved(found, self._bound(found, remainder), settled or size <= ENOUGH * whole_size)
+
+    def _bound(self, found: Parts, remainder: float) -> Parts | None:
+        """Return what further refinement and rounding to doubles may change of each part."""
+        if not np.isfinite(remainder):
+            return None
+        normal, tangent, tie = (
+            np.divide(remainder, size, out=np.zeros_like(size), where=size > 0) for size in self._sizes
+        )
+        return Parts(
+            remainder * self._unit + EPS * abs(found.displacement),
+            normal + EPS * abs(found.normal),
+            tangent.reshape(found.tangent.shape) + EPS * abs(found.tangent),
+            tie + EPS * abs(found.tie),
+        )
+
+    def _size(self, parts: tuple[Vector, ...] | list[Vector]) -> float:
+        """Return the largest part, each in the square root of energy."""
+        u, *forces = parts
+        sizes = [abs(force) * size for force, size in zip(forces, self._sizes, strict=True) if force.size]
+        return float(max([(abs(u) / self._unit).max(initial=0.0), *(size.max(initial=0.0) for size in sizes)]))
+
+    def _without_noise(self, parts: list[Vector], nothing: float) -> list[Vector]:
+        """Return parts with zeros for what is no more than that in the square root of energy."""
+        sizes = [1.0 / self._unit, *self._sizes]
+        return [
+            np.where(abs(part) * size <= nothing, 0.0, part) if part.size else part
+            for part, size in zip(parts, sizes, strict=True)
+        ]
+
+    def _on_own_rows(self, right: Parts) -> Parts:
+        """Return data with zeros for contacts that are open and tangents that do not stick."""
+        normal, tangent = np.zeros_like(right.normal), np.zeros_like(right.tangent)
+        normal[self.closed], tangent[self.stuck] = right.normal[self.closed], right.tangent[self.stuck]
+        return Parts(right.displacement, normal, tangent, right.tie)
+
+    def _residual(self, right: Parts, y: list[Extended], transposed: bool) -> Parts:
+        exact, (u, normal, tangent, tie) = self._exact, y
+        slip = exact.slip(u)
+        outer = extend(right.displacement) - exact.contact_force(normal, tie)
+        if len(slip):
+            outer = outer - exact.friction_force(tangent + self._system.friction(normal, slip.double(), transposed))
+        held = self._system.held(exact.normal @ u, slip, transposed)
+        return self._on_own_rows(
+            Parts(
+                (outer - exact.stiffness @ u).double(),
+                (extend(right.normal) - held).double(),
+                (extend(right.tangent.ravel()) - slip).double().reshape(right.tangent.shape)
+                if len(slip)
+                else right.tangent,
+                (extend(right.tie) - exact.tie @ u).double(),
+            )
+        )
+
+
+class _Frictionless:
+    """The saddle point of closed contacts and ties, which is symmetric."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+        self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
+        self._saddle = saddle_point(condensation, closed)
+        self.redundant = self._saddle.redundant
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        del transposed
+        data = left.displacement, left.normal[self._closed], left.tie
+        du, dl, tie = self._condensation.correction(self._saddle, *data)
+        normal = np.zeros(self._contacts)
+        normal[self._closed] = dl
+        return Parts(du, normal, np.zeros_like(left.tangent), tie)
+
+    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
+        del slip, transposed
+        return normal
+
+    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
+        del normal, transposed
+        return Extended(np.zeros_like(slip))
+
+
+class _Frictional:
+    """The system of one combination of open, stick and slip at an answer."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
+        rows = condensed_frictional_rows(problem, condensation)
+        self._problem, self._shape = problem, shape_of_tangents(problem)
+        slip = answer.tangent.ravel()
+        self.directions, scaled = slip_directions(rows, status, slip, extend(answer.normal))
+        self._system = StateSystem(problem, condensation, rows, status, self.directions, scaled)
+        self.regular = self._system.regular
+        across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
+        turns = np.zeros(self._shape[0])
+        if scaled is not None and problem.friction is not None:
+            size = np.linalg.norm(answer.tangent, axis=1)
+            turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
+        self.turning = turns[:, None, None] * across  # (m, d-1, d-1)
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        data = left.displacement, left.normal, left.tangent.ravel(), left.tie
+        return Parts(*self._system.correct(*data, transposed=transposed))
+
+    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
+        """Return E_N u, of the transposed system (E_N + mu t'E_T) u."""
+        if not transposed:
+            return normal
+        coefficient = np.zeros(self._shape[0]) if self._problem.friction is None else self._problem.friction
+        along = (coefficient[:, None] * self.directions).ravel()
+        dragged = _products(along, slip)
+        width = self._shape[1]
+        for k in range(width):
+            normal = normal + Extended(dragged.hi[k::width], dragged.lo[k::width])
+        return normal
+
+    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
+        turned: Vector = np.einsum("mij,mj->mi", self.turning, slip.reshape(self._shape)).ravel()
+        return Extended(turned) if transposed else friction_bound(self._problem, normal, self.directions) + turned
+
+
+def _products(factor: Vector, values: Extended) -> Extended:
+    """Return the products of doubles and extended numbers, entry by entry."""
+    product, error = two_product(factor, values.hi)
+    return Extended(product, error + factor * values.lo)

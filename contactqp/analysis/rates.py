@@ -1,0 +1,404 @@
+"""The rates of an answer along a direction of its data, to either side where contacts are at the border of two states.
+
+Where every contact keeps its state the rates solve one linear system (`contactqp.analysis.rate_systems`; Fiacco 1976;
+Robinson 1980). At a border they are those of a problem. Without friction the displacement changes at the rate du that
+minimises
+
+    1/2 du'K du - df'du    over    E_c du = dg_c,    E_w du <= dg_w,    A du = db,
+
+c the contacts that push and w those that graze, whose gap and force both vanish (for membranes over obstacles Mignot
+1976): a contact problem of the same stiffness, with the grazing contacts as its contacts and those that push among its
+ties; its forces are the rates of the forces. With friction in the plane every combination of states that the contacts
+at a border may go to is tried: one whose rates lead to where it says is the answer's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.rate_systems import Parts, RateSystem, shape_of_tangents
+from contactqp.certificate import bounds
+from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
+
+FREE = "bodies are free to move, and their displacements are not unique"
+REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
+SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
+IN_SPACE = "what becomes of contacts at the border of two states is found in the plane alone, with friction"
+# Friction that misses its bound by this part of it is at its bound; rates whose signs fail by this part of the largest,
+# in the square root of energy, do not fail; rates that differ by this part of the larger are one.
+SAME = 1e-9
+# Combinations of states that contacts at a border may go to, at most.
+MOST_COMBINATIONS = 256
+# Contacts that are named in a reason.
+SHOWN = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction of what a problem is made of, and what it means at an answer."""
+
+    load: Vector  # (n,)
+    gap: Vector  # (m,)
+    slip_origin: Array  # (m, d-1)
+    tie_value: Vector  # (k,)
+    friction: Vector  # (m,)
+    strained: Vector  # (n,) -dK u
+    turned: Vector  # (n,) -dE_N'l_N
+    closing: Vector  # (m,) -dE_N u
+    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
+
+    @classmethod
+    def zero(cls, problem: ContactProblem) -> Direction:
+        n, m = problem.dimension, problem.contacts
+        return cls(
+            np.zeros(n), np.zeros(m), np.zeros(shape_of_tangents(problem)), np.zeros(problem.ties), np.zeros(m),
+            np.zeros(n), np.zeros(n), np.zeros(m),
+        )  # fmt: skip
+
+    @property
+    def whole_load(self) -> Vector:
+        """The load (n,) that the rates see."""
+        return self.load + self.strained + self.turned
+
+    @property
+    def whole_gap(self) -> Vector:
+        """The gaps (m,) that the rates see."""
+        return self.gap + self.closing
+
+    def reversed(self) -> Direction:
+        return Direction(**{name: -value for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: Array  # (m, d-1)
+    tie_force: Vector  # (k,)
+    gap: Vector  # (m,)
+    slip: Array  # (m, d-1)
+    reaction: Vector  # (n,)
+    bound: Parts | None = None
+
+    def reversed(self) -> Rates:
+        """Return the rates towards minus a direction from those along its reverse."""
+        changed: dict[str, Any] = {name: 0.0 - value for name, value in vars(self).items() if name != "bound"}
+        return Rates(**changed, bound=self.bound)
+
+
+class NoRates(Exception):
+    """There are no rates towards a side; the message says why."""
+
+
+class Linearised:
+    """An answer and the systems of its rates, which share its factorisation.
+
+    Attributes
+    ----------
+    undecided : (q,) array
+        Contacts at the border of two states.
+    status : (m,) array
+        The states of the others.
+    system : RateSystem or None
+        None where some are undecided, or nothing is condensed.
+
+    Raises
+    ------
+    Unsupported
+        Bodies that are not factorised, and with friction not condensed.
+    InvalidProblem
+        The answer is not certified.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        problem = solution.problem
+        if iterated(problem):
+            raise Unsupported("derivatives: of bodies that are factorised alone")
+        if not solution.certificate.passed:
+            raise InvalidProblem("derivatives: the answer is not certified")
+        self.solution, self.problem = solution, problem
+        self._sparse = constraints_are_many(problem) or contacts_are_many(problem)
+        if self._sparse and problem.frictional:
+            raise Unsupported("derivatives: of answers with friction where the contacts are condensed alone")
+        words = solution.contact_status
+        self.grazing = np.flatnonzero(words == "grazing")
+        self.closed = np.flatnonzero(np.isin(words, ("closed", "stick", "slip")))
+        self.status = self._states(words)
+        self._at_bound = self._sticking_at_bound()
+        self.undecided = np.union1d(self.grazing, self._at_bound).astype(np.intp)
+        self._systems: dict[bytes, RateSystem] = {}
+        self._posed: ContactProblem | None = None
+        self.redundant = self._forces_depend()
+        whole = not (self._sparse or len(self.undecided))
+        self.system = self._system(self.status) if whole else None
+
+    def _states(self, words: Any) -> Status:
+        """Return the states as numbers; what slips in the plane does so on or back."""
+        status = np.where(np.isin(words, ("closed", "slip")), SLIP_ON, OPEN).astype(np.int8)
+        status[words == "stick"] = STICK
+        slip = self.solution.slip
+        if slip is not None and slip.shape[1] == 1:
+            status[(status == SLIP_ON) & (slip[:, 0] < 0)] = SLIP_BACK
+        return status
+
+    def _sticking_at_bound(self) -> Indices:
+        solution, problem = self.solution, self.problem
+        if not problem.frictional or solution.friction_force is None or problem.friction is None:
+            return np.zeros(0, dtype=np.intp)
+        bound = problem.friction * solution.normal_force
+        return np.flatnonzero((self.status == STICK) & (lengths(solution.friction_force) >= (1 - SAME) * bound))
+
+    def _forces_depend(self) -> bool:
+        """Whether rows of ties and of contacts that touch depend on one another, so that forces are not unique."""
+        if self.problem.frictional:
+            return False  # the system says it
+        if self._sparse:  # nothing is condensed, and the certificate has looked
+            return any(bounds.REDUNDANT in reason for reason in self.solution.certificate.reasons)
+        touching = np.union1d(self.closed, self.grazing).astype(np.intp)
+        return bool(saddle_point(condense(self.problem), touching).redundant)
+
+    def _system(self, status: Status) -> RateSystem:
+        key = status.tobytes()
+        if key not in self._systems:
+            problem, solution = self.problem, self.solution
+            slip = np.zeros(shape_of_tangents(problem)) if solution.slip is None else solution.slip
+            answer = Parts(solution.displacement, solution.normal_force, slip, solution.tie_force)
+            self._systems[key] = RateSystem(problem, condense(problem), status, answer)
+        return self._systems[key]
+
+    @property
+    def irregular(self) -> str | None:
+        """Return why there are no rates whatever the direction, with friction."""
+        if not self.problem.frictional:
+            return None
+        if self.system is None:
+            return IN_SPACE if shape_of_tangents(self.problem)[1] > 1 else None
+        return None if self.system.regular else SINGULAR
+
+    def sides(self, direction: Direction) -> tuple[Rates, Rates]:
+        """Return the rates towards minus and plus a direction.
+
+        Raises
+        ------
+        NoRates
+            There are none towards a side, or several.
+        """
+        if self.system is not None:
+            ahead = self._in_states(self.system, direction)
+            return ahead, ahead
+        towards = self._among_states if self.problem.frictional else self._by_problem
+        ahead = towards(direction)
+        if not len(self.undecided):
+            return ahead, ahead
+        back = towards(direction.reversed())
+        return back.reversed(), ahead
+
+    def adjoint(self, weights: Parts) -> Parts:
+        """Return the solution of the transposed system; nothing is at a border."""
+        if self.system is not None:
+            return self.system.solve(weights, transposed=True).found
+        zero = Direction.zero(self.problem)
+        found = self._by_problem(
+            Direction(**(vars(zero) | dict(load=weights.displacement, gap=weights.normal, tie_value=weights.tie)))
+        )
+        return Parts(found.displacement, found.normal_force, found.friction_force, found.tie_force)
+
+    def _in_states(self, system: RateSystem, direction: Direction) -> Rates:
+        """Return the rates in one combination of states."""
+        problem, solution = self.problem, self.solution
+        load, slip_origin = direction.whole_load, direction.slip_origin
+        own = np.zeros_like(slip_origin)  # of the friction of contacts that slip, besides what the rates make
+        if problem.tangent is not None and problem.frictional:
+            own = (direction.friction * solution.normal_force)[:, None] * system.directions
+            own -= np.einsum("mij,mj->mi", system.turning, slip_origin)
+            load = load - problem.tangent.T @ own.ravel()
+        solved = system.solve(Parts(load, direction.whole_gap, slip_origin, direction.tie_value))
+        if not solved.settled:
+            raise NoRates(SINGULAR)
+        found = solved.found
+        friction, slip = found.tangent, -slip_origin
+        if problem.tangent is not None:
+            slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
+        if problem.tangent is not None and problem.friction is not None and problem.frictional:
+            dragged = (problem.friction * found.normal)[:, None] * system.directions
+            friction = friction + dragged + own + np.einsum("mij,mj->mi", system.turning, slip + slip_origin)
+        return self._with_reaction(direction, found, friction, slip, solved.bound)
+
+    def _with_reaction(
+        self, direction: Direction, found: Parts, friction: Array, slip: Array, bound: Parts | None
+    ) -> Rates:
+        problem, u = self.problem, found.displacement
+        gap = direction.whole_gap - problem.normal @ u
+        reaction = direction.load + direction.strained - problem.stiffness_rows @ u
+        return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, bound)
+
+    def _by_problem(self, direction: Direction) -> Rates:
+        """Return the rates without friction as the answer of a problem whose contacts are those that graze."""
+        problem, k = self.problem, self.problem.ties
+        if self._posed is None:
+            rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[self.closed]]))
+            self._posed = ContactProblem(
+                problem.stiffness, np.zeros(problem.dimension), problem.normal[self.grazing],
+                np.zeros(len(self.grazing)), tie=rows, tie_value=np.zeros(rows.shape[0]),
+                near_null_space=problem.near_null_space,
+            )  # fmt: skip
+            self._posed._computed.wider_condensation = problem._computed.condensation
+        limit = direction.whole_gap
+        value = np.concatenate([direction.tie_value, limit[self.closed]])
+        try:
+            found = solve(self._posed.replace(load=direction.whole_load, gap=limit[self.grazing], tie_value=value))
+        except NoEquilibrium as none:
+            raise NoRates(str(none)) from None
+        force = np.zeros(problem.contacts)
+        force[self.closed], force[self.grazing] = found.tie_force[k:], found.normal_force
+        tangents = np.zeros(shape_of_tangents(problem))
+        slip = tangents - direction.slip_origin
+        if problem.tangent is not None:
+            slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
+        parts = Parts(found.displacement, force, tangents, found.tie_force[:k].copy())
+        return self._with_reaction(direction, parts, tangents, slip, None)
+
+    def _among_states(self, direction: Direction) -> Rates:
+        """Return the rates with friction in the plane of the one combination of states that they lead to."""
+        choices = [self._choices(int(i)) for i in self.undecided]
+        if np.prod([float(len(one)) for one in choices]) > MOST_COMBINATIONS:
+            raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
+        holding: list[Rates] = []
+        for chosen in product(*choices):
+            status = self.status.copy()
+            status[self.undecided] = chosen
+            system = self._system(status)
+            if not system.regular:
+                continue
+            found = self._in_states(system, direction)
+            if self._holds(found, direction, status) and not any(self._are_one(found, other) for other in holding):
+                holding.append(found)
+        if len(holding) != 1:
+            count = "several rates continue" if holding else "no rates continue"
+            raise NoRates(f"{count} the answer: {self.named(self.undecided)} may change its state")
+        return holding[0]
+
+    def _choices(self, i: int) -> tuple[int, ...]:
+        """Return the states that a contact at a border may go to."""
+        solution, friction = self.solution, self.problem.friction
+        assert solution.friction_force is not None
+        assert solution.slip is not None
+        assert friction is not None
+        if self.status[i] == STICK:
+            return STICK, SLIP_ON if solution.friction_force[i, 0] > 0 else SLIP_BACK
+        if friction[i] == 0:
+            return OPEN, SLIP_ON
+        certificate = solution.certificate
+        measure = None if certificate.violations is None else certificate.violations.slip_measure
+        if measure is not None and measure[i] > certificate.tolerance:
+            return OPEN, SLIP_ON if solution.slip[i, 0] > 0 else SLIP_BACK
+        return OPEN, STICK, SLIP_ON, SLIP_BACK
+
+    def _holds(self, found: Rates, direction: Direction, status: Status) -> bool:
+        """Return whether rates lead undecided contacts to the states that they were found in."""
+        problem, solution = self.problem, self.solution
+        assert problem.friction is not None
+        assert solution.friction_force is not None
+        unit, of_normal, of_tangent = self._units
+        push, drag = found.normal_force * of_normal, found.friction_force[:, 0] * of_normal
+        nothing = SAME * max(np.max(abs(push), initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
+        room = (problem.friction * found.normal_force + direction.friction * solution.normal_force) * of_normal
+        slips = np.divide(found.slip[:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
+        gaps = np.divide(found.gap, of_normal, out=np.zeros_like(push), where=of_normal > 0)
+        for i in self.undecided:
+            grazes, state = self.status[i] != STICK, status[i]
+            if state == OPEN:
+                signs = [gaps[i]]
+            elif state == STICK and grazes:
+                signs = [push[i], room[i] - abs(drag[i])]
+            elif state == STICK:
+                signs = [room[i] - np.sign(solution.friction_force[i, 0]) * drag[i]]
+            else:
+                turns = not grazes or len(self._choices(int(i))) == 4
+                signs = ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
+            if min(signs) < -nothing:
+                return False
+        return True
+
+    def _are_one(self, one: Rates, other: Rates) -> bool:
+        """Return whether two combinations have the same rates, in the square root of energy."""
+        a, b = self._scaled(one), self._scaled(other)
+        return bool(
+            np.max(abs(a - b), initial=0.0) <= SAME * max(np.max(abs(a), initial=0.0), np.max(abs(b), initial=0.0))
+        )
+
+    def _scaled(self, rates: Rates) -> Vector:
+        unit, of_normal, of_tangent = self._units
+        forces = rates.normal_force * of_normal, rates.friction_force[:, 0] * of_tangent
+        return np.concatenate([rates.displacement / unit, *forces])
+
+    @cached_property
+    def _units(self) -> tuple[Vector, Vector, Vector]:
+        """The scale of unknowns, and the lengths of normal and tangential rows in it, in the plane."""
+        unit = condense(self.problem).unknown_scale
+        sizes = (np.sqrt(sp.csr_array(rows).power(2) @ unit**2) for rows in (self.problem.normal, self.problem.tangent))
+        return unit, *sizes
+
+    def events(self, rates: Rates, sign: float) -> Iterator[float]:
+        """Yield the steps along sign times these rates at which a contact that is at no border changes its state."""
+        solution, problem = self.solution, self.problem
+        decided = np.setdiff1d(np.arange(problem.contacts), self.undecided)
+        pushing, apart = decided[self.status[decided] != OPEN], decided[self.status[decided] == OPEN]
+        yield from _falls(solution.normal_force[pushing], sign * rates.normal_force[pushing])
+        yield from _falls(solution.gap[apart], sign * rates.gap[apart])
+        if not problem.frictional or problem.friction is None or solution.slip is None:
+            return
+        slips = decided[(abs(self.status[decided]) == 1) & (problem.friction[decided] > 0)]
+        along = self.status[slips].astype(float)
+        yield from _falls(along * solution.slip[slips, 0], sign * along * rates.slip[slips, 0])
+        for i in decided[self.status[decided] == STICK]:
+            assert solution.friction_force is not None
+            yield from _reaches_bound(
+                problem.friction[i], solution.normal_force[i], solution.friction_force[i],
+                sign * rates.normal_force[i], sign * rates.friction_force[i],
+            )  # fmt: skip
+
+    def named(self, contacts: Indices) -> str:
+        """Return the names of some contacts."""
+        names = [self.problem.contact_name(int(i)) for i in contacts[:SHOWN]]
+        return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
+
+    def at_border(self) -> str:
+        """Return which contacts are at a border, in words."""
+        kinds = ((self.grazing, "grazes", "graze"), (self._at_bound, "sticks at its bound", "stick at their bounds"))
+        return "; ".join(
+            f"{self.named(which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
+        )
+
+
+def _falls(size: Vector, rate: Vector) -> Iterator[float]:
+    """Yield the steps at which positive sizes reach zero."""
+    falls = rate < 0
+    yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
+
+
+def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
+    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
+    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
+    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
+    c = float(drag @ drag) - (mu * push) ** 2
+    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
+    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
+    yield from sorted(real)[:1]

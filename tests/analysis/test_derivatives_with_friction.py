@@ -1,0 +1,187 @@
+"""With friction, derivatives are those of exact answers, at the border of two states towards either side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis.derivatives import QUANTITIES
+
+STEP = 2.0**-20  # so that what is stepped to is a double exactly
+
+
+def drawn(rng: np.random.Generator) -> cq.ContactProblem:
+    n, m = int(rng.integers(3, 6)), int(rng.integers(1, 4))
+    shape = rng.integers(-3, 4, (n, n))
+    rows = [rng.integers(-2, 3, (m, n)).astype(float) for _ in range(2)]
+    for one in rows:
+        one[~one.any(axis=1), 0] = 1.0
+    return cq.ContactProblem(
+        shape @ shape.T + np.diag(rng.integers(2, 6, n)), rng.integers(-9, 10, n), rows[0], rng.integers(0, 3, m) / 4,
+        rows[1], rng.integers(0, 4, m) / 8,
+    )  # fmt: skip
+
+
+def at_borders(rng: np.random.Generator) -> cq.ContactProblem:
+    """Draw a problem around an answer whose first contact grazes, or sticks at its bound."""
+    problem = drawn(rng)
+    n, m = problem.dimension, problem.contacts
+    u, push, drag = rng.integers(-4, 5, n) / 2, rng.integers(1, 5, m).astype(float), np.zeros(m)
+    gap, origin = problem.normal @ u, problem.tangent @ u
+    for i in range(m):
+        sign = rng.choice([-1.0, 1.0])
+        kinds = ["bound", "grazes", "grazes apart", "stick", "slip", "open"]
+        kind = rng.choice(kinds[: 3 if i == 0 else None])
+        push[i] *= kind in ("bound", "stick", "slip")
+        drag[i] = push[i] * sign * (0.125 if kind == "stick" else 0.25)
+        origin[i] -= 0.5 * sign * (kind in ("slip", "grazes apart"))
+        gap[i] += 0.5 * (kind == "open")
+    load = problem.stiffness @ u + problem.normal.T @ push + problem.tangent.T @ drag
+    return problem.replace(load=load, gap=gap, slip_origin=origin, friction=np.full(m, 0.25))
+
+
+def rate(base: Any, moved: Any, of: str, sign: int) -> np.ndarray:
+    """Return the exact rate towards a side, of answers in Fractions."""
+    before, after = (np.ravel(np.array(getattr(one, of), dtype=object)) for one in (base, moved))
+    return np.array([float((b - a) * int(1 / STEP)) * sign for a, b in zip(before, after, strict=True)])
+
+
+def directions(rng: np.random.Generator, problem: cq.ContactProblem) -> dict[str, np.ndarray]:
+    n, m = problem.dimension, problem.contacts
+    turn = rng.integers(-2, 3, (n, n))
+    found = dict(
+        load=rng.integers(-3, 4, n), gap=rng.integers(-3, 4, m), slip_origin=rng.integers(-3, 4, (m, 1)),
+        friction=rng.integers(0, 3, m), stiffness=turn + turn.T, rows=rng.integers(-1, 2, (m, n)),
+    )  # fmt: skip
+    return {name: direction.astype(float) for name, direction in found.items()}
+
+
+def moved(problem: cq.ContactProblem, name: str, step: np.ndarray) -> cq.ContactProblem:
+    field = "normal" if name == "rows" else name
+    value = getattr(problem, field)
+    return problem.replace(**{field: (value.toarray() if field == "normal" else value) + step})
+
+
+@pytest.mark.parametrize("border", [False, True])
+def test_rates_are_those_of_exact_answers(border: bool) -> None:
+    rng, seen, two_sided, slips = np.random.default_rng(8), 0, 0, 0
+    for _ in range(25):
+        problem = at_borders(rng) if border else drawn(rng)
+        solution = cq.solve(problem)
+        if solution.certificate.uniqueness:
+            continue
+        base = cq.exact(problem)
+        slips += int(np.sum(solution.contact_status == "slip"))
+        for name, direction in directions(rng, problem).items():
+            if border and name not in ("load", "gap", "slip_origin"):
+                continue
+            if name == "friction" and np.any(problem.friction < STEP * direction):
+                continue
+            sides = {sign: cq.exact(moved(problem, name, sign * STEP * direction)) for sign in (1, -1)}
+            for of in ("displacement", "normal_force", "friction_force"):
+                found = solution.derivative(of, name, direction)
+                if found.right is None:
+                    assert border
+                    assert "several rates" in found.reason
+                    continue
+                right, left = (rate(base, sides[sign], of, sign) for sign in (1, -1))
+                near = 1e-8 * max(1.0, np.max(abs(right)), np.max(abs(left)))
+                if name in ("friction", "stiffness", "rows"):  # along which answers are not linear
+                    assert np.max(abs((right + left) / 2 - np.ravel(found.value))) <= 100 * near
+                else:
+                    assert np.max(abs(right - np.ravel(found.right))) <= near
+                    assert np.max(abs(left - np.ravel(found.left))) <= near
+                    assert found.exists == bool(np.max(abs(left - right)) <= near)
+                seen += 1
+                two_sided += not found.exists
+    assert seen >= 150
+    assert slips >= 3
+    assert (two_sided >= 50) == border
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_differences_of_answers_and_gradients(width: int) -> None:
+    """In space, too, where the directions of slip turn; with a tie, of every quantity by every parameter."""
+    rng, seen, step = np.random.default_rng(9), 0, 1e-5
+    for _ in range(6):
+        n, m = 7, 2
+        shape = rng.standard_normal((n, n))
+        problem = cq.ContactProblem(
+            shape @ shape.T + 3 * np.eye(n), 5 * rng.standard_normal(n), rng.standard_normal((m, n)),
+            rng.uniform(0, 0.3, m), 0.7 * rng.standard_normal((width * m, n)), rng.uniform(0.05, 0.4, m),
+            tie=rng.standard_normal((1, n)), tie_value=[0.1],
+        )  # fmt: skip
+        solution, turn = cq.solve(problem), rng.standard_normal((n, n))
+        along = dict(
+            load=rng.standard_normal(n), gap=rng.standard_normal(m), friction=0.1 * rng.standard_normal(m),
+            slip_origin=rng.standard_normal((m, width)), stiffness=turn + turn.T, rows=rng.standard_normal((m, n)),
+            tie_value=np.ones(1),
+        )  # fmt: skip
+        for name, direction in along.items():
+            ahead, back = (cq.solve(moved(problem, name, sign * step * direction)) for sign in (1, -1))
+            if any(one.contact_status.tolist() != solution.contact_status.tolist() for one in (ahead, back)):
+                continue
+            for of in QUANTITIES:
+                found = solution.derivative(of, name, direction).value
+                difference = (np.asarray(value(ahead, of)) - np.asarray(value(back, of))) / (2 * step)
+                assert found == pytest.approx(difference, abs=1e-6 * max(1.0, np.max(abs(difference))))
+                weights = rng.standard_normal(np.shape(found))
+                gradient = solution.pullback(of, weights, name)
+                gradient = gradient.toarray() if hasattr(gradient, "toarray") else gradient
+                assert np.sum(gradient * direction) == pytest.approx(np.sum(weights * found), abs=1e-10)
+                seen += 1
+    assert seen >= 200
+
+
+def value(solution: cq.Solution, of: str) -> Any:
+    problem = solution.problem
+    return problem.load - problem.stiffness @ solution.displacement if of == "reaction" else getattr(solution, of)
+
+
+@pytest.mark.parametrize(("force", "length"), [(1.0, 1.0), (2.0**30, 2.0**-30), (1e-9, 1e9), (1e9, 1e-9)])
+def test_a_slider_on_a_spring_in_any_units(force: float, length: float) -> None:
+    """A spring of stiffness 2 and a floor with mu = 0.3 under 10: slips at 3, u = (f - 3)/2."""
+    K = np.array([[2.0, 0.0], [0.0, 5.0]]) * force / length
+
+    def slider(pull: float) -> cq.Solution:
+        load = np.array([pull, -10.0]) * force
+        return cq.solve(cq.ContactProblem(K, load, [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction=0.3))
+
+    slipping, sticking, at_bound = slider(5.0), slider(1.0), slider(3.0)
+    near, pulled, soft = dict(rel=1e-12), [1.0, 0.0], [0.5 * length / force, 0.0]
+    assert slipping.derivative("displacement", "load", pulled).value == pytest.approx(soft, **near)
+    assert slipping.derivative("displacement", "friction", 1.0).value == pytest.approx([-5.0 * length, 0.0], **near)
+    assert slipping.derivative("friction_force", "load", [0.0, -1.0]).value == pytest.approx(np.array([[0.3]]), **near)
+    assert slipping.derivative("displacement", "load", pulled).reach == pytest.approx((2.0 * force, np.inf), **near)
+    assert sticking.derivative("friction_force", "load", pulled).value == pytest.approx(np.array([[1.0]]), **near)
+    assert sticking.derivative("displacement", "load", pulled).reach == pytest.approx((4 * force, 2 * force), **near)
+    found = at_bound.derivative("displacement", "load", pulled)
+    assert (found.value, found.left.tolist()) == (None, [0.0, 0.0])
+    assert found.right == pytest.approx(soft, **near)
+    assert found.reason == "the two sides differ: contact 0 sticks at its bound"
+    with pytest.raises(cq.InvalidProblem, match="sticks at its bound"):
+        at_bound.pullback("displacement", [1.0, 0.0], "load")
+
+
+def test_what_has_no_derivative_with_friction_says_why() -> None:
+    ramp = cq.ContactProblem(
+        np.eye(3), [3.0, 0.0, -10.0], [[0.0, 0.0, -1.0]], [0.0], [[1.0, 0, 0], [0.0, 1, 0]], friction=0.3
+    )  # in space, at its bound: 3 = 0.3 10
+    found = cq.solve(ramp).derivative("displacement", "load", [1.0, 0.0, 0.0])
+    assert (found.value, found.right) == (None, None)
+    assert "in the plane alone" in found.reason
+    smooth = cq.solve(cq.ContactProblem([[1.0]], [2.0], [[1.0]], [1.0]))
+    for call, message in (
+        (
+            lambda: smooth.derivative("friction_force", "load", [1.0]),
+            "of: 'friction_force' of a problem without tangential",
+        ),
+        (lambda: smooth.derivative("gap", "friction", [1.0]), "with_respect_to: 'friction' of a problem without"),
+        (lambda: smooth.derivative("gap", "rows", [[1.0, 0.0]]), r"direction: expected shape \(1, 1\), got \(1, 2\)"),
+    ):
+        with pytest.raises(cq.InvalidProblem, match=message):
+            call()
+    assert smooth.derivative("reaction", "rows", [[1.0]]).value == pytest.approx([1.0])  # u = 1/E: f - K u = 2 - 1/E
