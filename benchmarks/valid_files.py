@@ -12,6 +12,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ import scipy.io
 import scipy.sparse as sp
 
 import contactqp as cq
+from benchmarks.decks import judge_deck, solve_deck, write_decks
 from benchmarks.printed_files import add_printed
 from contactqp.elements.mesh_files import read_mesh
 from contactqp.exchange.problem_folder import write_problem
@@ -70,9 +72,21 @@ def seeds(root: Path) -> list[Seed]:
     _add_local(add)
     _add_quadratic_programs(add)
     _add_ansys(add)
+    for name in ("plane", "space"):
+        add(f"deck-{name}", _deck(f"{name}.inp"), partial(solve_deck, name=name))
+        add(f"deck-{name}-results", _deck(f"{name}.dat"), partial(judge_deck, name=name))
+    add("deck-included", _deck("nodes.inp"), partial(judge_deck, name="plane"))
     for kind in ("inp", "msh22", "msh41", "vtu"):
         add(f"mesh-{kind}", lambda folder, kind=kind: _write_mesh(folder, kind), _read_mesh)
     return found
+
+
+def _deck(mutated: str) -> Callable[[Path], str]:
+    def write(folder: Path) -> str:
+        write_decks(folder)
+        return mutated
+
+    return write
 
 
 QPS = """NAME SMALL

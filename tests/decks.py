@@ -6,8 +6,13 @@ import os
 import pathlib
 import shutil
 import subprocess
+from functools import partial
 
+import numpy as np
 import pytest
+
+import contactqp as cq
+from contactqp.elements.abaqus import HEX_FACES
 
 CCX = os.environ.get("CONTACTQP_CCX", "ccx")
 needs_calculix = pytest.mark.skipif(shutil.which(CCX) is None, reason="CalculiX (ccx) is not installed")
@@ -80,3 +85,111 @@ def run_calculix(folder: pathlib.Path, text: str, job: str = "job") -> None:
     write(folder, text, f"{job}.inp")
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     subprocess.run([CCX, job], cwd=folder, capture_output=True, timeout=60, env=environment, check=False)
+
+
+class Deck:
+    """A deck of meshes, side by side: `lines` before the step, `step` in it."""
+
+    def __init__(self, model: str = "C3D") -> None:
+        self.model = model
+        self.lines: list[str] = []
+        self.step: list[str] = []
+        self.first: dict[str, tuple[int, int, cq.Mesh]] = {}
+        self.nodes = self.elements = 0
+
+    def body(self, name: str, mesh: cq.Mesh, modulus: float = 210_000.0, section: str = "") -> None:
+        """Add a body of Poisson's ratio 0.3; its element and node sets are called NAME."""
+        self.first[name] = (self.nodes, self.elements, mesh)
+        self.lines.append(f"*NODE, NSET={name}")
+        for i, point in enumerate(mesh.points):
+            self.lines.append(f"{self.nodes + i + 1}, " + ", ".join(f"{x:.12e}" for x in point))
+        for block in mesh.blocks:
+            self.lines.append(f"*ELEMENT, TYPE={self.model}{len(block.kind.nodes)}, ELSET={name}")
+            for nodes in block.nodes.tolist():
+                self.elements += 1
+                words = [str(self.elements), *(str(self.nodes + node + 1) for node in nodes)]
+                rows = [", ".join(words[at : at + 12]) for at in range(0, len(words), 12)]
+                self.lines.append(",\n".join(rows))
+        self.nodes += len(mesh.points)
+        self.lines += [f"*MATERIAL, NAME={name}", "*ELASTIC", f"{modulus}, 0.3"]
+        self.lines += [f"*SOLID SECTION, ELSET={name}, MATERIAL={name}", *([section] if section else [])]
+
+    def surface(self, name: str, body: str, side: str) -> None:
+        """Add a side of a body as a surface of faces."""
+        _, first, mesh = self.first[body]
+        self.lines.append(f"*SURFACE, NAME={name}")
+        hexahedra = mesh.blocks[0].kind.corners == 8
+        for element, facet in mesh.sides[side].tolist():
+            face = HEX_FACES.index(facet) if hexahedra else facet
+            self.lines.append(f"{first + element + 1}, S{face + 1}")
+
+    def nset(self, name: str, body: str, side: str) -> None:
+        """Add the nodes of a side as a set."""
+        first, _, mesh = self.first[body]
+        self.lines += [f"*NSET, NSET={name}", *(f"{first + node + 1}," for node in mesh.nodes(side).tolist())]
+
+    def pair(self, kind: str, behaviour: str, *, friction: str = "", adjust: str = "") -> None:
+        """Add the contact pair of the surfaces SLAVE and MASTER."""
+        self.lines += ["*SURFACE INTERACTION, NAME=TOUCH", f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE={behaviour}"]
+        self.lines += ["*FRICTION", friction] if friction else []
+        self.lines += [f"*CONTACT PAIR, INTERACTION=TOUCH, TYPE={kind}{adjust}", "SLAVE, MASTER"]
+
+    def text(self) -> str:
+        """Return the deck."""
+        return "\n".join([*self.lines, "*STEP, INC=1000", "*STATIC", *self.step, "*END STEP", ""])
+
+
+def two_blocks(
+    element: str,
+    kind: str,
+    behaviour: str,
+    *,
+    divisions: tuple[tuple[int, int, int], tuple[int, int, int]] = ((4, 4, 3), (3, 3, 2)),
+    push: float = 0.0,
+    above: float = 0.0,
+    friction: str = "",
+    adjust: str = "",
+) -> str:
+    """Return the deck of a cube that is pressed by 0.001 onto a wider block whose mesh does not match."""
+    deck = Deck()
+    deck.body("UP", cq.box((1.0, 1.0, 1.0), divisions[0], element, corner=(0.0, 0.0, 1.0 + above)))
+    deck.body("LOW", cq.box((1.6, 1.6, 1.0), divisions[1], element, corner=(-0.3, -0.3, 0.0)))
+    deck.surface("SLAVE", "UP", "bottom")
+    deck.surface("MASTER", "LOW", "top")
+    deck.nset("TOP", "UP", "top")
+    deck.nset("BOTTOM", "LOW", "bottom")
+    deck.pair(kind, behaviour, friction=friction, adjust=adjust)
+    deck.lines += ["*BOUNDARY", "BOTTOM, 1, 3"]
+    deck.step += ["*BOUNDARY", f"TOP, 1, 1, {push}", "TOP, 2, 2", "TOP, 3, 3, -0.001"]
+    return deck.text()
+
+
+def press_fit(kind: str, behaviour: str, interference: float = 0.01) -> str:
+    """Return the deck of a quarter of a hub on a hollow shaft, of quadratic hexahedra, held along the axis."""
+    deck = Deck()
+    for name, inner, outer, around in (("HUB", 20.0, 40.0, 12), ("SHAFT", 5.0, 20.0 + interference, 10)):
+        deck.body(name, cq.box((1.0, 1.0, 1.0), (4, around, 1), "hex20").mapped(partial(_ring, inner, outer)))
+    deck.surface("SLAVE", "HUB", "left")
+    deck.surface("MASTER", "SHAFT", "right")
+    deck.pair(kind, behaviour)
+    held = []
+    for name in ("HUB", "SHAFT"):
+        for side, direction in (("front", 2), ("back", 1), ("bottom", 3), ("top", 3)):
+            deck.nset(f"{name}{side.upper()}", name, side)
+            held.append(f"{name}{side.upper()}, {direction}, {direction}")
+    deck.lines += ["*BOUNDARY", *held]
+    return deck.text()
+
+
+def _ring(inner: float, outer: float, x: np.ndarray) -> np.ndarray:
+    radius, angle = inner + (outer - inner) * x[:, 0], np.pi / 2 * x[:, 1]
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), 4.0 * x[:, 2]], axis=1)
+
+
+def lame_force(interference: float = 0.01) -> float:
+    """Return the force between a quarter of that hub and its shaft in plane strain, by Lame's solution [force]."""
+    inner, radius, outer, height = 5.0, 20.0, 40.0, 4.0
+    modulus, poisson = 210_000.0 / (1 - 0.3**2), 0.3 / (1 - 0.3)
+    hub = radius / modulus * ((outer**2 + radius**2) / (outer**2 - radius**2) + poisson)
+    shaft = radius / modulus * ((radius**2 + inner**2) / (radius**2 - inner**2) - poisson)
+    return interference / (hub + shaft) * np.pi / 2 * radius * height

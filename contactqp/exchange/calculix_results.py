@@ -51,7 +51,7 @@ class NodalField:
 DAT_EXPECTED = "CalculiX's printed tables (.dat)"
 TITLE = re.compile(r"\s(\S[^()]*?)\s*\(([^()]*)\).*\btime\s+(\S+)\s*", re.ASCII)
 DAT_NUMBER = re.compile(r"[+-]?\d+\.\d*(?:[eE]?[+-]\d+)?", re.ASCII)
-OMITTED = re.compile(r"(?<=\d)(?=[+-])")
+OMITTED = re.compile(r"(?<=[\d.])(?=[+-])")
 WORDS = re.compile(r"[A-DF-Za-df-z]{2}")
 NODAL = {
     "displacements": (DISPLACEMENT, ("D1", "D2", "D3")),
@@ -288,7 +288,7 @@ def _number(path: Path, place: str, word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        return float(re.sub(r"(?<=\d)([+-])", r"E\1", word))
+        return float(OMITTED.sub("E", word))
 
 
 def _integer(path: Path, place: str, word: str) -> int:

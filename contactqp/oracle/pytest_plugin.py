@@ -12,6 +12,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck
     from contactqp.oracle.gallery.problem import GalleryProblem
     from contactqp.oracle.judged_answer import JudgedAnswer
     from contactqp.oracle.solver_check import SolverReport
@@ -45,6 +46,12 @@ class ContactOracle:
         from contactqp.oracle.judged_answer import certify
 
         return certify(getattr(problem, "problem", problem), *answer, **options)
+
+    def crosscheck(self, path: Any, results: Any = None, **options: Any) -> CrossCheck:
+        """`contactqp.crosscheck`: the contact of a deck in CalculiX, which an `assert` finds right or not."""
+        from contactqp.oracle.foreign.crosscheck import crosscheck
+
+        return crosscheck(path, results, **options)
 
     def assert_contact_solution(self, problem: Any, *answer: Any, **options: Any) -> None:
         """`contactqp.testing.assert_contact_solution`."""

@@ -10,6 +10,7 @@ import pytest
 import contactqp as cq
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.answer_files import read_answer
+from contactqp.exchange.calculix_results import read_dat
 
 # Two springs of 3 and 2 in a row; node 17 stops at a wall half a unit away, and node 3 is held.
 PROBLEM = cq.ContactProblem(
@@ -257,3 +258,9 @@ def test_mutations_are_refused_in_one_line_or_read(tmp_path: Path, text: str) ->
             said.append(str(error))
     assert len(said) > 200
     assert not any("\n" in line for line in said)
+
+
+def test_exponents_without_a_letter_are_read_behind_a_point_too(tmp_path):
+    file = tmp_path / "job.dat"
+    file.write_text(" displacements (vx,vy,vz) for set S and time 1.0E+00\n\n 1 -2.-02 1.5-101 0.E+00\n")
+    assert read_dat(file)[0][0].values.tolist() == [[-0.02, 1.5e-101, 0.0]]

@@ -164,7 +164,8 @@ class CrossCheck(ReadOnly):
         return self.passed
 
     def __repr__(self) -> str:
-        return f"CrossCheck({self.deck}: {self.word})"
+        causes = [*self.findings, *(cause for pair in self.pairs for cause in pair.causes)]
+        return f"CrossCheck({self.deck}: {self.word}{f', {causes[0]}' if causes else ''})"
 
     def __str__(self) -> str:
         return self.summary()

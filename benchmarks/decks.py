@@ -1,0 +1,155 @@
+"""Decks of many keywords for fuzzing, with results for them: plane and in space, contact, ties, equations, loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import contactqp as cq
+from tests.decks import STACK
+
+# Two squares with friction over a third, which a tie and an equation hold, and a spring and a bar beside them.
+PLANE = """\
+*HEADING
+squares
+*INCLUDE, INPUT=nodes.inp
+*ELEMENT, TYPE=CPE4, ELSET=BODY
+1, 1, 2, 3, 4
+2, 11, 12, 13, 14
+*ELEMENT, TYPE=CPE4, ELSET=BODY
+3, 21, 22, 23, 24
+*ELEMENT, TYPE=T2D2, ELSET=BAR
+8, 13, 31
+*ELEMENT, TYPE=SPRINGA, ELSET=SPRING
+9, 14, 32
+*NSET, NSET=TOP, GENERATE
+13, 14, 1
+*ELSET, ELSET=ALL
+BODY, BAR
+*MATERIAL, NAME=STEEL
+*ELASTIC, TYPE=ISO
+1000., 0.3
+*DENSITY
+2.
+*EXPANSION
+1e-5
+*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL
+0.5
+*SOLID SECTION, ELSET=BAR, MATERIAL=STEEL
+0.1
+*SPRING, ELSET=SPRING
+
+25.
+*SURFACE, NAME=BELOW
+1, S3
+*SURFACE, NAME=ABOVE, TYPE=NODE
+11
+12
+*SURFACE, NAME=LEFT
+3, S2
+*SURFACE, NAME=RIGHT
+1, S4
+*SURFACE INTERACTION, NAME=TOUCH
+*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR
+1e5, 1e-3
+*FRICTION
+0.2, 1e4
+*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE, ADJUST=0.001
+ABOVE, BELOW
+*CLEARANCE, MASTER=BELOW, SLAVE=ABOVE, VALUE=0.002
+*TIE, NAME=JOINT, POSITION TOLERANCE=0.1, ADJUST=NO
+LEFT, RIGHT
+*EQUATION
+2
+13, 1, 1., 14, 1, -1.
+*AMPLITUDE, NAME=UP
+0., 0., 1., 1.
+*BOUNDARY
+1, 1, 2
+2, ENCASTRE
+31, 1, 2
+32, 1, 2
+*STEP, INC=100, NLGEOM=NO
+*STATIC, SOLVER=SPOOLES
+0.1, 1.
+*BOUNDARY, AMPLITUDE=UP
+TOP, 2, 2, -0.01
+*CLOAD, OP=MOD
+23, 1, -2.
+*DLOAD
+3, P3, 1.5
+BODY, GRAV, 9.81, 0., -1.
+*DSLOAD
+LEFT, P, 0.1
+*NODE PRINT, NSET=TOP
+U
+*END STEP
+"""
+NODES = """\
+*NODE, NSET=EVERY
+1, 0., 0.
+2, 1., 0.
+3, 1., 1.
+4, 0., 1.
+11, 0.1, 1.001
+12, 0.9, 1.001
+13, 0.9, 2.
+14, 0.1, 2.
+21, -1., 0.
+22, -0.01, 0.
+23, -0.01, 1.
+24, -1., 1.
+31, 2., 2.
+32, 0.1, 3.
+"""
+
+
+def write_decks(folder: Path) -> None:
+    """Write the decks, and the results of each as CalculiX prints them."""
+    (folder / "plane.inp").write_text(PLANE)
+    (folder / "nodes.inp").write_text(NODES)
+    (folder / "space.inp").write_text(STACK)
+    for name in ("plane", "space"):
+        deck = cq.read_deck(folder / f"{name}.inp")
+        labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
+        three = np.pad(moved, ((0, 0), (0, 3 - moved.shape[1])))
+        rows = [f"{label:10d}" + "".join(f" {x:13.6E}" for x in row) for label, row in zip(labels, three, strict=True)]
+        title = " displacements (vx,vy,vz) for set EVERY and time  0.1000000E+01"
+        (folder / f"{name}.dat").write_text("\n".join(["", title, "", *rows, ""]))
+
+
+def solve_deck(folder: Path, name: str) -> object:
+    """Solve the exact problem of a deck and the one on its springs."""
+    deck = cq.read_deck(folder / f"{name}.inp")
+    solutions = [cq.solve(deck.problem(enforcement)) for enforcement in ("exact", "penalty")]
+    return solutions, list(deck.ledger)
+
+
+def judge_deck(folder: Path, name: str) -> object:
+    """Judge the results that lie beside a deck."""
+    return cq.crosscheck(folder / f"{name}.inp", folder / f"{name}.dat").summary()
+
+
+def reworded(text: str, random: np.random.Generator) -> str:
+    """Change some words of a deck for other words of it, or its numbers for near ones, so that it is mostly a deck."""
+    lines = text.splitlines()
+    places = [(at, words) for at, line in enumerate(lines) for words in [line.split(",")] if line.strip()]
+    every = [word.strip() for _, words in places for word in words]
+    for _ in range(int(random.integers(1, 4))):
+        at, words = places[int(random.integers(0, len(places)))]
+        place = int(random.integers(0, max(len(words), 1)))
+        how = int(random.integers(0, 5))
+        if how == 0 and words:
+            words[place] = every[int(random.integers(0, len(every)))]
+        elif how == 1 and words:
+            words[place] = str(random.choice(["0", "-1", "1e30", "1e-30", "7", "S4", "2", "P2", "-0.001", "15"]))
+        elif how == 2 and words:
+            words.pop(place)
+        elif how == 3:
+            words.insert(place, every[int(random.integers(0, len(every)))])
+        else:
+            lines[at] = ",".join(words) + "\n" + ",".join(words)
+            continue
+        lines[at] = ",".join(words)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,124 @@
+"""Decks that CalculiX is run on, where it is installed: what it computes right passes, the rest is named."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.exchange.calculix_process import run_calculix
+from contactqp.exchange.calculix_results import read_displacements
+from tests.decks import Deck, lame_force, needs_calculix, press_fit, two_blocks, write
+
+NODES, FACES = "NODE TO SURFACE", "SURFACE TO SURFACE"
+# Springs that yield nothing, and, node to face, pull with next to nothing.
+STIFF = {NODES: "LINEAR\n1e9, 1e-6", FACES: "LINEAR\n1e9", "MORTAR": "LINEAR\n1e9"}
+pytestmark = needs_calculix
+
+
+@pytest.mark.parametrize("element", ["hex8", "tet4", "hex20", "tet10"])
+@pytest.mark.parametrize("kind", [NODES, FACES])
+def test_blocks_that_do_not_match_are_right(tmp_path: pathlib.Path, element: str, kind: str) -> None:
+    found = cq.crosscheck(write(tmp_path, two_blocks(element, kind, STIFF[kind])), error_tolerance=2e-3)
+    assert found.passed, found.summary()
+
+
+def test_a_mortar_is_right_where_its_master_reaches_further(tmp_path: pathlib.Path) -> None:
+    found = cq.crosscheck(write(tmp_path, two_blocks("hex8", "MORTAR", STIFF["MORTAR"])))
+    assert found.passed, found.summary()
+
+
+def test_adhesion_is_named(tmp_path: pathlib.Path) -> None:
+    found = cq.crosscheck(write(tmp_path, two_blocks("hex8", NODES, "LINEAR\n1e7, 100., 1.", above=0.0011)))
+    assert found.word == "wrong"
+    assert "adhesion" in found.summary()
+
+
+@pytest.mark.parametrize("kind", [NODES, FACES])
+@pytest.mark.parametrize("push", [1e-4, 4e-3])
+def test_friction_sticks_and_slips_alike(tmp_path: pathlib.Path, kind: str, push: float) -> None:
+    text = two_blocks("hex8", kind, STIFF[kind], push=push, friction="0.3, 1e8")
+    found = cq.crosscheck(write(tmp_path, text))
+    assert found.passed, found.summary()
+    tangential = np.linalg.norm(found.pairs[0].total[:2])
+    assert tangential == pytest.approx(np.linalg.norm(found.pairs[0].reference_total[:2]), rel=5e-3)
+    assert tangential > 1
+
+
+@pytest.mark.parametrize("kind", [NODES, FACES])
+def test_gaps_adjusted_nodes_and_clearances_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:
+    resultants = []
+    for name, adjust, clearance in (("gap", "", ""), ("adjust", ", ADJUST=0.001", ""), ("clear", "", "0.0002")):
+        if clearance and kind == NODES:  # CalculiX has it for faces alone
+            continue
+        text = two_blocks("hex8", kind, STIFF[kind], above=0.0005, adjust=adjust)
+        if clearance:
+            stated = f"*CLEARANCE, MASTER=MASTER, SLAVE=SLAVE, VALUE={clearance}\n*BOUNDARY"
+            text = text.replace("*BOUNDARY", stated, 1)
+        found = cq.crosscheck(write(tmp_path, text, f"{name}.inp"))
+        assert found.passed, found.summary()
+        resultants.append(found.pairs[0].reference_resultant)
+    assert resultants[1] == pytest.approx(2 * resultants[0], rel=0.01)
+
+
+@pytest.mark.parametrize("kind", [NODES, FACES])
+def test_a_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path, kind: str) -> None:
+    found = cq.crosscheck(write(tmp_path, press_fit(kind, STIFF[kind].replace("1e9", "1e8"))))
+    assert found.passed, found.summary()
+    assert found.pairs[0].reference_resultant == pytest.approx(lame_force(), rel=6e-3)
+    soft = cq.crosscheck(write(tmp_path, press_fit(kind, STIFF[kind].replace("1e9", "2e4")), "soft.inp"))
+    assert soft.word == "wrong"
+    assert soft.pairs[0].resultant < 0.9 * soft.pairs[0].reference_resultant
+
+
+@pytest.mark.parametrize("model", ["CPE", "CPS", "CAX"])
+@pytest.mark.parametrize("element", ["quad4", "tri3", "quad8"])
+def test_plane_and_axisymmetric_decks_are_right(tmp_path: pathlib.Path, model: str, element: str) -> None:
+    deck = Deck(model)
+    section = "" if model == "CAX" else "0.5"
+    deck.body("UP", cq.rectangle(1.0, 1.0, (6, 3), element).mapped(lambda x: x + np.array([3.0, 1.0])), section=section)
+    deck.body(
+        "LOW", cq.rectangle(1.6, 1.0, (5, 2), element).mapped(lambda x: x + np.array([2.7, 0.0])), section=section
+    )
+    deck.surface("SLAVE", "UP", "bottom")
+    deck.surface("MASTER", "LOW", "top")
+    deck.nset("TOP", "UP", "top")
+    deck.nset("BOTTOM", "LOW", "bottom")
+    deck.pair(NODES, STIFF[NODES])
+    deck.lines += ["*BOUNDARY", "BOTTOM, 1, 2"]
+    deck.step += ["*BOUNDARY", "TOP, 1, 1", "TOP, 2, 2, -0.001"]
+    found = cq.crosscheck(write(tmp_path, deck.text()))
+    assert found.passed, found.summary()
+
+
+def test_a_tie_moves_as_in_calculix(tmp_path: pathlib.Path) -> None:
+    text = two_blocks("hex8", NODES, STIFF[NODES])
+    text = text.replace(
+        "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=NODE TO SURFACE", "*TIE, NAME=T, POSITION TOLERANCE=0.01"
+    )
+    file = write(tmp_path, text)
+    deck = cq.read_deck(file)
+    labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
+    theirs, _ = read_displacements(run_calculix(file, labels, tmp_path / "run", 60.0).results)
+    assert theirs.nodes.tolist() == labels.tolist()
+    assert abs(theirs.values - moved).max() <= 1e-6 * abs(moved).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("element", "kind", "divisions"), [
+    ("tet10", NODES, ((9, 9, 7), (8, 8, 5))),
+    ("tet10", FACES, ((9, 9, 7), (8, 8, 5))),
+    ("hex20", NODES, ((12, 12, 7), (10, 10, 6))),
+])  # fmt: skip
+def test_bodies_of_twenty_thousand_unknowns_take_less_than_two_minutes(
+    tmp_path: pathlib.Path, element: str, kind: str, divisions: tuple[tuple[int, int, int], tuple[int, int, int]]
+) -> None:
+    deck = write(tmp_path, two_blocks(element, kind, STIFF[kind].replace("1e9", "1e8"), divisions=divisions))
+    assert len(cq.read_deck(deck).dof_names) >= 20_000
+    began = time.monotonic()
+    found = cq.crosscheck(deck)
+    assert found.passed, found.summary()
+    assert time.monotonic() - began < 120
