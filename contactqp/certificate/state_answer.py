@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 
 # Combinations that are looked at: the answer's own, and those that its failing signs lead to.
 COMBINATIONS = 10
-# Loads strain bodies by more than this part of what they would strain their own unknowns, the others held.
-LOADED = 1e-6
 # Signs that fail by this part of the limit of the distance leave the combination as it is.
 HARDLY = 0.1
 # Friction that misses its bound by this part of it is at its bound.
@@ -149,7 +147,7 @@ def state_verdict(
         return figures_alone("the bodies are not factorised as a whole")
     try:
         compared = _Comparison(problem, answer, found, bodies)
-        nothing = min(nothing, compared.strained_by_loads())
+        nothing = min(nothing, tolerance * compared.pushed_by_loads())
         distance, reason = compared.nearest(tolerance, nothing)
     except BackendFailed as error:
         distance, reason = None, str(error)
@@ -390,13 +388,13 @@ class _Comparison:
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 
-    def strained_by_loads(self) -> float:
-        """Return the strain beneath which loads strain nothing [square root of energy]; infinite without loads.
+    def pushed_by_loads(self) -> float:
+        """Return the strain by loads of their unknowns, the others held [square root of energy]; infinite without.
 
         Beside a gap that a body crosses rigidly, the part of the intrinsic size that is nothing may be more.
         """
         pushed = float(np.max(self._problem.own_scale * self._problem.load_size, initial=0.0))
-        return LOADED * pushed if pushed > 0 else float("inf")
+        return pushed if pushed > 0 else float("inf")
 
     def _rounding(self) -> float:
         """Return the energy norm of rounding the displacement to doubles."""

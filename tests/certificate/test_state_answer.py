@@ -275,3 +275,16 @@ def test_a_gap_that_bodies_cross_without_strain_hides_no_wrong_forces(far: float
 @pytest.mark.parametrize("far", [1e12, 1e16, 1e20])
 def test_forces_are_right_where_doubles_hold_no_strain_beside_the_motion(far: float) -> None:
     assert cq.solve(fallen(far, 0.9, [1.0, -2.0, 0.5, -1.0])).normal_force == pytest.approx([2.0, 1.0])
+
+
+def test_who_asks_for_less_is_given_it_where_a_body_moves_rigidly() -> None:
+    """A block pressed lightly onto rough ground a metre away: seven digits of a displacement pass for 1e-3, not 1e-9."""
+    problem = cq.ContactProblem(
+        1e3 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2)), [0.0, -2.0, 0.0, -2.0],
+        [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]], [1.0, 1.0],
+        tangent=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], friction=0.5,
+    )  # fmt: skip
+    printed = np.array([0.0, -1.0, 0.0, -1.0 + 1e-7])
+    forces = [2.0, 2.0], np.zeros((2, 1))
+    assert cq.certify(problem, printed, *forces, tolerance=1e-4, error_tolerance=1e-3).passed
+    assert not cq.certify(problem, printed, *forces).passed
