@@ -278,7 +278,7 @@ def test_forces_are_right_where_doubles_hold_no_strain_beside_the_motion(far: fl
 
 
 def test_who_asks_for_less_is_given_it_where_a_body_moves_rigidly() -> None:
-    """A block pressed lightly onto rough ground a metre away: seven digits of a displacement pass for 1e-3, not 1e-9."""
+    """A block pressed onto rough ground a metre away: seven digits of a displacement pass for 1e-3, not 1e-9."""
     problem = cq.ContactProblem(
         1e3 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2)), [0.0, -2.0, 0.0, -2.0],
         [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]], [1.0, 1.0],
