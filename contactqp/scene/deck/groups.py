@@ -35,7 +35,8 @@ _MODELS: dict[str, Model] = {
 # Where CalculiX, which turns plane elements into ones in space, computes something else than is computed here.
 _DIFFERS = {
     "CPS": "no stress across the plane at any point; CalculiX leaves the thickness at each node free, which is stiffer",
-    "CAX": "integrated over the full circle; CalculiX takes a wedge of 2 degrees with plane sides, softer by some 1e-4",
+    "CAX": "of the full circle; CalculiX takes a wedge of 2 degrees with plane sides, which differs by some 1e-4",
+    "CAX3": "half of the pressure on an edge goes to either end in CalculiX, whatever their radii",
     "T3D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
     "T2D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
 }
@@ -234,8 +235,8 @@ def topology_of(model: DeckModel) -> Topology:
     if len({group.model == "axisymmetric" for group in groups}) > 1:
         raise InvalidProblem(f"{model.file}: expected axisymmetric elements alone, got {', '.join(renumber)}")
     for kind in model.types():
-        if kind[:3] in _DIFFERS:
-            model.ledger.assumed.append(f"{kind}: {_DIFFERS[kind[:3]]}")
+        told = [_DIFFERS[name] for name in dict.fromkeys((kind[:3], kind)) if name in _DIFFERS]
+        model.ledger.assumed.extend(f"{kind}: {one}" for one in told)
     return Topology(model, at, groups, links)
 
 
@@ -327,4 +328,6 @@ def _kind(type_: str) -> Reference:
     kind = REFERENCES[_SOLIDS[nodes] if type_.startswith("C3D") else _SHAPES[nodes]]
     if kind.name == "tet10":
         return _TETRAHEDRON
-    return _REDUCED[kind.name] if reduced else kind
+    kind = _REDUCED[kind.name] if reduced else kind
+    # Of bodies of revolution both programs integrate with the points of the plane element, whatever the radius does.
+    return replace(kind, fine_rule=kind.rule) if type_.startswith("CAX") else kind
