@@ -122,3 +122,14 @@ def test_bodies_of_twenty_thousand_unknowns_take_less_than_two_minutes(
     found = cq.crosscheck(deck)
     assert found.passed, found.summary()
     assert time.monotonic() - began < 120
+
+
+def test_the_guide_prints_what_is_printed(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (pathlib.Path(__file__).parents[2] / "docs" / "guide" / "decks.md").read_text(encoding="utf-8")
+    deck = page.split('deck = """')[1].split('"""')[0]
+    shown = page.split("```text\nsquares.inp: WRONG")[1].split("```")[0]
+    write(tmp_path, deck, "squares.inp")
+    monkeypatch.chdir(tmp_path)
+    found = cq.crosscheck("squares.inp", error_tolerance=1e-3).summary()
+    if "CalculiX 2.20" in found:
+        assert f"squares.inp: WRONG{shown}".rstrip() in found
