@@ -213,6 +213,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         **{f"Solutions.{name}": (getattr(given.objects()["cases"], name), dict(i=0))
            for name in ("case", "displacement")},
         "Solution.derivative": (solution.derivative, dict(of="gap", with_respect_to="load", direction=np.ones(2))),
+        "ExactSolution.derivative": (given.objects()["exact"][0].derivative, dict(of="gap", with_respect_to="load",
+            direction=np.ones(2))),
         "Solution.jacobian": (solution.jacobian, dict(of="displacement", with_respect_to="gap")),
         "Solution.pullback": (solution.pullback, dict(of="gap", weights=np.ones(2), with_respect_to="stiffness")),
         **{f"Solution.{name}": (getattr(solution, name), {"unknown" if name == "at" else "contact": 0})

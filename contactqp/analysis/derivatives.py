@@ -209,8 +209,9 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     except NoRates as none:
         return Derivative(None, None, None, False, reason=str(none))
     left, right = (_of_rates(linearised.solution, of, rates, direction) for rates in (back, ahead))
-    size = max(float(np.max(abs(np.asarray(one)), initial=0.0)) for one in (left, right))
-    same = bool(np.all(abs(left - right) <= SAME * size))
+    same = linearised.same("displacement" if of == "energy" else of, back, ahead)
+    if of == "energy" and not same:
+        same = abs(left - right) <= SAME * max(abs(left), abs(right))
     reason = "" if same else f"the two sides differ: {linearised.at_border()}"
     reach = None
     turns = frictional and np.any(getattr(linearised.system, "turning", 0.0) != 0)

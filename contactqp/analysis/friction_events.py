@@ -32,9 +32,9 @@ from contactqp.analysis.history import SIMULTANEOUS, STEADY, Event
 from contactqp.certificate.figures import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
+from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import plane_states
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, plane_states
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.model.unknown_names import NAMES_IN_A_MESSAGE

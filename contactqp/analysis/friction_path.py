@@ -37,10 +37,10 @@ from contactqp.errors import (
 )
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
-from contactqp.linalg.friction_states import STICK
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Mask, Vector
+from contactqp.model.coulomb import STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs

@@ -22,11 +22,11 @@ from contactqp.analysis.history import Unfinished
 from contactqp.certificate.figures import balance
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.measures import own_compliance
 from contactqp.linalg.runtime import METHOD, POLISH, one_blas_thread, stage
 from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths

@@ -28,6 +28,7 @@ from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -316,7 +317,7 @@ class Linearised:
         problem, solution = self.problem, self.solution
         assert problem.friction is not None
         assert solution.friction_force is not None
-        unit, of_normal, of_tangent = self._units
+        unit, of_normal, of_tangent, _ = self._units
         push, drag = found.normal_force * of_normal, found.friction_force[:, 0] * of_normal
         nothing = SAME * max(np.max(abs(push), initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
         room = (problem.friction * found.normal_force + direction.friction * solution.normal_force) * of_normal
@@ -338,23 +339,43 @@ class Linearised:
         return True
 
     def _are_one(self, one: Rates, other: Rates) -> bool:
-        """Return whether two combinations have the same rates, in the square root of energy."""
-        a, b = self._scaled(one), self._scaled(other)
-        return bool(
-            np.max(abs(a - b), initial=0.0) <= SAME * max(np.max(abs(a), initial=0.0), np.max(abs(b), initial=0.0))
+        """Return whether two combinations have the same rates."""
+        return all(
+            self.same(name, one, other) for name in ("displacement", "normal_force", "friction_force", "tie_force")
         )
 
-    def _scaled(self, rates: Rates) -> Vector:
-        unit, of_normal, of_tangent = self._units
-        forces = rates.normal_force * of_normal, rates.friction_force[:, 0] * of_tangent
-        return np.concatenate([rates.displacement / unit, *forces])
+    def same(self, of: str, one: Rates, other: Rates) -> bool:
+        """Return whether a quantity has the same rates, beside all rates and in the square root of energy.
+
+        Gaps and reactions are sums of terms that may cancel: beside themselves their rounding would be a difference.
+        """
+        largest = 0.0
+        for name in ("displacement", "normal_force", "friction_force", "tie_force"):
+            for rates in (one, other):
+                largest = max(largest, float(np.max(abs(self._scaled(name, getattr(rates, name))), initial=0.0)))
+        difference = self._scaled(of, getattr(one, of) - getattr(other, of))
+        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest)
+
+    def _scaled(self, name: str, values: Array) -> Vector:
+        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
+        unit, normal, tangent, tie = self._units
+        flat = values.ravel()
+        if name in ("displacement", "reaction"):
+            return flat / unit if name == "displacement" else flat * unit
+        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
+        if name in ("gap", "slip"):
+            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
+        return flat * length if flat.size else flat
 
     @cached_property
-    def _units(self) -> tuple[Vector, Vector, Vector]:
-        """The scale of unknowns, and the lengths of normal and tangential rows in it, in the plane."""
-        unit = condense(self.problem).unknown_scale
-        sizes = (np.sqrt(sp.csr_array(rows).power(2) @ unit**2) for rows in (self.problem.normal, self.problem.tangent))
-        return unit, *sizes
+    def _units(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
+        problem, unit = self.problem, unknown_scale(self.problem)
+        rows = (problem.normal, problem.tangent, problem.tie)
+        normal, tangent, tie = (
+            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
+        )
+        return unit, normal, tangent, tie
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which a contact that is at no border changes its state."""

@@ -44,13 +44,8 @@ from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import OPEN as OPEN
-from contactqp.model.coulomb import SLIP_BACK as SLIP_BACK
-from contactqp.model.coulomb import SLIP_ON as SLIP_ON
-from contactqp.model.coulomb import STICK as STICK
-from contactqp.model.coulomb import Status as Status
+from contactqp.model.coulomb import OPEN, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
-from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -255,10 +250,7 @@ class StateSystem:
     def correct(
         self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
     ) -> tuple[Vector, Vector, Array, Vector]:
-        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for.
-
-        Of the transposed system rows hold what contacts that slip are dragged by, too, and forces push along normals.
-        """
+        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
         reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]

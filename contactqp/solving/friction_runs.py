@@ -23,20 +23,12 @@ from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.friction_states import (
-    OPEN,
-    SLIP_BACK,
-    SLIP_ON,
-    STICK,
-    Status,
-    answer_in,
-    condensed_frictional_rows,
-)
+from contactqp.linalg.friction_states import answer_in, condensed_frictional_rows
 from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.linalg.runtime import on_one_thread
 from contactqp.model.arrays import Array
-from contactqp.model.coulomb import lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of

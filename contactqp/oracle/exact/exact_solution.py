@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -171,6 +172,11 @@ class ExactSolution(ReadOnly):
             _floats(self.gap),
             None if self.slip is None else _floats(self.slip),
         )
+
+    def derivative(self, of: str, with_respect_to: str, direction: Any) -> Any:
+        """Return exact one-sided rates in Fractions: `contactqp.oracle.exact.exact_rates.exact_derivative`."""
+        found = import_module("contactqp.oracle.exact.exact_rates")
+        return found.exact_derivative(self, of, with_respect_to, direction)
 
     def __repr__(self) -> str:
         kind = "rational" if self.rational else "enclosed"

@@ -20,18 +20,10 @@ from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation
 from contactqp.linalg.delassus import compliance_of
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.friction_states import (
-    OPEN,
-    SLIP_BACK,
-    SLIP_ON,
-    STICK,
-    FrictionalRows,
-    Status,
-    answer_in,
-)
+from contactqp.linalg.friction_states import FrictionalRows, answer_in
 from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
+from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.measures import lengths_that_meet, ratio
 from contactqp.model.arrays import Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths

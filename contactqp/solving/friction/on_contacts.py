@@ -11,8 +11,9 @@ from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_conflict
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, condensed_frictional_rows
+from contactqp.linalg.friction_states import condensed_frictional_rows
 from contactqp.model.arrays import Array
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any

@@ -23,17 +23,10 @@ from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.friction_states import (
-    OPEN,
-    SLIP_BACK,
-    SLIP_ON,
-    STICK,
-    Status,
-    answer_in,
-    condensed_frictional_rows,
-)
+from contactqp.linalg.friction_states import answer_in, condensed_frictional_rows
 from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.convex_steps import solve_convex

@@ -7,7 +7,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction.force_system import ForceSystem
 from tests.solving.friction.problems import one_contact, pad, random_problem, rough_truss, two_masses
 

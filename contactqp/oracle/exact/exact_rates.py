@@ -1,0 +1,221 @@
+"""Derivatives of exact answers in Fractions, towards either side: of every combination of states, the one that holds.
+
+Without friction, and with it in the plane, contacts keep the states that they are in exactly; those at the border of
+two states may go to either. In each combination rates solve a linear system (`contactqp.analysis.rate_systems` has it),
+here in rational numbers; those of one whose signs lead to where it says are the answer's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+from flint import fmpq, fmpq_mat
+
+from contactqp.errors import InvalidProblem, Unsupported, shown
+from contactqp.linalg.rational import column, fraction, fractions, solve_any, zeros
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
+from contactqp.oracle.exact.rational_problem import of_floats
+
+QUANTITIES = ("displacement", "normal_force", "friction_force", "tie_force", "gap", "slip")
+PARAMETERS = ("load", "gap", "tie_value", "friction", "slip_origin", "stiffness", "rows")
+# Combinations of states of contacts at a border, at most.
+MOST = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class ExactDerivative:
+    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None."""
+
+    value: Fractions | None
+    left: Fractions | None
+    right: Fractions | None
+    exists: bool
+    reason: str = ""
+
+
+def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direction: Any) -> ExactDerivative:
+    """Return the exact rates of a quantity of an exact answer; names as in `Solution.derivative`.
+
+    Raises
+    ------
+    InvalidProblem
+        A name that is none of these, a wrong shape, or numbers that are not finite.
+    Unsupported
+        An enclosed answer, one of a case's own numbers, friction in space, or too many contacts at a border.
+    """
+    for argument, name, known in (("of", of, QUANTITIES), ("with_respect_to", with_respect_to, PARAMETERS)):
+        if name not in known:
+            raise InvalidProblem(f"{argument}: expected one of {', '.join(known)}, got {name!r}")
+    if not answer.rational or answer.events or answer.data.startswith("the case"):
+        raise Unsupported("exact derivatives: of rational answers to a problem's floats alone")
+    exact = _ExactRates(answer)
+    along = exact.read(with_respect_to, direction)
+    right, left = (exact.rates(of, {name: sign * part for name, part in along.items()}) for sign in (1, -1))
+    if isinstance(right, str) or isinstance(left, str):
+        return ExactDerivative(None, None, None, False, right if isinstance(right, str) else str(left))
+    left, same = -left, bool(np.all(right == -left))
+    reason = "" if same else "the two sides differ: contacts are at the border of two states"
+    return ExactDerivative(right if same else None, left, right, same, reason)
+
+
+class _ExactRates:
+    """The data and the states of an exact answer."""
+
+    def __init__(self, answer: ExactSolution) -> None:
+        self.answer, self.data = answer, of_floats(answer.problem)
+        if self.data.frictional and self.data.width > 1:
+            raise Unsupported("exact derivatives: with friction in the plane alone")
+        self.u, self.force = column(answer.displacement), column(answer.normal_force)
+        self.choices = [self._choices(i) for i in range(self.data.contacts)]
+        if np.prod([float(len(one)) for one in self.choices]) > MOST:
+            raise Unsupported("exact derivatives: too many contacts at the border of two states")
+
+    def _choices(self, i: int) -> tuple[int, ...]:
+        """Return the states that a contact may go to; SLIP_ON where it pushes without friction."""
+        answer, mu, word = self.answer, self.data.friction[i], self.answer.contact_status[i]
+        if word == "open":
+            return (OPEN,)
+        if mu == 0 or answer.slip is None or answer.friction_force is None:
+            return (OPEN, SLIP_ON) if word == "grazing" else (SLIP_ON,)
+        slip, drag = answer.slip[i, 0], answer.friction_force[i, 0]
+        along = SLIP_ON if slip > 0 else SLIP_BACK
+        if word == "slip":
+            return (along,)
+        if word == "grazing":
+            return (OPEN, along) if slip else (OPEN, STICK, SLIP_ON, SLIP_BACK)
+        if abs(drag) < fraction(mu) * answer.normal_force[i]:
+            return (STICK,)
+        return STICK, SLIP_ON if drag > 0 else SLIP_BACK
+
+    def read(self, parameter: str, direction: Any) -> dict[str, fmpq_mat]:
+        """Return load, gap, slip, tie and friction of the rates, as columns."""
+        data, problem = self.data, self.answer.problem
+        shapes = dict(
+            load=(data.unknowns,), gap=(data.contacts,), tie_value=(data.ties,), friction=(data.contacts,),
+            slip_origin=(data.contacts * data.width,), stiffness=problem.stiffness.shape, rows=problem.normal.shape,
+        )  # fmt: skip
+        dense = direction.toarray() if hasattr(direction, "toarray") else np.array(direction, dtype=object)
+        if len(shapes[parameter]) == 1 and dense.size == shapes[parameter][0]:
+            dense = dense.ravel()
+        if dense.shape != shapes[parameter]:
+            raise InvalidProblem(f"direction: expected shape {shapes[parameter]}, got {dense.shape}")
+        try:
+            entries = [Fraction(x) for x in dense.ravel().tolist()]
+        except (TypeError, ValueError, OverflowError):
+            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}") from None
+        names = dict(load="load", gap="gap", tie_value="tie", friction="friction", slip_origin="slip")
+        sizes = (data.unknowns, data.contacts, data.ties, data.contacts, data.contacts * data.width)
+        along = {name: zeros(size, 1) for name, size in zip(names.values(), sizes, strict=True)}
+        if parameter in names:
+            along[names[parameter]] = column(entries)
+            return along
+        change = fmpq_mat(dense.shape[0], dense.shape[1], column(entries).entries())
+        if parameter == "stiffness":
+            along["load"] = -(change * self.u)
+        else:
+            along["load"], along["gap"] = -(change.transpose() * self.force), -(change * self.u)
+        return along
+
+    def rates(self, of: str, along: dict[str, fmpq_mat]) -> Fractions | str:
+        """Return the exact rates of a quantity along a direction, or why there are none."""
+        found: list[Fractions] = []
+        for states in product(*self.choices):
+            rates = self._in_states(states, along)
+            if rates is None:
+                continue
+            if not rates["unique"]:
+                return "in a combination of states that may come the rates are not unique"
+            if self._holds(states, rates, along) and not any(np.all(rates[of] == other) for other in found):
+                found.append(rates[of])
+        if len(found) != 1:
+            return "several rates continue the answer" if found else "no rates continue the answer"
+        return found[0]
+
+    def _in_states(self, states: tuple[int, ...], along: dict[str, fmpq_mat]) -> dict[str, Any] | None:
+        """Return the rates in a combination of states, None where its system has none."""
+        data = self.data
+        c, b = ([i for i, s in enumerate(states) if s != OPEN], [i for i, s in enumerate(states) if s == STICK])
+        E, T, A = (_array(part.tolist(), data.unknowns) for part in (data.E, data.T, data.A))
+        signs = [s if abs(s) == 1 else 0 for s in states]
+        pushed = [E[i] + (data.friction[i] * signs[i]) * T[i] if data.width and signs[i] else E[i] for i in c]
+        held = [*(E[i] for i in c), *(T[i] for i in b), *A]
+        acting = [*pushed, *(T[i] for i in b), *A]
+        size = len(held)
+        top = np.concatenate([np.array(data.K.tolist(), dtype=object), _array(acting, data.unknowns).T], axis=1)
+        low = np.concatenate([_array(held, data.unknowns), _array([[fmpq(0)] * size] * size, size)], axis=1)
+        load = along["load"].entries()
+        own = [data.friction[i] * 0 for i in range(data.contacts)]
+        if data.width:
+            own = [along["friction"][i, 0] * self.force[i, 0] * signs[i] for i in range(data.contacts)]
+            dragged = [sum((T[i][j] * own[i] for i in c), fmpq(0)) for j in range(data.unknowns)]
+            load = [x - y for x, y in zip(load, dragged, strict=True)]
+        right = [*load, *(along["gap"][i, 0] for i in c), *(along["slip"][i, 0] for i in b), *along["tie"].entries()]
+        whole = np.concatenate([top, low])
+        system = fmpq_mat(len(whole), len(whole), whole.ravel().tolist())
+        solved = solve_any(system, fmpq_mat(len(right), 1, right))
+        if solved is None:
+            return None
+        x, unique = solved[0].entries(), solved[1]
+        return self._quantities(x, unique, (c, b), (signs, own), along)
+
+    def _quantities(
+        self, x: list[fmpq], unique: bool, places: tuple[list[int], list[int]], law: tuple[list[int], list[fmpq]],
+        along: dict[str, fmpq_mat],
+    ) -> dict[str, Any]:  # fmt: skip
+        data, (c, b), (signs, own) = self.data, places, law
+        n, m = data.unknowns, data.contacts
+        u, normal = fmpq_mat(n, 1, x[:n]), [fmpq(0)] * m
+        for place, i in enumerate(c):
+            normal[i] = x[n + place]
+        found: dict[str, Any] = dict(unique=unique, displacement=_fractions(x[:n]), normal_force=_fractions(normal))
+        found["tie_force"] = _fractions(x[n + len(c) + len(b) :])
+        found["gap"] = np.array(fractions(along["gap"] - data.E * u), dtype=object)
+        if data.width:
+            drag = [data.friction[i] * signs[i] * normal[i] + (own[i] if i in c else 0) for i in range(m)]
+            for place, i in enumerate(b):
+                drag[i] = x[n + len(c) + place]
+            found["friction_force"] = _fractions(drag).reshape(m, 1)
+            found["slip"] = np.array(fractions(data.T * u - along["slip"]), dtype=object).reshape(m, -1)
+        else:
+            found["friction_force"] = found["slip"] = np.zeros((m, 0), dtype=object)
+        return found
+
+    def _holds(self, states: tuple[int, ...], rates: dict[str, Any], along: dict[str, fmpq_mat]) -> bool:
+        return all(sign >= 0 for i, s in enumerate(states) for sign in self._signs(i, s, rates, along))
+
+    def _signs(self, i: int, state: int, rates: dict[str, Any], along: dict[str, fmpq_mat]) -> Iterator[Any]:
+        """Yield what must not be negative where a contact at a border goes to a state."""
+        if len(self.choices[i]) == 1:
+            return
+        grazes = self.answer.contact_status[i] == "grazing"
+        if state == OPEN:
+            yield rates["gap"][i]
+            return
+        if grazes:
+            yield rates["normal_force"][i]
+        if self.data.friction[i] == 0:
+            return
+        room = fraction(self.data.friction[i]) * rates["normal_force"][i]
+        room += fraction(along["friction"][i, 0] * self.force[i, 0])
+        if state == STICK and grazes:
+            yield room - abs(rates["friction_force"][i, 0])
+        elif state == STICK:
+            drag = self.answer.friction_force
+            assert drag is not None
+            yield room - (1 if drag[i, 0] > 0 else -1) * rates["friction_force"][i, 0]
+        elif not grazes or len(self.choices[i]) > 2:
+            yield state * rates["slip"][i, 0]
+
+
+def _array(rows: list[Any], columns: int) -> Any:
+    return np.array(rows, dtype=object).reshape(len(rows), columns)
+
+
+def _fractions(values: list[fmpq]) -> Fractions:
+    return np.array([fraction(x) for x in values], dtype=object)
