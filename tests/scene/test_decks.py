@@ -261,3 +261,10 @@ def test_loads_move_distorted_bodies_as_in_calculix(tmp_path: pathlib.Path, mode
     theirs, _ = read_displacements(calculix(file, labels, tmp_path / "run", 60.0).results)
     assert theirs.nodes.tolist() == labels.tolist()
     assert abs(theirs.values[:, : ours.shape[1]] - ours).max() <= DIFFERENCES[model] * abs(ours).max()
+
+
+def test_a_flat_master_of_a_tie_is_refused_by_its_element(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("*CONTACT PAIR, INTERACTION=TOUCH, TYPE=NODE TO SURFACE", "*TIE, NAME=T")
+    flat = text.replace(" 6, 1., 0., 1.", " 6, 0., 0., 1.").replace(" 7, 1., 1., 1.", " 7, 0., 0., 1.")
+    with pytest.raises(cq.InvalidProblem, match=r"line \d+: \*SURFACE: surface BELOW: facet 0"):
+        solved(tmp_path, flat)

@@ -17,7 +17,15 @@ from contactqp.elements.node_to_segment import Partners, nearest_facets, pair_no
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, contact_rows
 from contactqp.elements.reference_elements import REFERENCES, facet_keys, groups
-from contactqp.elements.surface import Surface, diameters, kind_of, middle_normals, normal_vectors, tangent_vectors
+from contactqp.elements.surface import (
+    Surface,
+    check_surface,
+    diameters,
+    kind_of,
+    middle_normals,
+    normal_vectors,
+    tangent_vectors,
+)
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import ContactPair, DeckSurface, DeckTie, Faces, Interaction
 from contactqp.model.arrays import Index, Vector
@@ -85,7 +93,13 @@ class Surfaces:
             raise InvalidProblem(f"{stated.place}: *SURFACE {name}: expected one thickness, got {sorted(thickness)}")
         nodes = np.concatenate([nodes for _, nodes, _ in facets])
         revolved = self.topology.revolved
-        return Surface(points, nodes, self.topology.unknowns, f"surface {name}", thickness.pop(), revolved)
+        found = Surface(points, nodes, self.topology.unknowns, f"surface {name}", thickness.pop(), revolved)
+        try:
+            check_surface(found)
+        except InvalidProblem as error:
+            numbers = f"nodes are counted from 0 here, node 0 is {self.topology.labels[0]}"
+            raise InvalidProblem(f"{stated.place}: *SURFACE: {error} ({numbers})") from None
+        return found
 
     def _of_faces(self, stated: DeckSurface) -> list[tuple[str, Index, float]]:
         faces = Faces(NONE, NONE) if stated.faces is None else stated.faces
@@ -137,6 +151,8 @@ def adjusted_points(surfaces: Surfaces) -> Points:
     flat = model.points[topology.active][:, topology.dimension :]
     if len(flat) and np.ptp(flat, axis=0).max(initial=0.0) > 0:
         raise InvalidProblem(f"{model.file}: expected plane elements at one z, got several")
+    for group in topology.groups:
+        group.check_shapes(points)
     for tie in model.ties:
         if tie.adjust:
             nodes, partners, master = _tied(surfaces, tie, points)

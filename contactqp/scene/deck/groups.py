@@ -76,7 +76,7 @@ class Group:
         InvalidProblem
             An element that is turned inside out or flat, by its label.
         """
-        self._check_shapes(points)
+        self.check_shapes(points)
         used, inverse = np.unique(self.nodes, return_inverse=True)
         block = Block(self.kind, inverse.reshape(self.nodes.shape))
         material = Material(
@@ -90,7 +90,8 @@ class Group:
             raise InvalidProblem(f"{name}: {error} ({first})") from None
         return Body(mesh, material, self.model, self.thickness, name), used
 
-    def _check_shapes(self, points: NDArray[np.float64]) -> None:
+    def check_shapes(self, points: NDArray[np.float64]) -> None:
+        """Refuse elements that are turned inside out or flat, by their labels."""
         corners = points[self.nodes]
         at = np.vstack([self.kind.rule.points, self.kind.fine_rule.points])
         with np.errstate(over="ignore", invalid="ignore"):
