@@ -268,3 +268,22 @@ def test_a_flat_master_of_a_tie_is_refused_by_its_element(tmp_path: pathlib.Path
     flat = text.replace(" 6, 1., 0., 1.", " 6, 0., 0., 1.").replace(" 7, 1., 1., 1.", " 7, 0., 0., 1.")
     with pytest.raises(cq.InvalidProblem, match=r"line \d+: \*SURFACE: surface BELOW: facet 0"):
         solved(tmp_path, flat)
+
+
+def test_what_has_no_place_in_the_problem_is_told(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("18, 0., 1., 2.01\n", "18, 0., 1., 2.01\n99, 5., 5., 5.\n").replace(
+        "MATERIAL=STEEL\n*SUR", "MATERIAL=STEEL\n2.\n*SUR"
+    )
+    text = text.replace("\n1e4\n", "\n1e4, 3., 0.1\n").replace("*BOUNDARY\nBOTTOM", "*BOUNDARY\n99, 1, 3\nBOTTOM")
+    deck = cq.read_deck(write(tmp_path, text))
+    deck.problem()
+    told = " ".join(deck.ledger.ignored)
+    for words in ("1 node in no element and no equation", "a thickness, which solids have not", "a tension of 3",
+                  "a clearance of 0.1", "*BOUNDARY: 1 node in no element, such as 99"):  # fmt: skip
+        assert words in told
+    plane = STACK_OF_ONE.replace("*STEP", "*BOUNDARY\n1, 1, 3\n*STEP")
+    deck = cq.read_deck(write(tmp_path, plane))
+    deck.problem()
+    assert any("direction 3, which plane elements have not" in line for line in deck.ledger.ignored)
+    bare = cq.read_deck(write(tmp_path, STACK.replace("*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n1e4\n", "")))
+    assert any("no *SURFACE BEHAVIOR: HARD" in line for line in bare.ledger.assumed)

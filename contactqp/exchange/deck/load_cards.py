@@ -223,6 +223,7 @@ def read_interaction(model: DeckModel, card: Card) -> None:
 def read_behavior(model: DeckModel, card: Card) -> None:
     """Read how pressure follows from overlap: HARD, or LINEAR with a stiffness, and what CalculiX reads beside it."""
     interaction = _interaction(model, card)
+    interaction.stated = True
     if card.parameter("PRESSURE-OVERCLOSURE", "HARD") == "HARD":
         for line in card.lines:
             model.ledger.ignored.append(f"{line.place}: *SURFACE BEHAVIOR: numbers below HARD, which has none")
@@ -235,7 +236,9 @@ def read_behavior(model: DeckModel, card: Card) -> None:
         raise card.wrong("a stiffness > 0", f"{interaction.stiffness:g}", line)
     for at, name in ((1, "tension"), (2, "clearance")):
         if len(line.words) > at and line.words[at]:
-            setattr(interaction, name, card.real(line, at, f"a {name}"))
+            value = card.real(line, at, f"a {name}")
+            told = f"a {name} of {value:g}, by which CalculiX lets open contacts pull"
+            model.ledger.ignored.append(f"{line.place}: *SURFACE BEHAVIOR: {told}")
 
 
 def read_friction(model: DeckModel, card: Card) -> None:

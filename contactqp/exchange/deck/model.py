@@ -161,10 +161,10 @@ class Interaction:
     Attributes
     ----------
     name, place : str
+    stated : bool
+        Whether there is a *SURFACE BEHAVIOR; HARD is assumed where there is none.
     stiffness : float, optional
         Of LINEAR [force / length^3]; None for HARD.
-    tension, clearance : float, optional
-        The second and third number of LINEAR, which CalculiX alone reads.
     friction : float
     stick : float, optional
         The stick slope of *FRICTION [force / length^3], which CalculiX alone reads.
@@ -172,9 +172,8 @@ class Interaction:
 
     name: str
     place: str
+    stated: bool = False
     stiffness: float | None = None
-    tension: float | None = None
-    clearance: float | None = None
     friction: float = 0.0
     stick: float | None = None
 

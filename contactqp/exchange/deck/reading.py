@@ -172,6 +172,9 @@ def _check_model(model: DeckModel) -> None:
             raise InvalidProblem(
                 f"{pair.place}: *CONTACT PAIR: there is no interaction {pair.interaction}; it has {has}"
             )
+    for interaction in model.interactions.values():
+        if not interaction.stated:
+            model.ledger.assumed.append(f"{interaction.place}: no *SURFACE BEHAVIOR: HARD")
     named = [(one.place, one.slave, one.master) for one in model.pairs]
     named += [(one.place, one.slave, one.master) for one in model.ties]
     for place, *names in named:

@@ -135,11 +135,19 @@ class DeckAssembly:
         if at.axis >= self.topology.dimension:
             if at.value:
                 raise InvalidProblem(f"{at.place}: {keyword}: direction {at.axis + 1} in a plane deck")
+            self._note(f"{at.place}: {keyword}: direction {at.axis + 1}, which plane elements have not")
             return np.zeros(0, dtype=np.int64)
         nodes, without = self.topology.places(at.nodes, f"{at.place}: {keyword}")
         if len(without) and keyword == "*CLOAD" and at.value:
             raise InvalidProblem(f"{at.place}: {keyword}: node {without[0]} is in no element and no equation")
+        if len(without):
+            self._note(f"{at.place}: {keyword}: {counted('node', len(without))} in no element, such as {without[0]}")
         return np.asarray(self.topology.unknowns[nodes, at.axis])
+
+    def _note(self, line: str) -> None:
+        ignored = self.topology.model.ledger.ignored
+        if line not in ignored:
+            ignored.append(line)
 
     @cached_property
     def prescribed(self) -> Vector:

@@ -14,7 +14,7 @@ from contactqp.elements.material import Material, Model
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import REFERENCES, Block, Geometry, Reference, gauss, tetrahedron
 from contactqp.elements.solid import Body
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import AXES, DeckMaterial, DeckModel, Elements, Faces, Section
 from contactqp.model.arrays import Index
 
@@ -58,6 +58,7 @@ class Group:
     material : DeckMaterial
     thickness : float
         1 in space and in axial symmetry.
+    section : Section
     """
 
     type: str
@@ -67,6 +68,7 @@ class Group:
     model: Model
     material: DeckMaterial
     thickness: float
+    section: Section
 
     def body(self, points: NDArray[np.float64], labels: Index) -> tuple[Body, Index]:
         """Return the elements as a body, and the nodes of the deck that its nodes are.
@@ -235,6 +237,13 @@ def topology_of(model: DeckModel) -> Topology:
             groups.extend(sections.groups(elements, nodes))
     if len({group.model == "axisymmetric" for group in groups}) > 1:
         raise InvalidProblem(f"{model.file}: expected axisymmetric elements alone, got {', '.join(renumber)}")
+    unused = len(model.labels) - len(at)
+    if unused:
+        model.ledger.ignored.append(f"{counted('node', unused)} in no element and no equation")
+    for section in model.sections:
+        groups_of_it = [group for group in groups if group.section is section]
+        if section.size is not None and any(group.model in ("3d", "axisymmetric") for group in groups_of_it):
+            model.ledger.ignored.append(f"{section.place}: *SOLID SECTION: a thickness, which solids have not")
     for kind in model.types():
         told = [_DIFFERS[name] for name in dict.fromkeys((kind[:3], kind)) if name in _DIFFERS]
         model.ledger.assumed.extend(f"{kind}: {one}" for one in told)
@@ -290,10 +299,9 @@ class _Sections:
         for number in np.unique(numbers).tolist():
             section, mine = self.model.sections[number], numbers == number
             thickness = 1.0 if model in ("3d", "axisymmetric") or section.size is None else section.size
+            material = self._material(section)
             found.append(
-                Group(
-                    elements.type, kind, elements.labels[mine], nodes[mine], model, self._material(section), thickness
-                )
+                Group(elements.type, kind, elements.labels[mine], nodes[mine], model, material, thickness, section)
             )
         return found
 
