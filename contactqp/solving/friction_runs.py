@@ -31,7 +31,7 @@ from contactqp.model.arrays import Array
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
-from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of
+from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
@@ -284,6 +284,8 @@ def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | 
 FEW_CONTACTS = 3
 # Tresca problems, most take three to eight, before contacts few enough to list their combinations go other ways.
 STEPS_BEFORE_LISTING = 20
+# Tresca's fixed point where nobody asked for it by name.
+TRESCA_AT_ONCE = replace(ALGORITHMS["tresca"], on_bodies=partial(tresca_on_bodies, at_once=True))
 
 
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
@@ -348,7 +350,7 @@ def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: 
     if settings.max_iter is None and problem.contacts <= MOST_CONTACTS:
         steps = replace(settings, max_iter=STEPS_BEFORE_LISTING)
     try:
-        return _by(ALGORITHMS["tresca"], problem, method, steps, meter)
+        return _by(TRESCA_AT_ONCE, problem, method, steps, meter)
     except NotConverged as error:
         if few:
             with suppress(NotConverged):

@@ -74,10 +74,11 @@ def _with_steps(
     return iterates
 
 
-def _tresca_on_bodies(
-    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+def tresca_on_bodies(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
 ) -> FoundOnBodies:
-    found = solve_tresca(problem, condensation, method, settings)
+    """Return the answer of `solve_tresca`, whose arguments these are."""
+    found = solve_tresca(problem, condensation, method, settings, at_once)
     return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
 
 
@@ -115,7 +116,7 @@ ALGORITHMS = {
             100,
             40,
             "convex problems of given friction bounds",
-            on_bodies=_tresca_on_bodies,
+            on_bodies=tresca_on_bodies,
             on_ranks=True,
         ),
     )

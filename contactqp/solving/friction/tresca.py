@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
@@ -62,13 +63,14 @@ class _Step:
 
 
 def solve_tresca(
-    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
 ) -> TrescaAnswer:
     """Find Coulomb's answer by steps of a convex method with the friction bounds of the step before.
 
     `settings.max_iter` counts Tresca problems; `settings.time_limit` is for all of them. The first bound is that of
     `settings.warm_start`, else that of the answer without friction, else, where friction holds the bodies, of the
-    answer with all contacts stuck.
+    answer with all contacts stuck. With `at_once`, and where only one answer exists, the combination that the answer
+    without friction suggests is tried before: it needs no Tresca problem.
 
     Raises
     ------
@@ -76,7 +78,12 @@ def solve_tresca(
         The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
     """
     run = _Run(problem, condensation, method, settings)
-    bound = run.first_bound()
+    bound, slippery = run.first_bound()
+    if at_once and slippery is not None and _has_one_answer(problem, condensation):
+        status = run.suggested(slippery, bound)
+        answer = run.answer_in(status, slippery)
+        if holds(problem, answer):
+            return TrescaAnswer(answer, status, 1, ())
     changes: list[float] = []
     relaxation = RELAXATION[1]
     before: Vector | None = None
@@ -114,6 +121,11 @@ def solve_tresca(
     raise NotConverged(f"tresca: {_pace(changes)}", tuple(changes))
 
 
+def _has_one_answer(problem: ContactProblem, condensation: Condensation) -> bool:
+    """Return whether friction is proven to leave one answer, so that it does not matter how that is found."""
+    return too_many(problem, condensation) is None and critical(problem, condensation).unique
+
+
 def _pace(changes: list[float]) -> str:
     """Return in words how fast the friction bounds settled in the last steps."""
     if len(changes) < 2 or changes[-2] == 0:
@@ -135,17 +147,19 @@ class _Run:
         self._load, self._load_size = load * self._rows.scale, size * self._rows.scale
         self._gap, self._origin, self._value = self._rows.lengths(problem)
 
-    def first_bound(self) -> Vector:
-        """Return the friction bounds that the iteration starts from, scaled."""
+    def first_bound(self) -> tuple[Vector, _Step | None]:
+        """Return the friction bounds that the iteration starts from, scaled, and the answer without friction if it is
+        that which they are of."""
         rows = self._rows
         if self._start is not None:
-            return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0)
+            return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0), None
         try:
-            return self.bound_of(self.with_bound(np.zeros(self._problem.contacts)))
+            found = self.with_bound(np.zeros(self._problem.contacts))
+            return self.bound_of(found), found
         except NoEquilibrium:
             pass
         try:
-            return self.bound_of(self._stuck())
+            return self.bound_of(self._stuck()), None
         except NoEquilibrium as error:
             # In scaled unknowns, which would be misleading names.
             raise NotConverged(

@@ -56,6 +56,7 @@ def test_few_contacts_in_the_plane_take_few_tresca_problems_before_their_combina
         raise cq.NotConverged("of the test")
 
     monkeypatch.setitem(friction_runs.ALGORITHMS, "tresca", replace(original, on_bodies=recorded))
+    monkeypatch.setattr(friction_runs, "TRESCA_AT_ONCE", friction_runs.ALGORITHMS["tresca"])
     block = cq.ContactProblem(np.eye(2), [0.1, -1.0], [[0.0, -1.0]], [0.0], tangent=[[1.0, 0.0]], friction=0.5)
     assert cq.solve(block).certificate.passed
     with pytest.raises(cq.NotConverged, match="of the test"):

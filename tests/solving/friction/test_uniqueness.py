@@ -18,6 +18,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.solving.friction import tresca
 from tests.solving.friction.problems import (
     TOUCH,
     known_answer,
@@ -365,3 +366,36 @@ def test_other_answers_are_looked_for_once_a_problem_and_anew_for_another_load(m
         found = {one.certificate.uniqueness for one in cq.equilibria(several.replace(load=load))}
         assert found == ({("several answers",)} if load[1] == 0.65 else {()})
     assert len(looked) == 3
+
+
+def tresca_problems(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts of the sliding bounds of every Tresca problem that is solved from now on."""
+    solved: list[int] = []
+    convex = tresca._Run._convex_answer
+    monkeypatch.setattr(
+        tresca._Run, "_convex_answer", lambda self, *given: solved.append(given[1]) or convex(self, *given)
+    )
+    return solved
+
+
+def test_the_only_answer_is_tried_before_tresca_problems_are_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One problem without friction suggests the combination; asked for by name the iteration takes its steps."""
+    whole, solved = cq.solve(rough_truss(), algorithm="tresca"), tresca_problems(monkeypatch)
+    found = cq.solve(rough_truss())
+    assert solved == [0]
+    assert found.certificate.passed
+    assert not found.certificate.uniqueness
+    assert np.allclose(found.displacement, whole.displacement, rtol=1e-15, atol=0)
+    assert np.allclose(found.friction_force, whole.friction_force, rtol=1e-15, atol=0)
+    solved.clear()
+    cq.solve(rough_truss(), algorithm="tresca")
+    assert solved == [0, 1]
+
+
+def test_where_several_answers_may_exist_the_iteration_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+    steep = cq.ContactProblem([[2.0, -1.9], [-1.9, 2.0]], [0.5, -1.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], 3.0)
+    assert not cq.critical_friction(steep).unique
+    chosen, solved = cq.solve(steep, algorithm="tresca"), tresca_problems(monkeypatch)
+    found = cq.solve(steep)
+    assert len(solved) > 1
+    assert np.array_equal(found.normal_force, chosen.normal_force)
