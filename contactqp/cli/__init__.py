@@ -30,6 +30,7 @@ from contactqp.cli.output import (
 from contactqp.cli.solving import run_command
 from contactqp.cli.surveying import (
     cases_command,
+    export_command,
     gallery_command,
     init_command,
     methods_command,
@@ -60,6 +61,7 @@ for _command in (
     schema_command,
     report_command,
     gallery_command,
+    export_command,
 ):
     command.add_command(_command)
 

@@ -1,4 +1,4 @@
-"""Commands on many methods, cases or problems, and on case files: methods, cases, init, schema, report, gallery."""
+"""Commands on many methods, cases or problems, and on case files: methods, cases, init, schema, report, export, gallery."""
 
 from __future__ import annotations
 
@@ -183,6 +183,21 @@ def report_command(
 
         code = max(code, report_stability(output, running))
     sys.exit(code)
+
+
+@click.command("export", short_help="Write a case as a deck of CalculiX.")
+@click.argument("case", shell_complete=complete_case)
+@click.option("--inp", "folder", metavar="DIR", required=True, help="The folder of the deck, CASE.inp.")
+def export_command(case: str, folder: str) -> None:
+    """Write CASE, a scene of elastic bodies whose sides touch, as a deck of CalculiX to DIR.
+
+    Loads become nodal forces, contacts pairs of surfaces on stiff springs; `contactqp crosscheck DIR/CASE.inp` runs it
+    and judges what comes out. Obstacles, membranes, bars, motions and load paths have no deck.
+    """
+    from contactqp.scene.deck.writing import write_deck
+    from contactqp.scene.scene import load_scene
+
+    click.echo(f"written: {write_deck(load_scene(case), folder)}")
 
 
 @click.command("gallery", short_help="Write problems with exact answers, for tests of codes.")
