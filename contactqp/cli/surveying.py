@@ -1,4 +1,4 @@
-"""Commands on many methods, cases or problems, and on case files: methods, cases, init, schema, report, export, gallery."""
+"""Commands on many methods, cases or problems, and on case files: from methods and cases to report and gallery."""
 
 from __future__ import annotations
 

@@ -11,7 +11,8 @@ import pytest
 import contactqp as cq
 from contactqp.exchange.calculix_process import run_calculix
 from contactqp.exchange.calculix_results import read_displacements
-from tests.decks import Deck, lame_force, needs_calculix, press_fit, two_blocks, write
+from tests.decks import STACK, Deck, lame_force, needs_calculix, press_fit, two_blocks, write
+from tests.decks import run_calculix as run
 
 NODES, FACES = "NODE TO SURFACE", "SURFACE TO SURFACE"
 # Springs that yield nothing, and, node to face, pull with next to nothing.
@@ -133,3 +134,18 @@ def test_the_guide_prints_what_is_printed(tmp_path: pathlib.Path, monkeypatch: p
     found = cq.crosscheck("squares.inp", error_tolerance=1e-3).summary()
     if "CalculiX 2.20" in found:
         assert f"squares.inp: WRONG{shown}".rstrip() in found
+
+
+def test_a_slave_that_is_held_has_the_forces_of_its_master(tmp_path: pathlib.Path) -> None:
+    held = STACK.replace("BOTTOM, 1, 3", "BOTTOM, 1, 3\n5, 1, 3\n6, 1, 3\n7, 1, 3\n8, 1, 3")
+    text = held.replace("ABOVE, BELOW", "BELOW, ABOVE").replace("1e4\n", "1e8, 1e-6\n")
+    found = cq.crosscheck(write(tmp_path, text))
+    assert found.passed, found.summary()
+    assert found.pairs[0].resultant == pytest.approx(10.0, rel=1e-4)
+
+
+def test_results_in_the_other_format_are_read(tmp_path: pathlib.Path) -> None:
+    text = STACK.replace("1e4\n", "1e8, 1e-6\n").replace("*NODE PRINT, NSET=ALL", "*NODE FILE")
+    run(tmp_path, text)
+    found = cq.crosscheck(write(tmp_path, text), tmp_path / "job.frd")
+    assert found.passed, found.summary()
