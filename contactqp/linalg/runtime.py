@@ -1,11 +1,7 @@
-"""Clocks of an answer's stages and counts of its factorisations, threads of BLAS, free memory, and locks after a fork.
+"""Clocks of an answer's stages and counts of its factorisations, threads of BLAS, and free memory.
 
-A clock costs nothing where none runs. OpenBLAS keeps to one thread around the small dense systems of the contacts: two
-threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
-process has the second core: they wait for each other by spinning. MKL, which PARDISO runs on, keeps its threads.
-
-A lock that another thread holds while the process is forked would never be released in the child, which therefore makes
-its own.
+A clock costs nothing where none runs. OpenBLAS keeps to one thread around the small dense systems of the contacts
+(`contactqp.model.threads`). MKL, which PARDISO runs on, keeps its threads.
 """
 
 from __future__ import annotations
@@ -15,13 +11,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import NotConverged
+from contactqp.model.threads import WORTHWHILE, on_one_thread, renew_in_child
 
 if TYPE_CHECKING:
     from contactqp.model.problem import ContactProblem
@@ -171,12 +168,6 @@ def refuse_late(what: str) -> None:
         raise NotConverged(f"stopped at the time limit of {stated_limit(None)}, before {what}")
 
 
-def renew_in_child(renew: Callable[[], None]) -> None:
-    """Call this in every process that is forked from this one, where the platform forks."""
-    if hasattr(os, "register_at_fork"):
-        os.register_at_fork(after_in_child=renew)
-
-
 def _renew_cached_properties() -> None:
     """Give the cached properties of the package new locks: one lock serves all instances of a class."""
     modules = [module for name, module in tuple(sys.modules.items()) if name.partition(".")[0] == "contactqp"]
@@ -193,9 +184,6 @@ if sys.version_info < (3, 12):  # from 3.12 on they have no lock
 
 # Contacts from which a second thread pays.
 THREADS_PAY = 1500
-# Rows of contacts, tangents and ties, or unknowns that are eliminated by dense factors, from which OpenBLAS would start
-# a second thread; smaller problems are done before its libraries are found.
-WORTHWHILE = 32
 
 
 def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
@@ -207,55 +195,6 @@ def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
     tangents = 0 if problem.tangent is None else problem.tangent.shape[0]
     rows = max(problem.contacts + tangents + problem.ties, problem.dimension)
     return on_one_thread() if rows >= WORTHWHILE and problem.contacts < THREADS_PAY else nullcontext()
-
-
-@contextmanager
-def on_one_thread(pays: bool = True) -> Iterator[None]:
-    """Keep OpenBLAS on one thread, if that pays."""
-    if not pays:
-        yield
-        return
-    _LIMIT.enter(_openblas())
-    try:
-        yield
-    finally:
-        _LIMIT.leave()
-
-
-class _Limit:
-    """One limit for all who want it at a time: entered by the first, left by the last."""
-
-    def __init__(self) -> None:
-        self._lock, self._count, self._limited = threading.Lock(), 0, ExitStack()
-
-    def renew(self) -> None:
-        """Take a new lock in a process that was forked; it keeps the limit of the process that it comes from."""
-        self._lock = threading.Lock()
-
-    def enter(self, pools: Any) -> None:
-        with self._lock:
-            if not self._count:
-                self._limited.enter_context(pools.limit(limits=1))
-            self._count += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._count -= 1
-            if not self._count:
-                self._limited.close()
-
-
-_LIMIT = _Limit()
-renew_in_child(_LIMIT.renew)
-
-
-@cache
-def _openblas() -> Any:
-    """The OpenBLAS libraries of NumPy and SciPy."""
-    import scipy.linalg  # noqa: F401  brings a library of its own
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController().select(internal_api="openblas")
 
 
 @cache

@@ -24,6 +24,7 @@ from contactqp.model.arrays import Vector, computes, own_floating_point, refuses
 from contactqp.model.problem_data import (
     Matrix,
     ReadOnly,
+    eigenvalues_of,
     is_number,
     name_of,
     read_array,
@@ -168,7 +169,7 @@ class LocalProblem(ReadOnly):
         if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
             root = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), own)
             scaled = root[:, None] * W.toarray() * root
-            worst = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0]) if np.all(np.isfinite(scaled)) else -np.inf
+            worst = float(eigenvalues_of((scaled + scaled.T) / 2)[0]) if np.all(np.isfinite(scaled)) else -np.inf
         if worst < -INDEFINITE:
             raise InvalidProblem(
                 f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "

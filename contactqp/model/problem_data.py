@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
+from contactqp.model.threads import WORTHWHILE, on_one_thread
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 
@@ -325,13 +326,19 @@ def _resists_every_motion(K: NDArray[np.float64]) -> bool:
     if not (diagonal > 0).all():
         return False
     root = np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(K / (root[:, None] * root))[0] > 2 * SOFT)
+    return bool(eigenvalues_of(K / (root[:, None] * root))[0] > 2 * SOFT)
+
+
+def eigenvalues_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the eigenvalues of a small symmetric matrix, the lowest first, on one thread of BLAS."""
+    with on_one_thread(len(matrix) >= WORTHWHILE):
+        return np.asarray(np.linalg.eigvalsh(matrix), dtype=float)
 
 
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:
     scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
     scaled = K / np.outer(scale, scale)
-    eigenvalues = np.linalg.eigvalsh(scaled)
+    eigenvalues = eigenvalues_of(scaled)
     # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
     # SYMMETRY_TOLERANCE.
     if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):

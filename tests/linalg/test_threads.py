@@ -12,6 +12,7 @@ import threadpoolctl
 
 import contactqp as cq
 from contactqp.linalg import runtime
+from contactqp.model import threads
 from tests.blocks_in_space import on_paraboloid
 
 
@@ -36,7 +37,7 @@ def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 
     def counts() -> list[int]:
-        return [library["num_threads"] for library in runtime._openblas().info()]
+        return [library["num_threads"] for library in threads._openblas().info()]
 
     with threadpoolctl.threadpool_limits(2, "blas"):
         before = counts()
@@ -76,7 +77,7 @@ def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str,
     solution = cq.solve(problem)
 
     def cholesky(*args, **options):
-        seen.update(library["num_threads"] for library in runtime._openblas().info())
+        seen.update(library["num_threads"] for library in threads._openblas().info())
         return original(*args, **options)
 
     from contactqp.linalg import factorization
@@ -91,4 +92,21 @@ def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str,
             "follow_path": lambda: cq.follow_path(fresh, [fresh.load], steps=2),
             "impact": lambda: cq.impact(fresh, np.eye(m), rest, rest, 0.02, 0.01),
         }[ask]()
+    assert seen == {1}
+
+
+def test_a_dense_stiffness_is_judged_on_one_thread(monkeypatch) -> None:
+    """Two threads made reading a hundred unknowns 28 times slower beside other work."""
+    m, seen = threads.WORTHWHILE + 8, set()
+    original = np.linalg.eigvalsh
+
+    def eigenvalues(matrix):
+        seen.update(library["num_threads"] for library in threads._openblas().info())
+        return original(matrix)
+
+    monkeypatch.setattr(np.linalg, "eigvalsh", eigenvalues)
+    chain = 2 * np.eye(m) - np.eye(m, k=1) - np.eye(m, k=-1)
+    with threadpoolctl.threadpool_limits(2, "blas"):
+        cq.ContactProblem(stiffness=chain, load=np.ones(m), normal=np.eye(m), gap=np.ones(m))
+        cq.LocalProblem(delassus=chain, offset=np.ones(m), friction=0.3, dimension=2)
     assert seen == {1}
