@@ -130,6 +130,7 @@ def check_command(
     help="Largest error that passes, of the resultant.",
 )
 @click.option("--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For CalculiX.")
+@click.option("--plot", metavar="FILE", help="Draw both pressure fields and their difference: .png, .pdf or .svg.")
 @click.option("--folder", metavar="DIR", help="Where CalculiX runs; MODEL.ccx by default. What it writes stays there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 def crosscheck_command(
@@ -138,6 +139,7 @@ def crosscheck_command(
     reference: Literal["exact", "penalty"],
     error_tolerance: float,
     time_limit: float,
+    plot: str | None,
     folder: str | None,
     as_json: bool,
 ) -> None:
@@ -152,6 +154,10 @@ def crosscheck_command(
     """
     from contactqp.oracle.foreign.crosscheck import crosscheck
 
+    if plot is not None:
+        from contactqp.pictures.style import check_picture
+
+        check_picture(plot)  # refused before anything is run
     found = crosscheck(
         model, results, reference=reference, error_tolerance=error_tolerance, time_limit=time_limit, folder=folder
     )
@@ -159,6 +165,11 @@ def crosscheck_command(
         print_json(found.data())
     else:
         click.echo(found.summary())
+    if plot is not None:
+        from contactqp.pictures.crosscheck_drawing import draw_crosscheck
+
+        draw_crosscheck(found, plot)
+        click.echo(f"written: {plot}", err=as_json)
     sys.exit(0 if found.passed else NOT_MET)
 
 

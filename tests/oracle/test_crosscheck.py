@@ -194,3 +194,16 @@ def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     stiff = cq.crosscheck(write(tmp_path, STACK.replace("1e4\n", "1e8, 1e-6\n"), "stiff.inp"))
     assert stiff.passed, stiff.summary()
     assert (tmp_path / "stiff.ccx" / "job.log").is_file()
+
+
+def test_both_pressures_and_their_difference_are_drawn(
+    tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    deck = write(tmp_path, STACK)
+    results = printed(deck, exact(deck))
+    code, out, _ = command(capsys, "crosscheck", deck, results, "--plot", tmp_path / "pressures.png")
+    assert (code, "written: " in out) == (0, True)
+    assert (tmp_path / "pressures.png").read_bytes().startswith(b"\x89PNG")
+    code, _, error = command(capsys, "crosscheck", deck, results, "--plot", tmp_path / "pressures.txt")
+    assert (code, len(error.splitlines())) == (2, 1)

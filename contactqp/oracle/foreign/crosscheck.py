@@ -278,6 +278,8 @@ class _Judging:
             force=force[kept],
             reference_force=truth[kept],
             gap=found.gap[kept],
+            points=judged.contact.slave.points[judged.nodes[kept]],
+            area=(judged.shares @ judged.area)[kept],
             notes=judged.contact.pairing.notes,
         )
 

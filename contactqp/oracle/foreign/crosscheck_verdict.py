@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.exchange.files import Ledger
 from contactqp.model.arrays import Index, Vector
@@ -51,6 +52,10 @@ class PairVerdict(ReadOnly):
         Their normal forces [force].
     gap : (m,) array
         Their gaps in the answer of the other code, negative for overlap [length].
+    points : (m, d) array
+        Where these nodes are [length].
+    area : (m,) array
+        The share of the slave surface that belongs to each [area].
     notes : tuple of str
         What the mesh is too coarse for.
     """
@@ -74,6 +79,8 @@ class PairVerdict(ReadOnly):
     force: Vector
     reference_force: Vector
     gap: Vector
+    points: NDArray[np.float64]
+    area: Vector
     notes: tuple[str, ...] = ()
 
     @property
