@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from contactqp.analysis.bridges import differentiable as differentiable
     from contactqp.analysis.history import History as History
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
@@ -191,6 +192,7 @@ _HOME = {
     "compare": "study.comparison",
     "critical_friction": "certificate.critical_friction",
     "crosscheck": "oracle.foreign.crosscheck",
+    "differentiable": "analysis.bridges",
     "draw": "study.answer_pictures",
     "draw_history": "pictures.history_drawing",
     "equilibria": "solving.equilibria",

@@ -38,6 +38,7 @@ NOT_CALLED: dict[str, str] = {
     "ContactProblem.transformed": "called by a change of units, with arrays of the problem's own",
     "ContactProblem.with_load_sum": "called by solvers, with sizes behind the entries of a load",
     **{f"NonlinearTruss.{name}": "called with the truss's own blocks and forces" for name in ("assembled", "summed")},
+    "differentiable": "a bridge to packages that these tests do without",
     "Scene.model_copy": "pydantic's own",
     "Scene.model_post_init": "pydantic's own",
     **{f"Scene.{name}": "called by blocks, with names and quantities that the scene has checked" for name in

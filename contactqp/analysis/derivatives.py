@@ -105,7 +105,8 @@ def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
     size, linearised = np.size(getattr(solution.problem, with_respect_to)), Linearised(solution)
     rows = np.size(_value(solution, of))
-    if rows < size and not len(linearised.undecided) and _why_not(linearised, of, with_respect_to) is None:
+    adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
+    if adjoint and _why_not(linearised, of, with_respect_to) is None:
         weights = np.eye(rows).reshape(rows, *np.shape(_value(solution, of)))
         gradients = [np.ravel(_gradient(linearised, of, one, with_respect_to)) for one in weights]
         return np.array(gradients).reshape(rows, size)
@@ -138,7 +139,10 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     if given.shape != expected or not np.all(np.isfinite(given)):
         raise InvalidProblem(f"weights: expected finite numbers in the shape {expected} of {of}, got {shown(weights)}")
     linearised = Linearised(solution)
-    if (reason := _why_not(linearised, of, with_respect_to)) is not None:
+    reason = _why_not(linearised, of, with_respect_to)
+    if with_respect_to == "friction":
+        reason = reason or linearised.without_direction(np.ones(solution.problem.contacts))
+    if reason is not None:
         raise InvalidProblem(f"pullback: {reason}")
     return read_only(_gradient(linearised, of, given, with_respect_to))
 
@@ -198,7 +202,8 @@ def _why_not(linearised: Linearised, of: str, parameter: str) -> str | None:
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
     """Return the derivative of a quantity along a direction of one parameter."""
-    if (reason := _why_not(linearised, of, parameter)) is not None:
+    reason = _why_not(linearised, of, parameter) or linearised.without_direction(direction.friction)
+    if reason is not None:
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
     if of == "energy" and not frictional:

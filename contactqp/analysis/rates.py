@@ -27,9 +27,10 @@ from contactqp.analysis.rate_systems import Parts, RateSystem, shape_of_tangents
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.dense import delassus, saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.refinement import CAUTION, answer_on
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
@@ -39,6 +40,7 @@ from contactqp.solving.solve import solve
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
+FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
 IN_SPACE = "what becomes of contacts at the border of two states is found in the plane alone, with friction"
 # Friction that misses its bound by this part of it is at its bound; rates whose signs fail by this part of the largest,
 # in the square root of energy, do not fail; rates that differ by this part of the larger are one.
@@ -138,7 +140,7 @@ class Linearised:
         self._sparse = constraints_are_many(problem) or contacts_are_many(problem)
         if self._sparse and problem.frictional:
             raise Unsupported("derivatives: of answers with friction where the contacts are condensed alone")
-        words = solution.contact_status
+        words = self._words()
         self.grazing = np.flatnonzero(words == "grazing")
         self.closed = np.flatnonzero(np.isin(words, ("closed", "stick", "slip")))
         self.status = self._states(words)
@@ -149,6 +151,28 @@ class Linearised:
         self.redundant = self._forces_depend()
         whole = not (self._sparse or len(self.undecided))
         self.system = self._system(self.status) if whole else None
+
+    def _words(self) -> Any:
+        """Return the states in words, those that graze to the tolerance of certificates decided where they can be.
+
+        Without friction, and where nothing floats, forces and gaps on the closed contacts are known far beyond double
+        precision: a force that is there at all keeps its contact closed.
+        """
+        solution, problem, words = self.solution, self.problem, self.solution.contact_status
+        near = np.flatnonzero(words == "grazing")
+        if not len(near) or problem.frictional or self._sparse or condense(problem).rigid.count:
+            return words
+        pushing = np.flatnonzero(solution.normal_force > 0)
+        found = answer_on(problem, condense(problem), pushing, caution=CAUTION)
+        if found.saddle.redundant or found.contraction * CAUTION > 1:
+            return words
+        words = words.copy()
+        compliance = delassus(condense(problem)).compliance
+        for i in near:
+            push, gap, nothing = found.doubles.normal_force[i] * compliance[i], found.gaps[i], found.nothing[i]
+            if (push if i in pushing else gap) > nothing:
+                words[i] = "closed" if i in pushing else "open"
+        return words
 
     def _states(self, words: Any) -> Status:
         """Return the states as numbers; what slips in the plane does so on or back."""
@@ -192,6 +216,18 @@ class Linearised:
         if self.system is None:
             return IN_SPACE if shape_of_tangents(self.problem)[1] > 1 else None
         return None if self.system.regular else SINGULAR
+
+    def without_direction(self, friction: Vector) -> str | None:
+        """Return why there are no rates by coefficients: a contact without friction that has not slipped gets some."""
+        solution, violations = self.solution, self.solution.certificate.violations
+        if self.problem.friction is None or violations is None or not friction.any():
+            return None
+        if not self.problem.frictional:
+            return FRICTIONLESS
+        smooth = (self.problem.friction == 0) & (self.status != OPEN) & (friction != 0)
+        still = np.flatnonzero(smooth & (violations.slip_measure <= solution.certificate.tolerance))
+        said = "neither friction nor slip, which friction could act against"
+        return f"{self.named(still)} has {said}" if len(still) else None
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.

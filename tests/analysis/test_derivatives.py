@@ -192,3 +192,20 @@ def test_many_contacts_are_not_condensed() -> None:
     middle = 1830
     assert solution.contact_status[middle] == "closed"
     assert "redundant" in cq.solve(membrane([middle])).derivative("normal_force", "load", direction).reason
+
+
+def test_what_hardly_touches_is_told_from_what_grazes() -> None:
+    """A force of 1e-13 of the load is one: the derivative exists, and reaches no further than that."""
+    K, load = [[2.0, -1.0], [-1.0, 2.0]], [3.0, 0.0]
+    u = np.linalg.solve(K, load)
+    near, found = dict(stiffness=K, load=load, normal=np.eye(2)[1:]), []
+    for shift in (-1e-13, 0.0, 1e-13):
+        solution = cq.solve(cq.ContactProblem(**near, gap=[1.0 + shift]))
+        assert solution.contact_status.tolist() == ["grazing"]
+        found.append(solution.derivative("normal_force", "load", [1.0, 0.0]))
+    assert u == pytest.approx([2.0, 1.0])
+    assert [one.exists for one in found] == [True, False, True]
+    assert found[0].value == pytest.approx([0.5])
+    assert found[2].value.tolist() == [0.0]
+    assert 0 < max(found[0].reach[0], found[2].reach[1]) < 1e-12
+    assert (found[1].left.tolist(), found[1].right.tolist()) == ([0.0], [pytest.approx(0.5)])

@@ -173,6 +173,18 @@ def test_what_has_no_derivative_with_friction_says_why() -> None:
     found = cq.solve(ramp).derivative("displacement", "load", [1.0, 0.0, 0.0])
     assert (found.value, found.right) == (None, None)
     assert "in the plane alone" in found.reason
+    still = cq.ContactProblem(
+        np.eye(3), [0.0, -10.0, -5.0], [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [0.0, 0.0],
+        [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], friction=[0.0, 0.5],
+    )  # fmt: skip
+    found = cq.solve(still).derivative("friction_force", "friction", [1.0, 0.0])
+    assert "contact 0 has neither friction nor slip" in found.reason
+    with pytest.raises(cq.InvalidProblem, match="neither friction nor slip"):
+        cq.solve(still).pullback("displacement", np.ones(3), "friction")
+    slid = cq.solve(still.replace(load=[-2.0, -10.0, -5.0]))
+    assert slid.derivative("friction_force", "friction", [1.0, 0.0]).value[0] == pytest.approx([-10.0])
+    smooth = cq.solve(still.replace(friction=0.0))
+    assert "no contact has friction" in smooth.derivative("friction_force", "friction", 1.0).reason
     smooth = cq.solve(cq.ContactProblem([[1.0]], [2.0], [[1.0]], [1.0]))
     for call, message in (
         (

@@ -18,6 +18,7 @@ from flint import fmpq, fmpq_mat
 
 from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.linalg.rational import column, fraction, fractions, solve_any, zeros
+from contactqp.model.arguments import checked
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.rational_problem import of_floats
@@ -39,6 +40,7 @@ class ExactDerivative:
     reason: str = ""
 
 
+@checked
 def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direction: Any) -> ExactDerivative:
     """Return the exact rates of a quantity of an exact answer; names as in `Solution.derivative`.
 
@@ -81,8 +83,11 @@ class _ExactRates:
         answer, mu, word = self.answer, self.data.friction[i], self.answer.contact_status[i]
         if word == "open":
             return (OPEN,)
-        if mu == 0 or answer.slip is None or answer.friction_force is None:
+        if answer.slip is None or answer.friction_force is None:
             return (OPEN, SLIP_ON) if word == "grazing" else (SLIP_ON,)
+        if mu == 0:
+            along = SLIP_BACK if answer.slip[i, 0] < 0 else SLIP_ON
+            return (OPEN, along) if word == "grazing" else (along,)
         slip, drag = answer.slip[i, 0], answer.friction_force[i, 0]
         along = SLIP_ON if slip > 0 else SLIP_BACK
         if word == "slip":

@@ -1,0 +1,238 @@
+"""Hold derivatives against exact rational ones, and say what they and many load cases cost.
+
+    python -m benchmarks.derivatives                     # 10 000 derivatives and more, some minutes
+    python -m benchmarks.derivatives --problems 2        # a first look
+    python -m benchmarks.derivatives --cost              # what a gradient and a thousand loads cost
+
+Families of `silently_wrong` and, in the plane, of `friction_random`, problems of up to 24 unknowns, contacts and ties,
+with lengths and forces in units near 1e-9, 1 and 1e9, powers of two, so that the exact answers are the same. Rates of
+displacements, forces and gaps along random directions of load, gaps, tie values, coefficients, slip origins, stiffness
+and rows are compared on either side with those in Fractions. Exit code 1 if one is off by more than 1e-9 of its size in
+the square root of energy, if a bound is below the error, or if a kink is not seen, or seen where there is none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+import contactqp as cq
+from benchmarks.friction_families import CONTACT_FAMILIES, contact_problem
+from benchmarks.price_of_contact import block, fresh
+from benchmarks.problem_families import FAMILIES, family
+
+LARGEST, FAR, SAME = 24, 1e-9, 1e-9
+# Powers of two near 1e-9, 1 and 1e9.
+UNITS = (2.0**-30, 1.0, 2.0**30)
+QUANTITIES = ("displacement", "normal_force", "gap", "friction_force")
+
+
+@dataclass
+class Tally:
+    """What the derivatives of one family showed."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    worst: float = 0.0
+    wrong: list[str] = field(default_factory=list)
+
+
+def in_units(problem: cq.ContactProblem, force: float, length: float) -> cq.ContactProblem:
+    """The same problem with other numbers: those of lengths times `length`, those of forces times `force`."""
+    data: dict[str, Any] = dict(
+        stiffness=problem.stiffness * (force / length), load=problem.load * force, normal=problem.normal,
+        gap=problem.gap * length,
+    )  # fmt: skip
+    if problem.ties:
+        data.update(tie=problem.tie, tie_value=problem.tie_value * length)
+    if problem.tangent is not None and problem.slip_origin is not None:
+        origin = problem.slip_origin * length
+        data.update(tangent=problem.tangent, friction=problem.friction, slip_origin=origin)
+    return cq.ContactProblem(**data)
+
+
+def directions(rng: np.random.Generator, problem: cq.ContactProblem) -> dict[str, Any]:
+    """A direction of each parameter that the problem has, of the size of the parameter."""
+    n, m, k = problem.dimension, problem.contacts, problem.ties
+    K = sp.coo_array(problem.stiffness)
+    turn = sp.csr_array((K.data * rng.integers(-2, 3, K.nnz), (K.row, K.col)), shape=K.shape)
+    far = np.max(abs(problem.load), initial=0.0) or 1.0
+    wide = np.max(abs(problem.gap), initial=0.0) or 1.0
+    found: dict[str, Any] = dict(
+        load=rng.integers(-3, 4, n) * far, gap=rng.integers(-3, 4, m) * wide, stiffness=(turn + turn.T) / 2,
+        rows=sp.csr_array(problem.normal.multiply(rng.integers(-2, 3, (m, n)))),
+    )  # fmt: skip
+    if k:
+        found["tie_value"] = rng.integers(-3, 4, k) * wide
+    if problem.frictional:
+        found.update(friction=rng.integers(0, 3, m) / 8, slip_origin=rng.integers(-3, 4, (m, 1)) * wide)
+    return found
+
+
+def sizes(problem: cq.ContactProblem) -> dict[str, np.ndarray]:
+    """What takes a unit of each entry of a quantity to the square root of energy."""
+    unit = 1.0 / np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0))
+    normal = np.sqrt(problem.normal.power(2) @ unit**2)
+    tangent = np.zeros(0) if problem.tangent is None else np.sqrt(problem.tangent.power(2) @ unit**2)
+    return dict(displacement=1 / unit, normal_force=normal, gap=1 / np.maximum(normal, 1e-300), friction_force=tangent)
+
+
+def floats(values: Any) -> np.ndarray:
+    return np.array([float(x) for x in np.ravel(values)])
+
+
+def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random.Generator) -> None:
+    """Compare all derivatives of one problem with the exact ones."""
+    try:
+        solution, answer = cq.solve(problem), cq.exact(problem, enclose=False)
+    except (cq.ContactQPError, ValueError) as error:
+        tally.counts[f"no answer: {type(error).__name__}"] += 1
+        return
+    if solution.certificate.uniqueness:
+        tally.counts["several answers"] += 1
+        return
+    unit = sizes(problem)
+    of = [name for name in QUANTITIES if name != "friction_force" or problem.frictional]
+    for parameter, direction in directions(rng, problem).items():
+        try:
+            exact = {name: answer.derivative(name, parameter, direction) for name in of}
+        except cq.Unsupported:
+            tally.counts["no exact ones"] += 1
+            continue
+        whole = max((float(np.max(abs(floats(one.right)) * unit[name], initial=0.0)) for name, one in exact.items()
+                     if one.right is not None), default=0.0)  # fmt: skip
+        for name, true in exact.items():
+            found = solution.derivative(name, parameter, direction)
+            if found.right is None or true.right is None:
+                tally.counts["none: " + ("both" if found.right is None and true.right is None else
+                             "doubles alone" if found.right is None else "exact alone")] += 1  # fmt: skip
+                continue
+            sides = ((found.left, true.left), (found.right, true.right))
+            errors = [abs(np.ravel(one) - floats(other)) for one, other in sides]
+            largest = max(float(np.max(error * unit[name], initial=0.0)) for error in errors)
+            relative = largest / whole if whole > 0 else largest
+            tally.counts["compared"] += 1
+            tally.counts["kinks"] += not true.exists
+            tally.worst = max(tally.worst, relative)
+            if relative > FAR:
+                tally.wrong.append(f"{where}: {name} by {parameter} off by {relative:.2g}")
+            differs = float(np.max(abs(floats(true.left) - floats(true.right)) * unit[name], initial=0.0))
+            if found.exists != true.exists and not 0 < differs <= 2 * SAME * whole:
+                tally.wrong.append(f"{where}: {name} by {parameter}: exists {found.exists}, exactly {true.exists}")
+            if found.bound is not None:
+                tally.counts["bounds"] += 1
+                if np.any(errors[1] > np.ravel(found.bound)):
+                    tally.wrong.append(f"{where}: {name} by {parameter}: a bound is below the error")
+
+
+def survey(problems: int) -> int:
+    """Print a line for each family; return how many derivatives were wrong."""
+    makers = {name: lambda seed, name=name: family(name, seed) for name in FAMILIES}
+    makers |= {f"friction: {name}": lambda seed, name=name: contact_problem(name, seed).problem
+               for name, kind in CONTACT_FAMILIES.items() if kind[0] == 2}  # fmt: skip
+    whole, wrong = Counter[str](), 0
+    print(f"{'family':40s}{'compared':>9s}{'kinks':>7s}{'bounds':>8s}{'none':>6s}{'worst':>9s}{'wrong':>7s}")
+    for name, make in makers.items():
+        tally = Tally()
+        for seed in range(problems):
+            try:
+                problem = make(seed)
+            except cq.ContactQPError:
+                continue
+            if problem.dimension + problem.contacts + problem.ties > LARGEST or problem.rigid_change > 0:
+                continue
+            for force in UNITS:
+                changed = in_units(problem, force, UNITS[(UNITS.index(force) + seed) % 3])
+                compare(tally, f"{name} {seed} {force:.0e}", changed, np.random.default_rng(seed))
+        whole += tally.counts
+        wrong += len(tally.wrong)
+        if tally.counts["compared"]:
+            none = sum(count for what, count in tally.counts.items() if what.startswith("none"))
+            print(f"{name:40s}{tally.counts['compared']:9d}{tally.counts['kinks']:7d}{tally.counts['bounds']:8d}"
+                  f"{none:6d}{tally.worst:9.1e}{len(tally.wrong):7d}", flush=True)  # fmt: skip
+        for message in tally.wrong[:3]:
+            print(f"    {message}")
+    print(", ".join(f"{what} {count}" for what, count in sorted(whole.items())), f"wrong {wrong}", sep=", ")
+    return wrong
+
+
+def blocks_between_walls() -> None:
+    """Two blocks between two walls on three springs (Boyd and Vandenberghe 2004, section 5.5.4), and d x / d k.
+
+    1/2 k1 x1^2 + 1/2 k2 (x2 - x1)^2 + 1/2 k3 (l - x2)^2 over w/2 <= x1, w + x1 <= x2, x2 <= l - w/2.
+    """
+    print("blocks between walls, stiffness times: d x / d k by solution.derivative, error relative to the exact one")
+    for factor in (1.0, 1e3, 1e5):
+        k, wide, far = np.array([1.0, 2.0, 0.1]) * factor, 0.5, 2.0
+        K = [[k[0] + k[1], -k[1]], [-k[1], k[1] + k[2]]]
+        rows, gap = [[-1.0, 0.0], [1.0, -1.0], [0.0, 1.0]], [-wide / 2, -wide, far - wide / 2]
+        problem = cq.ContactProblem(K, [0.0, k[2] * far], rows, gap)
+        solution, answer = cq.solve(problem), cq.exact(problem)
+        ends = ([1.0, 0.0], [-1.0, 1.0], [0.0, 1.0])
+        errors = []
+        for spring, end in enumerate(ends):
+            change, pull = np.outer(end, end), np.array([0.0, far if spring == 2 else 0.0])
+            found = solution.derivative("displacement", "stiffness", change).value
+            found = found + solution.derivative("displacement", "load", pull).value
+            true = answer.derivative("displacement", "stiffness", change).value
+            true = floats(true + answer.derivative("displacement", "load", pull).value)
+            errors.append(np.max(abs(found - true)) / max(np.max(abs(true)), 1e-300))
+        print(f"    {factor:8.0e}  {max(errors):.1e}")
+
+
+def cost(unknowns: int, cases: int) -> None:
+    """Print what a gradient and many load cases cost beside the first solution."""
+    problem = fresh(block(unknowns, 2))
+    started = time.perf_counter()
+    solution = cq.solve(problem)
+    first = time.perf_counter() - started
+    print(f"{problem.dimension} unknowns, {problem.contacts} contacts: first solution {first:.3f} s")
+    for of, parameter in (("normal_force", "load"), ("displacement", "load"), ("normal_force", "stiffness")):
+        weights, taken = np.ones_like(getattr(solution, of)), []
+        for _ in range(5):
+            started = time.perf_counter()
+            solution.pullback(of, weights, parameter)
+            taken.append(time.perf_counter() - started)
+        print(f"    gradient of {of} by {parameter}: {np.median(taken):.3f} s, {np.median(taken) / first:.3f}")
+    rng, one = np.random.default_rng(0), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    size = 1e-3 * np.max(abs(problem.load))
+    at = rng.choice(problem.dimension, 300, replace=False)
+    rows = []
+    for _ in range(cases):
+        places = (np.zeros(len(at), dtype=int), at)
+        noise = sp.csr_array((size * rng.standard_normal(len(at)), places), shape=(1, problem.dimension))
+        rows.append(sp.csr_array(problem.load[None] * (0.5 + rng.random())) + noise)
+    loads = sp.csr_array(sp.vstack(rows))
+    started = time.perf_counter()
+    many = cq.solve_many(problem, loads=loads)
+    taken_by_all = time.perf_counter() - started
+    now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"    {cases} load cases: {taken_by_all:.2f} s, {taken_by_all / first:.1f} of the first, "
+          f"{int(many.passed.sum())} passed, {int(many.proven.sum())} proven, peak {now / one:.2f} of that of one"
+          )  # fmt: skip
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=8, help="of each family, each in three units")
+    parser.add_argument("--cost", action="store_true", help="what gradients and load cases cost, and nothing else")
+    parser.add_argument("--unknowns", type=int, default=30_000)
+    parser.add_argument("--cases", type=int, default=1000)
+    chosen = parser.parse_args()
+    if chosen.cost:
+        cost(chosen.unknowns, chosen.cases)
+        return 0
+    wrong = survey(chosen.problems)
+    blocks_between_walls()
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

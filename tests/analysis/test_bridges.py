@@ -1,0 +1,86 @@
+"""Functions of JAX and PyTorch have the derivatives of answers; without these, one line says what to install."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+
+HAS_JAX, HAS_TORCH = (importlib.util.find_spec(name) is not None for name in ("jax", "torch"))
+
+
+def problems() -> list[tuple[cq.ContactProblem, str, list[str]]]:
+    rng = np.random.default_rng(4)
+    shape, rows = rng.standard_normal((5, 5)), rng.standard_normal((4, 5))
+    K = shape @ shape.T + 2 * np.eye(5)
+    plain = cq.ContactProblem(K, 4 * rng.standard_normal(5), rows[:2], [0.1, 0.2])
+    return [
+        (cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3]), "normal_force", ["gap", "load"]),
+        (plain, "displacement", ["load", "gap", "stiffness"]),
+        (plain.replace(tie=rows[2:3], tie_value=[0.1]), "tie_force", ["tie_value", "load"]),
+        (plain.replace(tangent=rows[2:], friction=0.2), "friction_force", ["load", "friction"]),
+        (cq.ContactProblem(sp.csr_array(K), plain.load, rows[:2], [0.1, 0.2]), "energy", ["stiffness", "load"]),
+    ]
+
+
+def arguments(problem: cq.ContactProblem, varied: list[str]) -> list[np.ndarray]:
+    return [np.array(problem.stiffness_rows.data if name == "stiffness" else getattr(problem, name)) for name in varied]
+
+
+@pytest.mark.skipif(not HAS_JAX, reason="jax is not installed")
+@pytest.mark.parametrize("which", range(5))
+def test_jax_has_the_derivatives_of_answers(which: int) -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    problem, of, varied = problems()[which]
+    function, values = cq.differentiable(problem, of, varied, "jax"), arguments(problem, varied)
+    solution, rng = cq.solve(problem), np.random.default_rng(0)
+    assert np.asarray(function(*values)) == pytest.approx(np.asarray(getattr(solution, of)))
+    jacobians = jax.jacrev(function, argnums=tuple(range(len(values))))(*values)
+    for value, name, jacobian in zip(values, varied, jacobians, strict=True):
+        direction = rng.standard_normal(value.shape)
+        change: object = direction
+        if name == "stiffness":
+            rows = problem.stiffness_rows
+            matrix = sp.csr_array((direction, rows.indices, rows.indptr), shape=rows.shape)
+            change = (matrix + matrix.T) / 2
+        rate = np.ravel(solution.derivative(of, name, change).value)
+        found = np.asarray(jacobian).reshape(rate.size, -1) @ direction.ravel()
+        assert found == pytest.approx(rate, rel=1e-9, abs=1e-12)
+    batch = [np.stack([value, 1.01 * value]) for value in values]
+    assert np.asarray(jax.vmap(function)(*batch))[0] == pytest.approx(np.asarray(getattr(solution, of)))
+    total = jax.jit(jax.grad(lambda *given: (function(*given) ** 2).sum()))(*values)
+    assert total.shape == values[0].shape
+
+
+@pytest.mark.skipif(not HAS_TORCH, reason="torch is not installed")
+@pytest.mark.parametrize("which", range(5))
+def test_torch_checks_the_gradients(which: int) -> None:
+    import torch
+
+    problem, of, varied = problems()[which]
+    function = cq.differentiable(problem, of, varied, "torch")
+    values = [torch.tensor(value, requires_grad=True) for value in arguments(problem, varied)]
+    step = 1e-9 if which == 0 else 1e-6
+    assert torch.autograd.gradcheck(function, values, eps=step, atol=1e-4, rtol=1e-4)
+
+
+def test_what_is_not_installed_or_no_argument_is_one_line() -> None:
+    problem = problems()[0][0]
+    for framework, there in (("jax", HAS_JAX), ("torch", HAS_TORCH)):
+        if not there:
+            with pytest.raises(cq.BackendMissing, match=f"{framework} is not installed: pip install {framework}"):
+                cq.differentiable(problem, "gap", ["load"], framework)
+    for call, message in (
+        (("mass", ["load"], "jax"), "of: expected one of"),
+        (("gap", ["rows"], "jax"), "varied: expected one of load"),
+        (("gap", [], "jax"), "varied: expected names"),
+        (("gap", ["load"], "mxnet"), "framework: expected one of jax, torch"),
+    ):
+        with pytest.raises(cq.InvalidProblem, match=message):
+            cq.differentiable(problem, *call)
