@@ -261,7 +261,7 @@ def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -
         if parameter in by:
             return float(weights) * by[parameter]
         half = float(weights) * 0.5 * u
-        at_rows = _outer(problem.normal, float(weights) * push, u)
+        at_rows = _on_entries(problem.normal, ((float(weights) * push, u),))
         return _on_pattern(problem, half, u) if parameter == "stiffness" else at_rows
     if len(linearised.undecided):
         raise InvalidProblem(f"pullback: {linearised.at_border()}, and the derivative may have two sides")
@@ -271,7 +271,7 @@ def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -
         return _on_pattern(problem, own - y.displacement, u)
     if parameter == "rows":
         own = weights if of == "gap" else 0.0 * push
-        return _outer(problem.normal, -push, y.displacement) + _outer(problem.normal, -(y.normal + own), u)
+        return _on_entries(problem.normal, ((-push, y.displacement), (-(y.normal + own), u)))
     if parameter in ("friction", "slip_origin"):
         return _by_law(linearised, of, weights, parameter, y)
     found = dict(load=y.displacement, gap=y.normal, tie_value=y.tie)[parameter]
@@ -323,10 +323,12 @@ def _on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
     """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
     if not sp.issparse(problem.stiffness):
         return (np.outer(y, u) + np.outer(u, y)) / 2
-    return _outer(problem.stiffness_rows, 0.5 * y, u) + _outer(problem.stiffness_rows, 0.5 * u, y)
+    return _on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
 
 
-def _outer(rows: Any, left: Vector, right: Vector) -> Any:
-    """Return left right' on the pattern of CSR rows."""
-    entries = np.repeat(left, np.diff(rows.indptr)) * right[rows.indices]
-    return sp.csr_array((entries, rows.indices.copy(), rows.indptr.copy()), shape=rows.shape)
+def _on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
+    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
+    counts, entries = np.diff(rows.indptr), np.zeros(len(rows.indices))
+    for left, right in pairs:
+        entries += np.repeat(left, counts) * right[rows.indices]
+    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
