@@ -287,3 +287,11 @@ def test_what_has_no_place_in_the_problem_is_told(tmp_path: pathlib.Path) -> Non
     assert any("direction 3, which plane elements have not" in line for line in deck.ledger.ignored)
     bare = cq.read_deck(write(tmp_path, STACK.replace("*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n1e4\n", "")))
     assert any("no *SURFACE BEHAVIOR: HARD" in line for line in bare.ledger.assumed)
+
+
+@pytest.mark.parametrize("enforcement", ["exact", "penalty"])
+def test_rounding_of_prescribed_displacements_drives_nothing(tmp_path: pathlib.Path, enforcement: str) -> None:
+    free_to_slide = STACK.replace("ALL, 1, 2\n", "ALL, 1\n")  # the upper cube along y, which nothing resists
+    solution = solved(tmp_path, free_to_slide, enforcement)
+    assert solution.certificate.passed
+    assert solution.normal_force.sum() == pytest.approx(5.0 if enforcement == "exact" else 0.01 / 0.0021)

@@ -144,7 +144,8 @@ class Deck:
         contacts = self.contacts(discretisation)
         with naming(self.model.file):
             exact = self._exact(contacts.free)
-            return exact if enforcement == "exact" else self._on_springs(exact, contacts)
+            problem = exact if enforcement == "exact" else self._on_springs(exact, contacts)
+            return problem.with_load_sum(problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free))))
 
     def contacts(self, discretisation: Discretisation) -> DeckContacts:
         """Return the contact pairs of the deck in one discretisation."""
@@ -171,6 +172,12 @@ class Deck:
             contact_names=contacts.names,
             near_null_space=assembly.rigid_motions()[free],
         )
+
+    @cached_property
+    def _load_size(self) -> Vector:
+        """Return the sizes of what adds up to the load: prescribed displacements leave rounding [force]."""
+        assembly = self.assembly
+        return np.asarray((abs(assembly.load) + abs(assembly.stiffness) @ abs(self._given))[self.free])
 
     @cached_property
     def _stiffness(self) -> Any:
