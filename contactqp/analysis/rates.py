@@ -137,9 +137,13 @@ class Linearised:
         if not solution.certificate.passed:
             raise InvalidProblem("derivatives: the answer is not certified")
         self.solution, self.problem = solution, problem
-        self._sparse = constraints_are_many(problem) or contacts_are_many(problem)
+        # What is not condensed as it stands: contacts that never close, and rows of zeros, constrain nothing.
+        self._sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
         if self._sparse and problem.frictional:
-            raise Unsupported("derivatives: of answers with friction where the contacts are condensed alone")
+            raise Unsupported(
+                "derivatives: with friction, of contacts that are condensed alone; leave out those that never close, "
+                "and rows of zeros"
+            )
         words = self._words()
         self.grazing = np.flatnonzero(words == "grazing")
         self.closed = np.flatnonzero(np.isin(words, ("closed", "stick", "slip")))

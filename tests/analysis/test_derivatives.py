@@ -209,3 +209,20 @@ def test_what_hardly_touches_is_told_from_what_grazes() -> None:
     assert found[2].value.tolist() == [0.0]
     assert 0 < max(found[0].reach[0], found[2].reach[1]) < 1e-12
     assert (found[1].left.tolist(), found[1].right.tolist()) == ([0.0], [pytest.approx(0.5)])
+
+
+def test_contacts_that_never_close_and_rows_of_zeros_change_nothing() -> None:
+    K, load = [[2.0, -1.0], [-1.0, 2.0]], [4.0, 1.0]
+    plain = cq.solve(cq.ContactProblem(K, load, [[1.0, 0.0]], [1.0]))
+    idle = cq.solve(cq.ContactProblem(K, load, [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], [1.0, np.inf, 0.5]))
+    for parameter, direction in (("load", [1.0, 2.0]), ("stiffness", [[1.0, 0.0], [0.0, 1.0]])):
+        found = idle.derivative("normal_force", parameter, direction).value
+        assert found == pytest.approx([*plain.derivative("normal_force", parameter, direction).value, 0.0, 0.0])
+        expected = plain.pullback("displacement", [1.0, 2.0], parameter)
+        assert idle.pullback("displacement", [1.0, 2.0], parameter) == pytest.approx(expected)
+    assert idle.derivative("normal_force", "gap", [1.0, 1.0, 1.0]).value == pytest.approx([-1.5, 0.0, 0.0])
+    assert idle.derivative("gap", "load", [1.0, 0.0]).reach[1] == np.inf
+    rough = cq.solve(cq.ContactProblem(
+        K, load, np.eye(2), [1.0, np.inf], tangent=[[0.0, 1.0], [1.0, 0.0]], friction=0.3))  # fmt: skip
+    with pytest.raises(cq.Unsupported, match="leave out those that never close"):
+        rough.derivative("gap", "load", [1.0, 0.0])
