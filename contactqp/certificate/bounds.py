@@ -89,6 +89,8 @@ NEXT_TO_NOTHING = 1e-12
 ITERATED_NOTHING = 1e-10
 # A strain of so many times that of the rigid part alone is still one that K's rounding makes.
 STRAINED_BY_ROUNDING = 16.0
+# Rounding of K makes so many times the forces that one sample of it does at most.
+PUSHED_BY_ROUNDING = 8.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
@@ -301,6 +303,11 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_bound = None if force_bound is None else force_bound + abs(changed)
     if force_bound is not None and max(largest, scale) > 0:
         relative = force_bound * own / (largest or max(scale, size))
+    if pair.cleared and problem.near_null_space is None:  # K's rounding counts, as nobody said what is rigid
+        pushed = PUSHED_BY_ROUNDING * _pushed_by_rounding(problem, condensation, pair, moved)
+        size_of_pushed = sum(force_norm(problem, condensation, extend(pushed), tied=True))
+        error += size_of_pushed / scale if scale > 0 else size_of_pushed
+        force_bound = None if force_bound is None else force_bound + abs(pushed)
     energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
@@ -342,6 +349,23 @@ def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
     forces = forces @ rigid_part(problem, displacement, condensation.rigid)
     elastic, missing = response(problem, condensation, extend(forces), tied=False)
     return sum(energy_norm(problem, elastic)) + missing
+
+
+def _pushed_by_rounding(
+    problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair, displacement: Vector
+) -> Vector:
+    """Return the contact forces (m,) that balance what K's rounding makes of the rigid part of a displacement.
+
+    Its resultants are taken away: forces that equilibrium alone determines do not feel it.
+    """
+    motions, K = condensation.rigid.motions, extended_rows(problem).stiffness
+    coordinates = rigid_part(problem, displacement, condensation.rigid)
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T]) @ coordinates
+    spread = problem.diagonal[:, None] * motions
+    forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
+    closed, pushed = pair.saddle.closed, np.zeros(problem.contacts)
+    _, pushed[closed], _ = condensation.correction(pair.saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
+    return pushed
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:

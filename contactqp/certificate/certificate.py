@@ -298,9 +298,10 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if known.cleared > WORTH_SAYING:
+        unsure = "" if problem.near_null_space is not None else "; stated in near_null_space, they are taken as exact"
         said.append(
             f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
-            f"{known.cleared:.2g} of the forces there"
+            f"{known.cleared:.2g} of the forces there{unsure}"
         )
     if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
         said.append(

@@ -1,5 +1,6 @@
 """Bounds are never below the true error: small problems whose errors are known by hand, in the corners of rounding."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -370,3 +371,19 @@ def test_where_constraints_conflict_the_certificate_of_any_answer_says_so() -> N
     for certificate in (by_penalty.certificate, cq.certify(walls, [0.5], [0.0, 0.0])):
         assert not certificate.passed
         assert any(conflict in failure for failure in certificate.failures)
+
+
+def test_forces_that_the_rounding_of_a_stiffness_shares_out_are_no_better_than_that():
+    """Three masses on springs whose sums are rounded, a metre from the ground: how they share 1e-11 N is rounding."""
+    spring = [1.7795540617506418, 2.876159240814838]
+    K = np.array([[spring[0], -spring[0], 0.0], [-spring[0], sum(spring), -spring[1]], [0.0, -spring[1], spring[1]]])
+    assert math.fsum(K[1]) != 0
+    for share, passes in ((1e-3, True), (1e-11, False)):
+        load = -share * np.array([0.5720798, 0.9743247, 0.6559157])
+        problem = cq.ContactProblem(K, load, -np.eye(3), np.ones(3))
+        judged = cq.certify(problem, -np.ones(3), -load)
+        assert judged.force_error is not None
+        assert (judged.force_error <= 1e-6) == passes
+        assert judged.passed is passes
+        stated = problem.replace(near_null_space=np.ones((3, 1)))
+        assert cq.solve(stated).normal_force == pytest.approx(-load, rel=1e-12)
