@@ -159,6 +159,7 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "GlobalProblem.of": (cq.GlobalProblem.of, dict(problem=rubbing)),
         "LocalProblem": (cq.LocalProblem, dict(delassus=np.eye(2), offset=[-1.0, 0.5], friction=0.3, dimension=2)),
         "LocalProblem.contact_name": (local.contact_name, dict(i=0)),
+        "LocalProblem.with_offsets": (local.with_offsets, dict(offset=[-1.0, 0.5], bilateral_offset=np.zeros(0))),
         "Gravity": (cq.Gravity, dict(body="block", acceleration=[0.0, -10.0])),
         "Gravity.forces": (cq.Gravity("block", [0.0, -1.0]).forces, dict(body=heavy)),
         "Traction": (cq.Traction, dict(body="block", side="top", value=[0.0, -1.0])),

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from contactqp.analysis.derivatives import QUANTITIES, VECTORS, pullback
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
@@ -28,6 +28,7 @@ VARIED = (*VECTORS, "stiffness")
 
 
 @checked
+@own_floating_point
 def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], framework: str) -> Callable[..., Any]:
     """Return an answer as a function of what is varied, for automatic differentiation.
 

@@ -131,7 +131,7 @@ def test_bad_files_and_options_without_meaning_are_exit_2(capsys, tmp_path, slid
             "run",
             tmp_path / "none.hdf5",
         ): "none.hdf5: expected a folder or .npz of matrices, a file of FCLIB (HDF5) or "
-        "Siconos (text), or a quadratic program, and there is none",
+        "Siconos (text), a quadratic program, or a deck (.inp), and there is none",
         (
             "run",
             sliding,

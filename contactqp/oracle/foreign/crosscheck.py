@@ -17,7 +17,7 @@ from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Path, naming
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Index, Vector, own_floating_point
 from contactqp.oracle.foreign.crosscheck_causes import Found, causes_of, is_plane
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
 from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, PairVerdict, Word
@@ -37,6 +37,7 @@ Forces = NDArray[np.float64]
 
 
 @checked
+@own_floating_point
 def crosscheck(
     path: Path,
     results: Path | None = None,

@@ -18,7 +18,7 @@ from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.model.arguments import checked, checks
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Index, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.deck.assembly import DeckAssembly
 from contactqp.scene.deck.contacts import (
@@ -278,6 +278,7 @@ class DeckContacts:
 
 
 @checked
+@own_floating_point
 def read_deck(path: Path) -> Deck:
     """Read an input deck of Abaqus or CalculiX: one linear elastic static step, with its contact pairs.
 
