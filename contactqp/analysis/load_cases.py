@@ -14,7 +14,7 @@ from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Mask, Vector, computes
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_array, read_matrix, read_only
+from contactqp.model.problem_data import ReadOnly, is_whole, read_array, read_matrix, read_only
 from contactqp.model.solution import Solution, Work
 from contactqp.model.summary import Printed, Table, number
 from contactqp.solving.solve import solve
@@ -135,8 +135,6 @@ def _read_rows(name: str, value: Any, width: int, name_of: Any, allowed: float =
 
 def _read_friction(problem: ContactProblem, friction: Any) -> Array:
     """Return one coefficient, or one row for each case (N, m)."""
-    if is_number(friction):
-        return np.array(float(friction))
     found, m = read_array("friction", friction), problem.contacts
     if found.ndim == 0:
         return found
@@ -249,8 +247,8 @@ class Solutions(ReadOnly, Printed):
 
     def displacement(self, i: int) -> Vector:
         """Return the displacement (n,) of a case, with the digits of its `Solution`."""
-        found: Vector = self[i].displacement
-        return found
+        found: Solution = solve(self.case(i), self.method, **self._arguments)
+        return found.displacement
 
     def envelope(self) -> Envelope:
         """Return the largest force of each contact over all cases, and the case that causes it."""

@@ -105,7 +105,10 @@ class _ExactRates:
             load=(data.unknowns,), gap=(data.contacts,), tie_value=(data.ties,), friction=(data.contacts,),
             slip_origin=(data.contacts * data.width,), stiffness=problem.stiffness.shape, rows=problem.normal.shape,
         )  # fmt: skip
-        dense = direction.toarray() if hasattr(direction, "toarray") else np.array(direction, dtype=object)
+        try:
+            dense = direction.toarray() if hasattr(direction, "toarray") else np.array(direction, dtype=object)
+        except Exception:  # noqa: BLE001  whatever an object says of itself as an array
+            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}") from None
         if len(shapes[parameter]) == 1 and dense.size == shapes[parameter][0]:
             dense = dense.ravel()
         if dense.shape != shapes[parameter]:

@@ -233,7 +233,7 @@ class _Judging:
         assembly = self.deck.assembly
         held = ~np.isnan(assembly.prescribed)
         rounding = ROUNDING * float(assembly.stiffness.diagonal().max()) * float(abs(assembly.points).max())
-        sizes = [rounding / (NEGLIGIBLE * self.tolerance)]
+        sizes = [rounding / max(NEGLIGIBLE * self.tolerance, float(np.finfo(float).tiny))]
         sizes += [float(np.linalg.norm(self.deck.assembly.load)), float(np.linalg.norm(self.answer.forces[held]))]
         return max(*sizes, *(float(np.linalg.norm(force.sum(axis=0))) for force in self._truth), 0.0)
 
