@@ -56,6 +56,8 @@ from contactqp.certificate.energy_norm import (
     residual_noise,
     response,
     rigid_rounding,
+    shared_by_rounding,
+    strain_of_rigid_part,
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
@@ -73,7 +75,6 @@ from contactqp.linalg.measures import (
     outer_forces,
     own_compliance,
     parts,
-    rigid_part,
 )
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
@@ -89,8 +90,6 @@ NEXT_TO_NOTHING = 1e-12
 ITERATED_NOTHING = 1e-10
 # A strain of so many times that of the rigid part alone is still one that K's rounding makes.
 STRAINED_BY_ROUNDING = 16.0
-# Rounding of K makes so many times the forces that one sample of it does at most.
-PUSHED_BY_ROUNDING = 8.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
@@ -263,21 +262,19 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     solution, change = extend(answer.displacement) + pair.to_middle, extend(answer.normal_force) - pair.force
     push, changed = pair.force.double(), change.double()
     floats = bool(condensation.rigid.count)
-    strain = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
-    energy_scale, uncertain = strain
+    stretched = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
+    (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     own = np.sqrt(own_compliance(problem, problem.normal))
-    rigid = 0.0
     if floats:
         # A displacement without strain has none in extended precision, but for that of its rigid part, which K's
         # rounding makes.
-        rigid = rigid_rounding(problem, condensation, answer.displacement)
         # A solution that is known has its own rigid part, however far away the answer is.
         moved = solution.double() if pair.exact else answer.displacement
         if energy_scale <= rigid_rounding(problem, condensation, moved):
-            uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, moved)
+            uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
@@ -300,14 +297,12 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     nothing_elastic = not problem.diagonal.any()
     relative = None
     largest = float(np.max(own * abs(push), initial=0.0)) if floats else 0.0
+    if pair.cleared and problem.near_null_space is None:  # nobody has said what is rigid
+        shared, size_of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
+        error, changed = error + size_of_shared / (scale or 1.0), abs(changed) + shared
     force_bound = None if force_bound is None else force_bound + abs(changed)
     if force_bound is not None and max(largest, scale) > 0:
         relative = force_bound * own / (largest or max(scale, size))
-    if pair.cleared and problem.near_null_space is None:  # K's rounding counts, as nobody said what is rigid
-        pushed = PUSHED_BY_ROUNDING * _pushed_by_rounding(problem, condensation, pair, moved)
-        size_of_pushed = sum(force_norm(problem, condensation, extend(pushed), tied=True))
-        error += size_of_pushed / scale if scale > 0 else size_of_pushed
-        force_bound = None if force_bound is None else force_bound + abs(pushed)
     energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
@@ -340,32 +335,6 @@ def _strain(
     elastic, missing = response(problem, condensation, forces, tied=False)
     strain, rounding = energy_norm(problem, elastic)
     return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
-
-
-def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
-    """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
-    K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
-    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
-    forces = forces @ rigid_part(problem, displacement, condensation.rigid)
-    elastic, missing = response(problem, condensation, extend(forces), tied=False)
-    return sum(energy_norm(problem, elastic)) + missing
-
-
-def _pushed_by_rounding(
-    problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair, displacement: Vector
-) -> Vector:
-    """Return the contact forces (m,) that balance what K's rounding makes of the rigid part of a displacement.
-
-    Its resultants are taken away: forces that equilibrium alone determines do not feel it.
-    """
-    motions, K = condensation.rigid.motions, extended_rows(problem).stiffness
-    coordinates = rigid_part(problem, displacement, condensation.rigid)
-    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T]) @ coordinates
-    spread = problem.diagonal[:, None] * motions
-    forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
-    closed, pushed = pair.saddle.closed, np.zeros(problem.contacts)
-    _, pushed[closed], _ = condensation.correction(pair.saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
-    return pushed
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import REGULAR, delassus, saddle_point
+from contactqp.linalg.dense import REGULAR, SaddlePoint, delassus, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
@@ -33,6 +33,8 @@ SWEEPS, ENOUGH = 8, 1e-9
 # A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
 # motion; so is a contact force's whose energy norm is this part of its size.
 RIGID_ROUNDING = 64 * np.finfo(float).eps
+# Rounding of K makes so many times the contact forces that one sample of it does, at most.
+PUSHED_BY_ROUNDING = 8.0
 
 
 def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
@@ -178,6 +180,37 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
         return 0.0
     size = abs(displacement)
     return float(RIGID_ROUNDING * np.sqrt(size @ (problem.stiffness_sizes @ size)))
+
+
+def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
+    forces = _forces_of_rigid_part(problem, condensation, displacement)
+    elastic, missing = response(problem, condensation, extend(forces), tied=False)
+    return sum(energy_norm(problem, elastic)) + missing
+
+
+def shared_by_rounding(
+    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector
+) -> tuple[Vector, float]:
+    """Return sizes (m,) of the contact forces that K's rounding along rigid motions may make, and their energy norm.
+
+    On the closed contacts they balance the forces of the rigid part of a displacement, less the resultants of these:
+    forces that equilibrium alone determines do not feel it.
+    """
+    forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
+    spread = problem.diagonal[:, None] * motions
+    forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
+    pushed, closed = np.zeros(problem.contacts), saddle.closed
+    _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
+    pushed[closed] = PUSHED_BY_ROUNDING * share
+    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True))
+
+
+def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:
+    """Return the forces (n,) that K, being rounded, makes of the rigid part of a displacement."""
+    K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
+    return np.asarray(forces @ rigid_part(problem, displacement, condensation.rigid))
 
 
 def force_size(problem: ContactProblem, force: Vector) -> float:
