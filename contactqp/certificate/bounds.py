@@ -263,14 +263,13 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     push, changed = pair.force.double(), change.double()
     floats = bool(condensation.rigid.count)
     stretched = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
+    # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
     (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     own = np.sqrt(own_compliance(problem, problem.normal))
     if floats:
-        # A displacement without strain has none in extended precision, but for that of its rigid part, which K's
-        # rounding makes.
         # A solution that is known has its own rigid part, however far away the answer is.
         moved = solution.double() if pair.exact else answer.displacement
         if energy_scale <= rigid_rounding(problem, condensation, moved):
