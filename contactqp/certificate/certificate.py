@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -36,7 +37,7 @@ from contactqp.certificate.failures import (
 from contactqp.certificate.figures import balance, kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
-from contactqp.certificate.number_range import absurd_parts, near_one
+from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
@@ -174,7 +175,7 @@ def _judged(
     problem.refuse_exchanged_arrays()
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
-    if absurd := tuple(absurd_parts(seen)):
+    if absurd := tuple(_absurd_parts(seen)):
         failures = [said_of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
         return not_finite(problem.frictional, failures, tolerance, error_tolerance, ABSURD_ANSWER)
     if near is None:
@@ -185,6 +186,16 @@ def _judged(
         gap = problem.gap - problem.normal @ answer.displacement
         measured = replace(measured, found=replace(found, gap=gap), known=known)
     return _worded(problem, answer, measured, tolerance, error_tolerance)
+
+
+def _absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
+    """Yield the name of each part of an answer with an entry that no problem could cause, and that entry's place.
+
+    The answer is one to a problem whose numbers are near one.
+    """
+    for name, values in vars(answer).items():
+        if values is not None and values.size and not abs(values).max() <= ABSURD:
+            yield name, int(np.unravel_index(np.argmax(abs(values)), values.shape)[0])
 
 
 def _measured(

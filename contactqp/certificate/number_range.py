@@ -11,7 +11,6 @@ rounded, and no square of a number leaves the range of doubles (1e-308 to 1e308)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,6 +35,9 @@ ABSURD = 2.0**200
 FAR_AWAY = 2.0**300
 # Tangential rows that are so much smaller or larger than the normal row of their contact have a unit of their own.
 OWN_UNIT = 60
+# Largest entries of rows at unknowns without stiffness that are alike (1e3), also beside those at stiff unknowns in
+# units of these. Of unknowns in units further apart K, which sees some alone, would measure forces by these.
+ALIKE_UNKNOWNS = 10
 # Entries of a row that differ by more than this factor (7e19) are no rounding of each other.
 NO_ROUNDING = 66
 # Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
@@ -299,11 +301,21 @@ def _columns_are_alike(problem: ContactProblem) -> bool:
     sizes = np.append(sizes[sizes > LEAST], 0)
     entries = _entries(matrices)
     bare = problem.diagonal[entries.col] == 0
-    exponent, row = _exponent(entries.data[bare]), entries.row[bare]
-    largest, least = np.full(entries.shape[0], NONE), np.full(entries.shape[0], -NONE)
-    np.maximum.at(largest, row, exponent)
-    np.minimum.at(least, row, exponent)
-    return int(np.ptp(sizes)) <= ALIKE and bool(np.all(largest - least <= NO_ROUNDING))
+    exponent, row, count = _exponent(entries.data), entries.row, entries.shape[0]
+    largest, least = _largest_at(count, row[bare], exponent[bare]), -_largest_at(count, row[bare], -exponent[bare])
+    of_stiff = exponent[~bare] - _exponent(problem.diagonal[entries.col[~bare]]) // 2
+    beside = _largest_at(count, row[~bare], of_stiff)
+    mixed = (largest > LEAST) & (beside > LEAST)
+    apart = largest[mixed] + _uniform_unit(problem) - beside[mixed]
+    alike = max(int(np.ptp(sizes)), int(np.max(abs(apart), initial=0))) <= ALIKE_UNKNOWNS
+    return alike and bool(np.all(largest - least <= NO_ROUNDING))
+
+
+def _largest_at(count: int, at: Index, values: Index) -> Index:
+    """Return the largest of the values at each of `count` places; NONE at those that have none."""
+    found = np.full(count, NONE)
+    np.maximum.at(found, at, values)
+    return found
 
 
 def _row_exponents(rows: Any) -> Index:
@@ -407,23 +419,17 @@ def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
     """
     entries = _entries(_matrices(problem))
     count, exponent, stiff = entries.shape[0], _exponent(entries.data), problem.diagonal > 0
-
-    def largest(into: int, at: Index, values: Index) -> Index:
-        found = np.full(into, NONE)
-        np.maximum.at(found, at, values)
-        return found
-
     unknowns = np.where(stiff, -(_exponent(problem.diagonal) // 2), 0)
     balanced = balanced_exponents(_of_constraints(problem, entries), exponent, unknowns, ~stiff)
     if balanced is not None:
-        sizes = largest(count, entries.row, exponent + balanced[entries.col])
+        sizes = _largest_at(count, entries.row, exponent + balanced[entries.col])
         return balanced, np.where(sizes > LEAST, sizes, 0)
     use = stiff[entries.col]
-    sizes = largest(count, entries.row[use], (exponent + unknowns[entries.col])[use])
-    sizes = np.where(sizes > LEAST, sizes, largest(count, entries.row, exponent + unknowns[entries.col]))
-    of_columns = largest(problem.dimension, entries.col, exponent - sizes[entries.row])
+    sizes = _largest_at(count, entries.row[use], (exponent + unknowns[entries.col])[use])
+    sizes = np.where(sizes > LEAST, sizes, _largest_at(count, entries.row, exponent + unknowns[entries.col]))
+    of_columns = _largest_at(problem.dimension, entries.col, exponent - sizes[entries.row])
     unknowns = np.where(~stiff & (of_columns > LEAST), -of_columns, unknowns)
-    sizes = largest(count, entries.row, exponent + unknowns[entries.col])
+    sizes = _largest_at(count, entries.row, exponent + unknowns[entries.col])
     return unknowns, np.where(sizes > LEAST, sizes, 0)
 
 
@@ -487,13 +493,3 @@ def _coefficients(problem: ContactProblem, given: Vector, exponents: Index) -> V
             "stiffness of their unknowns; expected rows of one unit of length"
         )
     return np.where((given > 0) & (found < LEAST_FRICTION), LEAST_FRICTION, found)
-
-
-def absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
-    """Yield the name of each part of an answer with an entry that no problem could cause, and that entry's place.
-
-    The answer is one to a problem whose numbers are near one.
-    """
-    for name, values in vars(answer).items():
-        if values is not None and values.size and not abs(values).max() <= ABSURD:
-            yield name, int(np.unravel_index(np.argmax(abs(values)), values.shape)[0])

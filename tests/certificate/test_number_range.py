@@ -352,6 +352,34 @@ def test_unknowns_that_nothing_is_stiff_at_have_units_of_their_own(apart: float)
     assert not cq.certify(problem, np.array([-2.0, -0.5]) / units, pushing[0], None, [tie]).passed
 
 
+@pytest.mark.parametrize("unit", [2.0**10, 2.0**20, 2.0**36])
+def test_an_unknown_without_stiffness_has_no_unit_of_the_stiff_one_beside(unit: float) -> None:
+    """The stiff one's own unit is 2^10: measured by that, entries of a row are up to 2^46 times each other."""
+    soft = 2.0**-20
+    columns = np.array([unit, np.sqrt(soft)])
+    problem = cq.ContactProblem(
+        np.diag([0.0, soft]), columns * [5.0, -4.0], columns * [[-4, 6], [6, 4], [4, -4], [0, -1], [-4, 6]],
+        [-0.625, 0.4375, 0.625, 0.5625, -0.75],
+    )  # fmt: skip
+    solution = cq.solve(problem)
+    truth = [float(force) for force in cq.exact(problem).normal_force]
+    assert problem.normal.T @ solution.normal_force == pytest.approx(problem.normal.T @ truth)
+    assert solution.certificate.proven
+
+
+@pytest.mark.parametrize("decades", [0, 3, 6])
+def test_redundant_rows_on_unknowns_in_units_apart(decades: int) -> None:
+    """Where the closed rows and a tie leave forces undetermined K, which sees one unknown, measures them."""
+    columns = np.exp2(np.round(np.log2(10) * decades * np.array([1, -1, 0, 1])))
+    problem = cq.ContactProblem(
+        np.diag([0.0, 0.0, 2.0, 0.0]), columns * [3.0, 2.0, 2.0, 0.0],
+        columns * [[0, 2, 2, -2], [2, 0, -2, 0], [0, 2, 2, 1], [2, -1, 1, 1], [1, -1, 1, 1]],
+        [-4.0, 3.0, -2.0, 3.0, 2.0],
+        tie=[columns * [1, 2, 2, 1]], tie_value=[-3.0],
+    )  # fmt: skip
+    assert cq.solve(problem).certificate.proven
+
+
 def test_rows_and_unknowns_in_units_of_both_that_hide_each_other() -> None:
     """Every unknown has an entry of one half, yet what meets in the rows is 1e-25: open contacts do not push there."""
     e = 2.0**-82
