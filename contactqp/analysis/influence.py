@@ -37,7 +37,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import delassus, lower_factor
+from contactqp.linalg.dense import lower_factor
 from contactqp.linalg.runtime import lapack
 from contactqp.linalg.sliced import LEFT_OUT, SlicedStiffness
 from contactqp.model.arrays import Array, Mask, Vector
@@ -77,7 +77,7 @@ class Influence:
     """The influence functions of the contacts and ties of a problem that does not float, at the loaded unknowns."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, loaded: NDArray[np.intp]) -> None:
-        operator = delassus(condensation)
+        operator = condensation.delassus
         stiffness = SlicedStiffness(problem.stiffness_rows, condensation.unknown_scale)
         self._scale, self._contacts = operator.row_scale, problem.contacts
         rows = sp.csr_array(sp.diags(self._scale) @ sp.vstack([problem.normal, problem.tie]))

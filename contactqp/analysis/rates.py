@@ -27,7 +27,7 @@ from contactqp.analysis.rate_systems import Parts, RateSystem, shape_of_tangents
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import delassus, saddle_point
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
 from contactqp.linalg.refinement import CAUTION, answer_on
@@ -171,7 +171,7 @@ class Linearised:
         if found.saddle.redundant or found.contraction * CAUTION > 1:
             return words
         words = words.copy()
-        compliance = delassus(condense(problem)).compliance
+        compliance = condense(problem).delassus.compliance
         for i in near:
             push, gap, nothing = found.doubles.normal_force[i] * compliance[i], found.gaps[i], found.nothing[i]
             if (push if i in pushing else gap) > nothing:

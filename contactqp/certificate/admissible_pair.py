@@ -24,7 +24,7 @@ from contactqp.certificate.energy_norm import (
     response,
 )
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, saddle_point
+from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
 from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
@@ -132,7 +132,7 @@ def admissible_pair(
     Unproven
         There is none, or refinement does not converge.
     """
-    compliance = delassus(condensation).compliance[: problem.contacts]
+    compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
     if (found := _holding(problem, condensation, first, CORRECTIONS, answer, left)) is not None:
         return _from_set(problem, answer, condensation, found)
@@ -186,7 +186,7 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArra
     """Find the closed contacts by a finite method, where corrections of sets cycle; None if bodies float."""
     if condensation.rigid.count:
         return None
-    operator = delassus(condensation)
+    operator = condensation.delassus
     load, _ = condensation.reduce_load(problem.load)
     data = operator.dual_data(problem, operator.free_response(load, np.zeros(len(load))))
     try:
@@ -252,7 +252,7 @@ def rows_on_motions(
     Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
     """
     Z = condensation.rigid.motions
-    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    weight = 1.0 / np.sqrt(condensation.delassus.compliance)
     weight = np.concatenate([weight[active], weight[problem.contacts :]])
     return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
 

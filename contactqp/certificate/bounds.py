@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -128,17 +129,17 @@ class Bounds:
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def redundant(self) -> bool:
         """Whether closed contacts and ties were found to depend on each other."""
         return any(REDUNDANT in reason for reason in self.reasons)
 
-    @property
+    @cached_property
     def proven(self) -> bool:
         """Whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated
 
-    @property
+    @cached_property
     def basis(self) -> str:
         """The basis of a verdict without friction: "bounds" if both errors have one, else "figures"."""
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS

@@ -101,11 +101,13 @@ def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
     return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
 
 
-def slips_that_are_nothing(none: Nothing, normal: Vector, tangent: Array) -> Nothing:
-    """Return `none` with the length of the normal row in place of the slip's where a contact is `hardly_felt`."""
-    lengths_ = none.tangent.reshape(tangent.shape)
-    along = np.maximum(lengths_, none.normal[:, None])
-    return replace(none, tangent=np.where(hardly_felt(normal, tangent)[:, None], along, lengths_).ravel())
+def slips_that_are_nothing(none: Nothing, hardly: NDArray[np.bool_]) -> Nothing:
+    """Return `none` with the length of the normal row in place of the slip's where a contact is `hardly` felt (m,)."""
+    if not hardly.any():
+        return none
+    slip = none.tangent.reshape(len(hardly), -1)
+    along = np.maximum(slip, none.normal[:, None])
+    return replace(none, tangent=np.where(hardly[:, None], along, slip).ravel())
 
 
 def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
@@ -158,15 +160,24 @@ class Rubbing:
     measure: Callable[[Array], Vector]  # `friction_measure`
 
 
-def rubbing_of(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
-    """Return the data that judge Coulomb's law, None without tangential rows; F and `none` are (n,) [force]."""
+def rubbing_of(
+    problem: ContactProblem, answer: Answer, F: Vector, none: Vector, hardly: NDArray[np.bool_]
+) -> Rubbing | None:
+    """Return the data that judge Coulomb's law, None without tangential rows.
+
+    Parameters
+    ----------
+    F, none : (n,) arrays
+        The forces that meet at each unknown, and those that count as none [force].
+    hardly : (m,) array of bool
+        The contacts that are `hardly_felt`.
+    """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
     moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
     rounding = rounded_slips(moved, problem.slip_origin)
-    hardly = hardly_felt(*compliances(problem))
     return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 

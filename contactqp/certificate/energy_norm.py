@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import REGULAR, SaddlePoint, delassus, saddle_point
+from contactqp.linalg.dense import REGULAR, SaddlePoint, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
@@ -85,7 +85,7 @@ def force_norm(
     if not d.any():
         return 0.0, 0.0
     if (tied is False or not problem.ties) and not condensation.rigid.count:
-        operator = delassus(condensation)
+        operator = condensation.delassus
         if operator.smallest_pivot >= REGULAR:
             square, size = operator.squared_norm(d)
             rounding = PIVOTS_FLATTER * condensation.lost_digits / operator.smallest_pivot * size

@@ -27,6 +27,7 @@ from contactqp.certificate.coulomb_law import (
     Rubbing,
     compliances,
     friction_figures,
+    hardly_felt,
     lengths_across,
     rubbing_of,
     slips_that_are_nothing,
@@ -216,12 +217,14 @@ def violations(
     """
     elastic, size, F = _kept(problem, answer, "sizes", lambda: _meeting(problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
-    if none.tangent.size:
-        none = slips_that_are_nothing(none, *compliances(problem))
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
-    rubbing = None if problem.tangent is None else rubbing_of(problem, answer, F, none.force)
+    rubbing = None
+    if problem.tangent is not None:
+        hardly = hardly_felt(*compliances(problem))
+        none = slips_that_are_nothing(none, hardly)
+        rubbing = rubbing_of(problem, answer, F, none.force, hardly)
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),

@@ -23,6 +23,7 @@ are proven.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -326,7 +327,7 @@ class _Comparison:
         slip, friction = self.slip(extend(self._answer.displacement)), self.friction
         room = self.coefficient * np.maximum(force, 0.0) - lengths(friction)
         # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
-        moved = np.where(lengths(slip) > self.still(), lengths(slip), 0.0)
+        moved = np.where(lengths(slip) > self.still, lengths(slip), 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
         status = np.where(sticks & self._rubs, STICK, self._sliding(slip, friction))
         return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
@@ -335,22 +336,23 @@ class _Comparison:
         """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
         if self._width > 1:
             return np.full(len(slip), SLIP_ON, dtype=np.int8)
-        way = np.where(lengths(slip) > self.still(), slip[:, 0], friction[:, 0])
+        way = np.where(lengths(slip) > self.still, slip[:, 0], friction[:, 0])
         return np.where(way < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
 
-    @property
+    @cached_property
     def coefficient(self) -> Vector:
         """The coefficients of friction (m,), 0 where a contact cannot slide."""
         assert self._problem.friction is not None
         return np.where(self._rubs, self._problem.friction, 0.0)
 
-    @property
+    @cached_property
     def friction(self) -> Array:
         given = self._answer.friction_force
         return np.zeros((self._problem.contacts, self._width)) if given is None else given
 
+    @cached_property
     def still(self) -> Vector:
-        """Return the slips (m,) up to which there is none."""
+        """The slips (m,) up to which there is none."""
         return lengths(self._found.nothing.tangent.reshape(-1, self._width))
 
     def slip(self, displacement: object) -> Array:
@@ -430,7 +432,7 @@ class _Signs:
         beyond = np.where((status == STICK) & of._rubs, beyond, 0.0)
         sliding = (abs(status) == 1) & of._rubs
         against = np.maximum(-np.sum(refined.directions * slip, axis=1), 0.0)
-        against = np.where(sliding & (against > of.still()), against, 0.0)
+        against = np.where(sliding & (against > of.still), against, 0.0)
         self._lengths = np.hypot(in_energy(penetrated, own_normal), in_energy(against, own_tangent))
         self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against
         excess = beyond[:, None] * directions_of(self._friction)

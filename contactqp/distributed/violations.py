@@ -7,6 +7,7 @@ to a few dozen roundings, about 1e-14, and a smaller one is only known to be sma
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import (
     Felt,
@@ -60,7 +61,8 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
     elastic = without_rigid_part(problem, bodies, u)
     F = problem.product_sizes(abs(elastic)) + outer_forces(problem, answer)
     size = intrinsic_size(problem, answer, elastic)
-    none = slips_that_are_nothing(_nothing(problem, u, elastic, size, rounding), *_compliances(problem))
+    hardly = hardly_felt(*_compliances(problem))
+    none = slips_that_are_nothing(_nothing(problem, u, elastic, size, rounding), hardly)
     residuals = (
         outer_resultant(problem, answer) - problem.product(u),
         problem.gap - normal.lengths(u),
@@ -77,7 +79,7 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
         intrinsic_size=size,
         nothing=none,
     )
-    return figures(answer, residuals, sizes, _friction_data(problem, u, F, none.force))
+    return figures(answer, residuals, sizes, _friction_data(problem, u, F, none.force, hardly))
 
 
 def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector) -> float:
@@ -116,7 +118,8 @@ def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violati
 
     It is that of `contactqp.certificate.coulomb_law.coulomb_residual`; None where no contact of any rank has friction.
     """
-    data = _friction_data(problem, answer.displacement, found.meeting, found.nothing.force)
+    hardly = hardly_felt(*_compliances(problem))
+    data = _friction_data(problem, answer.displacement, found.meeting, found.nothing.force, hardly)
     if not problem.frictional or data is None or problem.tangent is None:
         return None
     normal, tangent = (entries_of(rows.entries, problem.contacts) for rows in (problem.normal, problem.tangent))
@@ -163,8 +166,13 @@ def _tangential_lengths(problem: DistributedProblem, displacement: Vector) -> Ve
     return lengths(problem.tangent.length_sizes(displacement).reshape(origin.shape) + abs(origin))
 
 
-def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector) -> Rubbing | None:
-    """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective."""
+def _friction_data(
+    problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: NDArray[np.bool_]
+) -> Rubbing | None:
+    """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective.
+
+    Parameters are those of `contactqp.certificate.coulomb_law.rubbing_of`.
+    """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     tangent, origin = problem.tangent, problem.slip_origin
@@ -175,7 +183,6 @@ def _friction_data(problem: DistributedProblem, displacement: Vector, F: Vector,
         for rows in (tangent, problem.normal)
     )
     rounding = rounded_slips(tangent.sizes @ abs(near), origin)
-    hardly = hardly_felt(*_compliances(problem))
     return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 

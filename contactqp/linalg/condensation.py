@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import SUSPICIOUS_PIVOT, WRITTEN_OUT, DenseCholesky, SaddlePoint, orthonormal
+from contactqp.linalg.dense import SUSPICIOUS_PIVOT, WRITTEN_OUT, Delassus, DenseCholesky, SaddlePoint, orthonormal
 from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
@@ -76,7 +76,7 @@ class Condensation:
     solver: str
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.delassus: list[Any] = []  # filled by `dense.delassus`, for the condensed problem too
+        self._before: Condensation | None = None  # what a condensed problem was condensed by
         self.saddles: dict[Any, Any] = {}  # filled by `dense.saddle_point`
         self._cleared: ExtendedRows | None = None
         self.factorisations = 0
@@ -204,6 +204,11 @@ class Condensation:
     def bodies(self) -> NDArray[np.intp]:
         """(p,) the number of the body, a connected part of K, that each retained unknown belongs to."""
         return np.asarray(connected_parts(self._sparse)[1][self.retained])
+
+    @cached_property
+    def delassus(self) -> Delassus:
+        """The Delassus operator of the contacts and ties, which a condensed problem shares."""
+        return Delassus(self) if self._before is None else self._before.delassus
 
     @cached_property
     def lost_digits(self) -> float:
@@ -363,7 +368,7 @@ class Condensation:
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
-        twin.unknown_scale = self.scale
+        twin.unknown_scale, twin._before = self.scale, self
         twin._cleared = None
         twin._retain_all(reduced)
         return twin
@@ -372,8 +377,8 @@ class Condensation:
     def of_condensed(cls, problem: ContactProblem, rigid: RigidMotions, scale: Array) -> Condensation:
         """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
         made = object.__new__(cls)
-        made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
-        made._cleared, made._wider = None, None
+        made.saddles, made.factorisations, made._spent = {}, 0, 0
+        made._cleared, made._wider, made._before = None, None, None
         made.rigid, made.scale, made.unknown_scale = rigid, scale, scale
         made._retain_all(problem)
         made.schur = made._elimination.schur

@@ -208,7 +208,6 @@ class Condensed(Protocol):
     tie: Array  # (k, p) A likewise
     retained: NDArray[np.intp]  # (p,)
     rigid: Any  # the RigidMotions of K
-    delassus: list[Any]  # the operator, once it was asked for
     saddles: dict[Any, Any]  # the last saddle points
 
     @property
@@ -218,6 +217,10 @@ class Condensed(Protocol):
     @property
     def schur_factor(self) -> DenseCholesky:
         """The Cholesky factors of the scaled Schur complement."""
+
+    @property
+    def delassus(self) -> Delassus:
+        """Return the Delassus operator of the contacts and ties, which is formed once."""
 
     def unresisted(self, rows: Array) -> Array:
         """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
@@ -279,14 +282,6 @@ class Delassus:
     def displaced(self, free: Vector, force: Vector) -> Vector:
         """Return the scaled displacement under scaled contact and tie forces."""
         return np.asarray(free - self.response @ force)
-
-
-def delassus(condensation: Condensed) -> Delassus:
-    """Return the Delassus operator of a condensation, which is formed once."""
-    if not condensation.delassus:
-        condensation.delassus.append(Delassus(condensation))
-    operator: Delassus = condensation.delassus[0]
-    return operator
 
 
 class RangeSpace:
@@ -473,7 +468,7 @@ def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool =
 
 def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
     if not condensation.rigid.count:
-        operator = delassus(condensation)
+        operator = condensation.delassus
         if operator.smallest_pivot >= REGULAR:
             found = RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
             if found.regular:

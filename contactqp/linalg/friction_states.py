@@ -371,7 +371,7 @@ def refined_by(
     pushing = np.where(status != OPEN, start.normal_force, 0.0)
     sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
     origin = _origin(problem)
-    u, force, stick, tie = (extend(part) for part in (start.displacement, pushing, sticking, start.tie_force))
+    u, force, stick, tie = map(extend, (start.displacement, pushing, sticking, start.tie_force))
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
         left = None  # of small problems they are formed as fast as changed
     system, size, last, regular, in_space = None, np.inf, np.inf, True, rows.width > 1

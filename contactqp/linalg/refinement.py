@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, free_motions
-from contactqp.linalg.dense import BALANCED, SaddlePoint, delassus, orthonormal, saddle_point
+from contactqp.linalg.dense import BALANCED, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import (
     EPS,
     Extended,
@@ -117,7 +117,7 @@ def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vect
 
     On a body that nothing else loads such noise would be all that drives it.
     """
-    compliance = delassus(condensation).compliance
+    compliance = condensation.delassus.compliance
     push, tie = found.doubles.normal_force, found.doubles.tie_force
     force = np.concatenate([push, tie])
     force[abs(force) * compliance <= found.nothing] = 0.0
@@ -135,7 +135,7 @@ def _refined(
     cleared: bool = False,
 ) -> OnSet:
     """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
-    saddle, compliance = saddle_point(condensation, closed), delassus(condensation).compliance
+    saddle, compliance = saddle_point(condensation, closed), condensation.delassus.compliance
     size_of = _CorrectionSize(problem, condensation, compliance, closed)
     rows = extended_rows(problem)
     if cleared:
@@ -333,7 +333,7 @@ def _decided(
     if condensation.rigid.count or not _regular(answer):
         return None
     push, gap = answer.doubles.normal_force, answer.gaps
-    compliance = delassus(condensation).compliance[: len(push)]
+    compliance = condensation.delassus.compliance[: len(push)]
     settled = answer.nothing[: len(compliance)]
     noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
     is_closed = np.zeros(len(noise), dtype=bool)
@@ -402,7 +402,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
-    force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
+    force, size = np.concatenate([push, tie]), np.sqrt(condensation.delassus.compliance)
     loads = abs(problem.load) / root
     largest = max([part.max(initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
     u[root * abs(u) < INVISIBLE * largest] = 0.0

@@ -47,10 +47,8 @@ from contactqp.model.problem_data import (
 )
 from contactqp.model.quadratic_program import QuadraticProgram, contact_data, given_program, quadratic_program
 
-# What reading a stiffness has found.
-MEASURED = ("asymmetry", "rigid_change")
-# What problems that are derived from others carry along beside their data.
-CARRIED = ("load_sum", "_computed")
+MEASURED = ("asymmetry", "rigid_change")  # found while a stiffness was read
+CARRIED = ("load_sum", "_computed")  # by problems that are derived from others, beside their data
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -305,7 +303,8 @@ class ContactProblem:
         """The diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
-            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
+            of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
+            of_stiffness.diagonal.setflags(write=False)
         return of_stiffness.diagonal
 
     @cached_property
@@ -313,7 +312,8 @@ class ContactProblem:
         """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
-            of_stiffness.own_scale = read_only(inverse_root(self.diagonal))
+            of_stiffness.own_scale = inverse_root(self.diagonal)
+            of_stiffness.own_scale.setflags(write=False)
         return of_stiffness.own_scale
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numbers
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from copy import copy
 from dataclasses import dataclass
 from decimal import Decimal
@@ -331,7 +332,7 @@ def _resists_every_motion(K: NDArray[np.float64]) -> bool:
 
 def eigenvalues_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the eigenvalues of a small symmetric matrix, the lowest first, on one thread of BLAS."""
-    with on_one_thread(len(matrix) >= WORTHWHILE):
+    with on_one_thread() if len(matrix) >= WORTHWHILE else nullcontext():
         return np.asarray(np.linalg.eigvalsh(matrix), dtype=float)
 
 

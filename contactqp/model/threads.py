@@ -28,11 +28,8 @@ def renew_in_child(renew: Callable[[], None]) -> None:
 
 
 @contextmanager
-def on_one_thread(pays: bool = True) -> Iterator[None]:
-    """Keep OpenBLAS on one thread, if that pays."""
-    if not pays:
-        yield
-        return
+def on_one_thread() -> Iterator[None]:
+    """Keep OpenBLAS on one thread."""
     _LIMIT.enter(_openblas())
     try:
         yield

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,7 @@ def solve_local(
             return False
         return judged(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
 
-    with on_one_thread(WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY):
+    with on_one_thread() if WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY else nullcontext():
         if algorithm is None:
             refuse_unbalanced(form)
             outcome = run_any(form, settings, start, accepted)

@@ -23,7 +23,7 @@ from contactqp.certificate.certificate import certificate_of, compute_certificat
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.condensation import condense as condensation_of
-from contactqp.linalg.dense import DENSE_SIZE, delassus, saddle_point
+from contactqp.linalg.dense import DENSE_SIZE, saddle_point
 from contactqp.linalg.equilibration import nondimensional, unknown_scale
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
@@ -256,7 +256,7 @@ class CondensedRun(Run):
                 if not self._whole:
                     u = np.zeros(problem.dimension)
                     u[self._condensation.retained] = self.candidate.displacement
-                compliance = delassus(self._condensation).compliance[: problem.contacts]
+                compliance = self._condensation.delassus.compliance[: problem.contacts]
                 self._closed = closed_contacts(problem, compliance, u, force)
 
     def final(self) -> Final:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
-from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, lower_factor, saddle_point
+from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, lower_factor, saddle_point
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
@@ -56,7 +56,7 @@ def solve_condensed(
     """
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
-    operator = delassus(condensation)
+    operator = condensation.delassus
     limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
     anchor = _rigid_answer(problem, operator, load)
     force = _warm(settings, operator, problem.contacts)
