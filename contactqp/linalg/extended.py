@@ -30,7 +30,7 @@ LONG = 2**9
 # zeros cost less than looking entries up.
 ONE_ARRAY = 2**13
 # Entries of a block whose products are formed at once: calls cost less than that, and all of it stays in the cache.
-WORTH_A_CALL = 2**13
+WORTH_A_CALL = 2**15
 _SPLITTER = 2.0**27 + 1.0
 _NONE: Array = np.zeros(0)  # a sum without terms
 
@@ -146,8 +146,8 @@ def two_product(a: Array, b: Array, halves: tuple[Array, Array] | None = None) -
 
 
 def _split(a: Array) -> tuple[Array, Array]:
-    scaled = _SPLITTER * a
-    high = scaled - (scaled - a)
+    high = _SPLITTER * a
+    high -= high - a
     return high, a - high
 
 
@@ -447,6 +447,7 @@ class Residuals:
     gap: Extended  # (m,) g - E_N u
     tie: Extended  # (k,) b - A u
     slip: Extended | None = None  # ((d-1) m,) E_T u, where it was formed with the others
+    elastic: Extended | None = None  # (n,) K u, where it was formed apart
 
     @classmethod
     def at_rest(cls, problem: ContactProblem) -> Residuals:
@@ -458,8 +459,10 @@ class Residuals:
         return self.force.double(), self.gap.hi[closed] + self.gap.lo[closed], self.tie.double()
 
 
-def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer) -> Residuals:
-    """Return the residuals of an answer, formed with these rows in extended precision."""
+def residuals_of(
+    rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer, elastic: Extended | None = None
+) -> Residuals:
+    """Return the residuals of an answer, formed with these rows in extended precision; `elastic` is K u if known."""
     u, normal, tie, friction = answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force
     if rows.together is not None:
         n, m, k, size = rows.ends
@@ -475,7 +478,8 @@ def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAn
     if friction is not None:
         outer = outer - rows.friction_force(friction)
     gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
-    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+    inner = rows.stiffness @ u if elastic is None else elastic
+    return Residuals(outer - inner, gap, open_tie, elastic=inner if isinstance(rows.stiffness, SparseRows) else None)
 
 
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:

@@ -43,6 +43,7 @@ from contactqp.linalg.extended import (
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.runtime import lapack, refuse_late
+from contactqp.linalg.sliced import elastic_after
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
@@ -374,7 +375,7 @@ def refined_by(
     u, force, stick, tie = map(extend, (start.displacement, pushing, sticking, start.tie_force))
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
         left = None  # of small problems they are formed as fast as changed
-    system, size, last, regular, in_space = None, np.inf, np.inf, True, rows.width > 1
+    system, elastic, size, last, regular, in_space = None, None, np.inf, np.inf, True, rows.width > 1
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
         # In the plane the combination says all of the directions.
         slip = (exact.slip(u) - origin).double() if in_space else origin
@@ -387,14 +388,13 @@ def refined_by(
         last = size
         friction = stick + friction_bound(problem, force, directions)
         if left is None:
-            left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
+            left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction), elastic)
         else:
             changed = friction - _friction_of(start, rows.width).ravel()
             left = replace(left, force=left.force - exact.friction_force(changed))
         if not in_space:
             slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
-        left = None
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         whole = u.double(), force.double(), stick.double(), tie.double()
         size = max(_part(du, whole[0]), _pushed_part(rows, (dl, dt.ravel()), whole[1:3]), _part(dn, whole[3]))
@@ -405,6 +405,8 @@ def refined_by(
         foreseen = size * min(caution * size / last, 1.0)
         if sweep and (foreseen <= NEGLIGIBLE or (turning is not None and turning.any() and size <= UNSEEN)):
             break
+        elastic = None if left.elastic is None else elastic_after(problem, whole[0], left.elastic, du)
+        left = None
     if in_space:
         directions, _ = slip_directions(rows, status, (exact.slip(u) - origin).double(), force)
     friction = stick + friction_bound(problem, force, directions)

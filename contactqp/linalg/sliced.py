@@ -1,7 +1,8 @@
-"""Residuals of many right-hand sides at once, to some digits beyond double precision, by products without rounding.
+"""Residuals beyond double precision at the cost of a few plain products.
 
-Ozaki, Ogita, Oishi, Rump (2012), Numer. Algorithms 59: numbers are cut into slices of so few bits that sums of products
-of slices are doubles,
+Those of many right-hand sides at once are formed to some digits beyond it by products without rounding. Ozaki, Ogita,
+Oishi, Rump (2012), Numer. Algorithms 59: numbers are cut into slices of so few bits that sums of products of slices are
+doubles,
 
     K x = K1 x1 + (K1 x2 + K2 x1) + (K1 x3 + K2 x2 + K3 x1) + rest,    |rest| <= 2^-65 |K| max|x| for each entry of K,
 
@@ -17,8 +18,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import Unsupported
-from contactqp.linalg.extended import two_sum
+from contactqp.linalg.extended import Extended, two_sum
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Bits behind the point of the first and second slices; with so many entries in a row sums of products have 53 bits.
 OF_ROWS, OF_COLUMNS, LONGEST_ROW = (22, 44), (21, 42), 512
@@ -62,3 +64,17 @@ def _slices(values: Array, bits: tuple[int, int]) -> tuple[Array, Array, Array]:
     rest = values - first
     second = np.ldexp(np.rint(np.ldexp(rest, bits[1])), -bits[1])
     return first, second, rest - second
+
+
+# A change of the displacement whose |K||du| is nowhere more than this part of |K||u| changes K u by a product in double
+# precision, of which rounding leaves 2^-101 |K||u|.
+SLIGHT = 2.0**-48
+
+
+def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extended, change: Vector) -> Extended | None:
+    """Return K (u + du) of a displacement (n,) and its K u after a slight change (n,); None if it is not slight."""
+    sizes = problem.stiffness_sizes
+    if not (sizes @ abs(change) <= SLIGHT * (sizes @ abs(displacement))).all():
+        return None
+    added: Vector = problem.stiffness_rows @ change
+    return elastic + added

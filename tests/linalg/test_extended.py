@@ -19,6 +19,7 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import images
+from contactqp.linalg.sliced import elastic_after
 from contactqp.model.computed import OfStiffness
 
 
@@ -94,6 +95,22 @@ def test_residuals_are_right_to_twice_double_precision_in_one_array_and_row_by_r
         for hi, lo, (value, size) in zip(one.hi, one.lo, exact, strict=True):
             assert abs(Fraction(float(hi)) + Fraction(float(lo)) - value) <= 4 * extended.EPS * size
             assert hi + lo == hi
+
+
+def test_a_slight_change_of_a_displacement_changes_its_elastic_forces_by_a_product_of_doubles(monkeypatch):
+    """K (u + du) is known to a few roundings of twice double precision; where |K||du| is more it is formed anew."""
+    monkeypatch.setattr(extended, "ONE_ARRAY", 0)
+    random = np.random.default_rng(2)
+    K = random.normal(size=(7, 7))
+    problem = cq.ContactProblem(K @ K.T, random.normal(size=7), random.normal(size=(2, 7)), [0.1, 0.2])
+    u, normal = Extended(random.normal(size=7), 1e-18 * random.normal(size=7)), Extended(random.normal(size=2))
+    exact, answer = ExtendedRows(problem), ExtendedAnswer(u, normal, Extended(np.zeros(0)))
+    left = residuals_of(exact, problem, answer)
+    change = 1e-16 * u.hi * random.normal(size=7)
+    found = elastic_after(problem, u.double(), left.elastic, change)
+    for one, (value, size) in zip(-found, missing(np.zeros(7), problem.stiffness, u + change), strict=True):
+        assert abs(Fraction(float(one.hi)) + Fraction(float(one.lo)) - value) <= 16 * extended.EPS * size
+    assert elastic_after(problem, u.double(), left.elastic, 1e3 * change) is None
 
 
 def test_a_matrix_without_columns_makes_nothing():
