@@ -302,17 +302,18 @@ class SolveStepper:
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem, self._method, self._options = problem, method, options
         self._before: Solution | None = None
+        self._steps: tuple[tuple[float, Solution], ...] = ()  # the last two of this leg, with their fractions
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
-        self._leg = start, end
+        self._leg, self._steps = (start, end), ()
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
             _refuse_driven(problem)
-        solution = self._solved(_widened(problem, held_open), self._before)
+        solution = self._solved(_widened(problem, held_open), self._predicted(fraction))
         if np.any(solution.normal_force[held_open] > 0):
             raise NoEquilibrium("a contact that is held open closes")
         return _state_of(problem, solution, fraction, held_open)
@@ -328,12 +329,25 @@ class SolveStepper:
         self._before = found = state.step.finish()
         gap = self._problem.gap
         if np.array_equal(found.problem.gap, gap):
+            self._steps = (*self._steps[-1:], (state.fraction, found))
             return state
         self._before = solution = self._solved(found.problem.replace(gap=gap), found)
         size = np.max(abs(found.displacement), initial=0.0)
         if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME * size:
             raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
         return replace(state, step=SolvedStep(solution))
+
+    def _predicted(self, fraction: float) -> Solution | None:
+        """Return the last step with its forces continued along the line through the last two steps of the leg."""
+        if len(self._steps) < 2:
+            return self._before
+        (first, earlier), (second, before) = self._steps
+        ahead = (fraction - second) / (second - first)
+        normal = before.normal_force + ahead * (before.normal_force - earlier.normal_force)
+        if before.friction_force is None or earlier.friction_force is None:
+            return replace(before, normal_force=normal)
+        friction = before.friction_force + ahead * (before.friction_force - earlier.friction_force)
+        return replace(before, normal_force=normal, friction_force=friction)
 
     def _solved(self, problem: ContactProblem, start: Solution | None) -> Solution:
         return solve(problem, self._method, warm_start=start, **self._options)

@@ -11,6 +11,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import friction_states
 from contactqp.linalg.condensation import condense
 from contactqp.model.local_problem import LocalProblem
+from contactqp.solving.friction import alart_curnier
 
 
 @pytest.fixture
@@ -34,6 +35,19 @@ def test_a_path_whose_contacts_keep_their_states_factorises_once_a_direction_of_
     closed = {tuple(solution.contact_status) for solution in history}
     assert all(solution.certificate.passed for solution in history)
     assert len(made) <= 2 * len(closed)
+
+
+def test_steps_that_go_on_as_before_start_from_where_the_last_two_lead(block, monkeypatch):
+    """Forces of contacts that keep their states grow with the load: continued, they are the answer but for rounding."""
+    starts = []
+    newton = alart_curnier.newton
+    monkeypatch.setattr(
+        "contactqp.solving.friction.algorithms.newton",
+        lambda form, start, *given: starts.append(start.error) or newton(form, start, *given),
+    )
+    history = cq.follow_path(block, [block.load], steps=20)
+    assert np.array_equal(history[-1].contact_status, history[-4].contact_status)
+    assert max(starts[-6:]) <= 1e-12  # two calls a step
 
 
 def test_another_coefficient_has_rows_of_its_own(block):
