@@ -414,17 +414,18 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     matrix[:n, :n], matrix[n:, n:] = compliance.W[used[:, None], used], compliance.J
     matrix[:n, n:], matrix[n:, :n] = compliance.V[used], compliance.V[used].T
     flexible, matrix[first:n] = matrix[first:n].copy(), np.eye(n + joints)[first:n]
-    right = np.zeros((n + joints, len(state.slides)))
-    for k, i in enumerate(state.slides):
-        own, direction = slice(k * (d - 1), (k + 1) * (d - 1)), state.direction[i]
-        # In the units of the compliance: forces times sqrt(W_NN), lengths over it.
-        with np.errstate(over="ignore", divide="ignore"):
-            turned = float(compliance.scale[i] ** 2 * mu[i] * max(state.force[i], 0.0) / state.slip[i])
-        if not np.isfinite(turned):
-            return None
-        rows = slice(first + own.start, first + own.stop)
-        matrix[rows] += turned * (np.eye(d - 1) - np.outer(direction, direction)) @ flexible[own]
-        right[rows, k] = mu[i] * direction
+    # In the units of the compliance: forces times sqrt(W_NN), lengths over it.
+    slides = state.slides
+    with np.errstate(over="ignore", divide="ignore"):
+        turned = compliance.scale[slides] ** 2 * mu[slides] * np.maximum(state.force[slides], 0.0) / state.slip[slides]
+    if not np.all(np.isfinite(turned)):
+        return None
+    direction, count = state.direction[slides], len(slides)
+    across = np.eye(d - 1) - direction[:, :, None] * direction[:, None, :]
+    turning = turned[:, None, None] * across @ flexible.reshape(count, d - 1, n + joints)
+    matrix[first:n] += turning.reshape(sliding.size, n + joints)
+    right = np.zeros((n + joints, count))
+    right[np.arange(first, n), np.arange(count).repeat(d - 1)] = (mu[slides, None] * direction).ravel()
     if not np.all(np.isfinite(matrix)):
         return None
     try:
