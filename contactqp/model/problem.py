@@ -390,7 +390,7 @@ class ContactProblem:
         if set(changes) & {"friction", "slip_origin"}:
             origin = changes.get("slip_origin", self.slip_origin)
             friction = changes.get("friction", self.friction)
-            _, checked["friction"], checked["slip_origin"] = read_friction(self.tangent, friction, origin, m, n)
+            _, checked["friction"], checked["slip_origin"] = read_friction(self.tangent, friction, origin, m, n, True)
         for name, size in (("dof_names", n), ("contact_names", m), ("tie_names", k)):
             if name in changes:
                 checked[name] = read_names(name, changes[name], size)

@@ -369,15 +369,16 @@ def _of_lost_digits(eigenvalue: float) -> str:
 
 
 def read_friction(
-    tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int
+    tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int, known: bool = False
 ) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
+    """Return tangential rows, coefficients (m,) and slip origins; rows that are `known` have been read already."""
     if tangent is None:
         if friction is not None and np.any(read_array("friction", friction) != 0):
             raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
         if slip_origin is not None:
             raise InvalidProblem("slip_origin was given without tangent, the directions of slip")
         return None, None, None
-    E_T = read_rows("tangent", tangent, n)
+    E_T = tangent if known else read_rows("tangent", tangent, n)
     if E_T.shape[0] not in (m, 2 * m):
         raise InvalidProblem(f"tangent: expected {m} rows (2D) or {2 * m} rows (3D), got {E_T.shape[0]}")
     per_contact = E_T.shape[0] // m if m else 1
