@@ -61,8 +61,7 @@ class CondensedBodies:
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
         from contactqp.linalg.friction_states import condensed_frictional_rows
 
-        assert condensation.tangent is not None
-        self._problem, self._condensation, self._outward = problem, condensation, condensation.tangent.T
+        self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
         self._rows = condensed_frictional_rows(problem, condensation)
         self.width, self.rubs = self._rows.width, _rubbing(self._rows)
         self.floats = condensation.rigid.count > 0

@@ -47,6 +47,8 @@ class ContactOperator:
         Rows of approach, reversed, and of slip, contact by contact.
     basis, motions : (p, y), (y, z) arrays
         B and Z, orthonormal; B is a sparse identity where nothing is tied.
+    spread : (y, p) array
+        B'.
     compliance : (y, y) array
         C.
     delassus, rigid : (d m, d m), (d m, z) arrays
@@ -65,6 +67,7 @@ class ContactOperator:
             rank = int(np.sum(size > UNRESISTED * size[0]))
             self._tied, self.basis = right[:rank].T @ (left[:, :rank] / size[:rank]).T, right[rank:].T
             S, HB = self.basis.T @ rows.S @ self.basis, self.H @ self.basis
+        self.spread: Any = self.basis.T
         self.motions = _null_motions(rows, self.basis)
         self.compliance = compliance_of(S, self.motions)
         resisted = _resisted(HB, self.motions)
@@ -168,7 +171,7 @@ class ContactForm:
         self._scaled_load = load * rows.scale
         gap, origin, value = rows.lengths(problem)
         self._start = operator.start(value)
-        self._load = operator.basis.T @ (self._scaled_load - rows.S @ self._start)
+        self._load = operator.spread @ (self._scaled_load - rows.S @ self._start)
         w = np.column_stack([gap, -origin.reshape(-1, rows.width)]).ravel()
         self.local = operator.local(problem, rows.coefficient, operator.free(self._load, self._start) + w)
 
@@ -199,7 +202,7 @@ class ContactForm:
         rows, operator = self._rows, self._operator
         force, joint = form.unscaled(iterate.force, iterate.joint_force)
         pushed = operator.H.T @ force.ravel()
-        y = operator.compliance @ (self._load + operator.basis.T @ pushed) + operator.motions @ joint
+        y = operator.compliance @ (self._load + operator.spread @ pushed) + operator.motions @ joint
         x = self._start + operator.basis @ y
         tie: Vector = np.zeros(0)
         if len(rows.tie):
