@@ -137,7 +137,7 @@ def _ended(path: ExactPath, problem: ContactProblem, start: Vector, end: Vector,
         path.leg(start, end, leg)
     except NotConverged as error:
         try:
-            refuse_driven_motion(problem.replace(load=end), condense(problem))
+            refuse_driven_motion(problem.replace(load=end), condense(problem).rigid)
         except NoEquilibrium as driven:
             return NoEquilibrium(f"{error}; at t = {leg + 1}: {driven}", driven.proof)
         return error

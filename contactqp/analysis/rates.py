@@ -29,7 +29,13 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
-from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.iteration import (
+    constraints_are_many,
+    contacts_are_many,
+    factorised,
+    iterated,
+    may_be_factorised,
+)
 from contactqp.linalg.refinement import CAUTION, answer_on
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -132,11 +138,20 @@ class Linearised:
 
     def __init__(self, solution: Solution) -> None:
         problem = solution.problem
-        if iterated(problem):
-            raise Unsupported("derivatives: of bodies that are factorised alone")
         if not solution.certificate.passed:
             raise InvalidProblem("derivatives: the answer is not certified")
         self.solution, self.problem = solution, problem
+        if not iterated(problem):
+            self._linearise()
+        elif may_be_factorised(problem):
+            with factorised(problem):
+                self._linearise()
+        else:
+            raise Unsupported("derivatives: of bodies that are factorised alone")
+
+    def _linearise(self) -> None:
+        """Find the states of the contacts, and the system of their rates where no state is undecided."""
+        problem = self.problem
         # What is not condensed as it stands: contacts that never close, and rows of zeros, constrain nothing.
         self._sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
         if self._sparse and problem.frictional:

@@ -63,12 +63,12 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, free_motions
+from contactqp.linalg.condensation import Condensation, condense, free_motions
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
-from contactqp.linalg.factorization import RIGID_ENERGY
+from contactqp.linalg.factorization import RIGID_ENERGY, UNRESISTED
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.measures import (
     forces_that_meet,
@@ -265,7 +265,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     floats = bool(condensation.rigid.count)
     stretched = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
     # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
-    (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation, answer.displacement)
+    (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
@@ -273,7 +273,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if floats:
         # A solution that is known has its own rigid part, however far away the answer is.
         moved = solution.double() if pair.exact else answer.displacement
-        if energy_scale <= rigid_rounding(problem, condensation, moved):
+        if energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
             uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale

@@ -108,7 +108,7 @@ def compute_certificate(
     InvalidProblem
         Wrong shapes, missing forces, or an indefinite stiffness. NaN is no error here: it fails.
     Unsupported
-        A body floats that is too large to factorise.
+        A body that is too large to factorise floats along motions that nobody has stated.
 
     Examples
     --------
@@ -357,7 +357,7 @@ def _residuals_and_bounds(
     if route is _Route.ITERATED:
         left = plain_residuals(problem, answer)
         known = bounds(problem, answer, left, iteration(problem))
-        return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
+        return left, known, iteration(problem).rigid, None
     left = kept_residuals(problem, answer)
     if route is _Route.SPARSE:
         known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)

@@ -12,7 +12,7 @@ import numpy as np
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import REGULAR, SaddlePoint, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
-from contactqp.linalg.factorization import RIGID_FORCE
+from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector
@@ -174,9 +174,9 @@ def residual_noise(problem: ContactProblem, answer: Answer) -> float:
     return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
-def rigid_rounding(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: Vector) -> float:
     """The energy norm that the rounding of a rigid displacement has; zero where nothing floats."""
-    if not condensation.rigid.count:
+    if not rigid.count:
         return 0.0
     size = abs(displacement)
     return float(RIGID_ROUNDING * np.sqrt(size @ (problem.stiffness_sizes @ size)))

@@ -334,8 +334,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
     return balance(problem, answer, rigid) <= HOLDS
 
 
-def holds_by_products(problem: ContactProblem, answer: Answer, tolerance: float) -> bool:
-    """Return `holds` of a body that is not factorised and does not float, by products in double precision."""
-    rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:
+    """Return `holds` but for the balance of a body that is not factorised, by products in double precision."""
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")

@@ -120,12 +120,20 @@ def _forces(problem: Limits, answer: Forces, given: Vector, iteration: ContactIt
     """Return contact forces without tension, zero on ties, and all forces, which balance floating bodies."""
     contact = np.arange(len(given)) < len(answer.normal_force)
     forces = np.where(contact, np.maximum(given, 0.0), given)
-    residual = problem.load - iteration.product(answer.displacement) - iteration.forces(forces)
-    # In parts of themselves: contact forces that are changed little stay pressure.
-    forces = forces + iteration.balanced(residual, np.where(contact, forces, 1 / iteration.own_compliance))
+    forces = balanced_forces(problem, answer.displacement, forces, iteration)
     if iteration.any(contact & (forces < 0)):
         raise Unrepaired("the contact forces could not be brought into balance with the load")
     return np.where(contact, forces, 0.0), forces
+
+
+def balanced_forces(problem: Limits, displacement: Vector, forces: Vector, iteration: ContactIteration) -> Vector:
+    """Return contact and tie forces (m + k,), changed least to balance the load on rigid motions of the bodies."""
+    if not iteration.floating.count:
+        return forces
+    residual = problem.load - iteration.product(displacement) - iteration.forces(forces)
+    # In parts of themselves: contact forces that are changed little stay pressure.
+    contact = np.arange(len(forces)) < len(problem.gap)
+    return forces + iteration.balanced(residual, np.where(contact, forces, 1 / iteration.own_compliance))
 
 
 def _energy_norm(iteration: ContactIteration, v: Vector) -> float:

@@ -86,7 +86,7 @@ class CondensedBodies:
 
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
-        return rigid_rounding(self._problem, self._condensation, displacement)
+        return rigid_rounding(self._problem, self._condensation.rigid, displacement)
 
 
 class SparseBodies:
@@ -126,14 +126,12 @@ RESPONSE_LEFT = 1e-2
 
 
 class IteratedBodies:
-    """Bodies that are held and too large to factorise; a contact's response is that of its own unknowns."""
-
-    floats = False
+    """Bodies that are too large to factorise; a contact's response is that of its own unknowns."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._iteration = problem, frictional_iteration(problem)
         refuse_indefinite_by_iteration(problem, self._iteration)
-        self._before = self._iteration.krylov_iterations
+        self._before, self.floats = self._iteration.krylov_iterations, self._iteration.rigid.count > 0
         self._rows = FrictionRows(problem, self._iteration)
         self.width, self.rubs = self._rows.width, self._rows.friction > 0
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
@@ -171,7 +169,7 @@ class IteratedBodies:
             states.direction,
             last,
             regular=bool(np.all(np.isfinite(here.displacement))),
-            redundant=self._iteration.held(held, self._rows.limit[held]).redundant,
+            redundant=self._iteration.constrained(self._iteration.rows[held], self._rows.limit[held]).redundant,
         )
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
@@ -188,9 +186,8 @@ class IteratedBodies:
         return float(np.sqrt(run.gained + run.square()))
 
     def rounding(self, displacement: Vector) -> float:
-        """Return 0, since no body floats."""
-        del displacement
-        return 0.0
+        """Return the energy norm of the rounding of a rigid displacement."""
+        return rigid_rounding(self._problem, self._iteration.rigid, displacement)
 
 
 def _rubbing(rows: ScaledRows) -> Mask:

@@ -1,32 +1,15 @@
-"""Bodies that no support holds: their rigid motions, where contacts stop them, and forces that balance the load.
-
-With Z the rigid motions of all bodies as columns, a body moved by Z a touches without deforming where
-
-    max f'Z a    subject to    E_N Z a <= g,  A Z a = b,
-
-a linear program with a few unknowns. Its multipliers are contact forces that balance the load on every motion, its
-active contacts hold the bodies, and where it is unbounded the load drives a motion that nothing holds back.
-"""
+"""Bodies that no support holds, of which ranks have parts: their rigid motions, and displacements without these."""
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from contactqp.distributed.problem import Bodies, DistributedProblem
-from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
-from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.condensation import UNRESISTED
-from contactqp.linalg.contact_iteration import ConstrainedRows
-from contactqp.linalg.iteration import FLOATING
-from contactqp.linalg.measures import reciprocal
-from contactqp.linalg.multigrid import energy_ratios, of_size_one
-from contactqp.linalg.nonnegative import shift_within_gaps
+from contactqp.linalg.floating import FloatingMotions
+from contactqp.linalg.multigrid import FLOATING, energy_ratios, of_size_one
 from contactqp.model.arrays import Array, Mask, Vector
 
 
@@ -87,172 +70,10 @@ def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement
     return np.asarray(displacement - moved[:, 0])
 
 
-# A load that does at most this part of its work on a motion does none: it is rounding.
-BALANCED = 1e-10
-# A multiplier of the linear program below this part of the largest is none.
-IDLE = 1e-9
-# SciPy's numbers for the end of a linear program.
-_INFEASIBLE, _UNBOUNDED = 2, 3
-_DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
-
-
-class MotionProjections:
-    """Projections that remove D-orthonormal motions z (n_here, r) with K z = 0. Both are collective."""
-
-    def __init__(self, ranks: Ranks, diagonal: Vector, motions: Array) -> None:
-        self._ranks, self._diagonal, self.motions = ranks, diagonal, motions
-
-    def admit(self, z: Vector) -> None:
-        """Remove the motions from a displacement, in the metric of D, in place."""
-        if self.motions.shape[1]:
-            z -= self.motions @ self._ranks.sum(self.motions.T @ (self._diagonal * z))
-
-    def balanced(self, r: Vector) -> Vector:
-        """Return a force that does the same work on deformations and none on the motions."""
-        if not self.motions.shape[1]:
-            return r.copy()
-        return np.asarray(r - self._diagonal * (self.motions @ self._ranks.sum(self.motions.T @ r)))
-
-
-class FloatingMotions(MotionProjections):
-    """The rigid motions of the bodies of a problem and its rows, contacts first.
-
-    All methods are collective but `with_rows`.
-
-    Attributes
-    ----------
-    motions : (n_here, r) array
-        Z, orthonormal in the metric of D; no columns where all bodies are supported.
-    """
-
-    def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
-        super().__init__(problem.ranks, problem.metric, _motions(problem))
-        self._contacts = problem.contacts
-        self._set_rows(rows, compliance)
-
-    def with_rows(self, rows: Rows, compliance: Vector) -> FloatingMotions:
-        """Return the same motions with other rows, the same contacts first, and their E_i D^-1 E_i'."""
-        other = copy(self)
-        other.__dict__.pop("moved", None)
-        other._set_rows(rows, compliance)
-        return other
-
-    def _set_rows(self, rows: Rows, compliance: Vector) -> None:
-        self._rows = rows
-        self._stiffness = reciprocal(compliance)
-
-    @property
-    def count(self) -> int:
-        """The number r of motions."""
-        return int(self.motions.shape[1])
-
-    @cached_property
-    def moved(self) -> Array:
-        """E Z (a, r), zero where it is rounding: a row that a motion moves by rounding alone does not resist it."""
-        own = np.sqrt(reciprocal(self._stiffness))
-        columns = [np.zeros((self._rows.count, 0))]
-        for z in self.motions.T:
-            size = self._ranks.max(float(np.max(np.sqrt(self._diagonal) * abs(z), initial=0.0)))
-            lengths = self._rows.lengths(z)
-            columns.append(np.where(abs(lengths) > UNRESISTED * own * size, lengths, 0.0)[:, None])
-        return np.hstack(columns)
-
-    def resting(self, load: Vector, limit: Vector) -> tuple[Vector, Mask]:
-        """Return a rigid displacement (n_here,) where the load presses the bodies, and the contacts that stop them.
-
-        Raises
-        ------
-        NoEquilibrium
-            The load drives a motion that nothing holds back.
-        NotConverged
-            The linear program found no resting place, and no such motion.
-        """
-        work = self._work(load)
-        every = self._ranks.gathered(self.moved), self._ranks.gathered(limit)
-        contact = self._ranks.gathered(np.arange(len(limit)) < self._contacts)
-        a, force = self._ranks.broadcast(resting_place(work, *every, contact) if self._ranks.rank == 0 else None)
-        if isinstance(a, str):
-            raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
-        first = self._ranks.offset(len(limit))
-        push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
-        pressed = push[first : first + self._contacts] > IDLE * np.max(abs(push), initial=0.0)
-        return self.motions @ a, pressed
-
-    def loose(self, closed: Mask) -> Array:
-        """Return orthonormal coefficients (r, q) of the motions that no closed contact and no tie holds."""
-        holding = np.append(closed, np.ones(self._rows.count - self._contacts, dtype=bool))
-        values, turned = self._singular_values(np.where(holding, self._stiffness, 0.0))
-        return turned[:, values <= UNRESISTED * np.max(values, initial=0.0)]
-
-    def _singular_values(self, weight: Vector) -> tuple[Vector, Array]:
-        """Return the singular values (r,) of sqrt(weight) E Z, and its right singular vectors as columns."""
-        here = np.linalg.qr(np.sqrt(weight)[:, None] * self.moved, mode="r")
-        every = self._ranks.gathered(np.vstack([here, np.zeros((1, self.count))]))
-        _, values, turned = np.linalg.svd(every)
-        return np.append(values, np.zeros(self.count - len(values))), turned.T
-
-    def holds(self, closed: Mask, load: Vector) -> bool:
-        """Return whether closed contacts and ties hold every motion that the load drives."""
-        loose, work = self.loose(closed), self._work(load)
-        return not np.any(abs(loose.T @ work) > BALANCED * (abs(loose).T @ abs(work)))
-
-    def projections(self, rows: ConstrainedRows, closed: Mask) -> ConstrainedRows:
-        """Return the projections of constrained rows that also remove motions which no closed contact or tie holds.
-
-        These motions would take an iterate anywhere, and other contacts with them.
-        """
-        loose = self.loose(closed) if self.count else np.zeros((0, 0))
-        if not loose.shape[1]:
-            return rows
-        return _ProjectionsWithMotions(rows, MotionProjections(self._ranks, self._diagonal, self.motions @ loose))
-
-    def at_rest(self, problem: DistributedProblem, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
-        """Return the displacement of least norm within the gaps, and orthonormal motions (n_here, q) that are free."""
-        free = self.motions @ self.loose(normal_force > 0)
-        gram = self._ranks.sum(free.T @ free)
-        values, vectors = np.linalg.eigh(gram)
-        free = free @ (vectors / np.sqrt(values))
-        if not free.shape[1]:
-            return displacement, free
-        rows = np.column_stack([problem.normal.lengths(z) for z in free.T])
-        gap = problem.gap - problem.normal.lengths(displacement)
-        size = self._ranks.max(float(np.max(np.sqrt(self._diagonal)[:, None] * abs(free), initial=0.0)))
-        own = 1 / np.sqrt(self._stiffness[: self._contacts])
-        moved = np.linalg.norm(rows, axis=1) > UNRESISTED * own * size
-        shift = -self._ranks.sum(free.T @ displacement)
-        every, room = self._ranks.gathered(rows[moved]), self._ranks.gathered(gap[moved])
-        if len(room):
-            shift = shift_within_gaps(every, room, shift)
-        return displacement + free @ shift, free
-
-    def _work(self, load: Vector) -> Vector:
-        """Return Z'f (r,), zero where it is rounding."""
-        work, size = self._ranks.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
-        return np.where(abs(work) > BALANCED * size, work, 0.0)
-
-    def balance(self, residual: Vector, weight: Vector) -> Vector:
-        """Return the forces l (a,), least in the metric of 1/weight, with Z'(r - E'l) = 0 for a residual r."""
-        if not self.count:
-            return np.zeros(self._rows.count)
-        values, turned = self._singular_values(weight)
-        resisted = values > UNRESISTED * np.max(values)
-        work = turned[:, resisted].T @ self._ranks.sum(self.motions.T @ residual)
-        return np.asarray(weight * (self.moved @ (turned[:, resisted] @ (work / values[resisted] ** 2))))
-
-
-class _ProjectionsWithMotions:
-    """Projections of constrained rows, and of motions that do not move these rows."""
-
-    def __init__(self, rows: ConstrainedRows, motions: MotionProjections) -> None:
-        self._rows, self._motions = rows, motions
-        self.close, self.forces = rows.close, rows.forces
-
-    def admit(self, z: Vector) -> None:
-        self._rows.admit(z)
-        self._motions.admit(z)
-
-    def balanced(self, r: Vector) -> Vector:
-        return self._motions.balanced(self._rows.balanced(r))
+def floating_motions(problem: DistributedProblem, rows: Rows, compliance: Vector) -> FloatingMotions:
+    """Return the rigid motions of all bodies with the rows, whose E_i D^-1 E_i' is the compliance. Collective."""
+    own = _motions(problem)
+    return FloatingMotions(problem.ranks, problem.metric, own, problem.contacts, rows.lengths, compliance)
 
 
 def _motions(problem: DistributedProblem) -> Array:
@@ -266,60 +87,3 @@ def _motions(problem: DistributedProblem) -> Array:
     ]
     acting = [z for z in columns if ranks.any(z != 0)]
     return np.column_stack(acting) if acting else np.zeros((len(problem.load), 0))
-
-
-def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> tuple[Vector | str, Vector]:
-    """Solve the linear program of rigid motions under a load.
-
-    Where bodies overlap so that no rigid motion parts them, what overlaps counts as touching.
-
-    Parameters
-    ----------
-    work : (r,) array
-        The work Z'f of the load on each motion.
-    moved : (a, r) array
-        E Z of contacts and ties.
-    limit : (a,) array
-        g and b [length].
-    contact : (a,) array of bool
-        Which rows are contacts; the others are ties.
-
-    Returns
-    -------
-    coefficients : (r,) array or str
-        The resting place, or why there is none.
-    force : (a,) array
-        The contact forces that balance the load there; 0 on ties.
-    """
-    size = np.max(abs(moved), axis=1, initial=0.0)
-    acting = size > 0
-    for reach in (limit, np.where(contact, np.maximum(limit, 0.0), 0.0)):
-        found = _program(work, moved[acting] / size[acting, None], reach[acting] / size[acting], contact[acting])
-        if found.status != _INFEASIBLE:
-            break
-    if found.status == _UNBOUNDED:
-        return _DRIVEN, limit
-    if found.x is None:
-        return f"the resting place of the bodies that float was not found: {found.message}", limit
-    force = np.zeros(len(limit))
-    force[np.flatnonzero(acting & contact)] = -found.ineqlin.marginals / size[acting & contact]
-    return np.asarray(found.x), force
-
-
-def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
-    from scipy.optimize import linprog
-
-    length = np.max(abs(limit), initial=0.0) or 1.0
-    push = np.max(abs(work), initial=0.0) or 1.0
-    found = linprog(
-        -work / push,
-        A_ub=rows[contact],
-        b_ub=limit[contact] / length,
-        A_eq=rows[~contact] if not np.all(contact) else None,
-        b_eq=limit[~contact] / length if not np.all(contact) else None,
-        bounds=[(None, None)] * len(work),
-        method="highs",
-    )
-    if found.x is not None:
-        found.x, found.ineqlin.marginals = length * found.x, push * found.ineqlin.marginals
-    return found

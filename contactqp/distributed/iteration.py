@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.floating import FloatingMotions
+from contactqp.distributed.floating import floating_motions
 from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
-from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration, Limits
-from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections
+from contactqp.linalg.contact_iteration import RESTART, ContactIteration
+from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows, IndependentRows, Projections
 from contactqp.linalg.measures import force_measure, reciprocal
 from contactqp.model.arrays import Index, Indices, Mask, Vector
 
@@ -143,7 +143,7 @@ class DistributedIteration(ContactIteration):
         self._touched = np.flatnonzero(rows.assembled(_times_touched(rows)) > 0)  # unknowns here, by rows of any rank
         self._sizes_at_touched = Rows.from_csr(abs(chosen_rows(problem.stiffness, self._touched)), problem.stiffness)
         self._set_rows(rows)
-        self.floating = FloatingMotions(problem, rows, self.own_compliance)
+        self.floating = floating_motions(problem, rows, self.own_compliance)
         self._precondition = Preconditioner(problem, rows, self.floating.motions, solver)
 
     def _set_rows(self, rows: Rows) -> None:
@@ -159,7 +159,7 @@ class DistributedIteration(ContactIteration):
         """Return the same stiffness and preconditioner with some of the rows alone, all contacts first."""
         other = copy(self)
         other._set_rows(self.rows.with_entries(self.rows.entries[chosen]))
-        other.floating = self.floating.with_rows(other.rows, other.own_compliance)
+        other.floating = self.floating.with_rows(other.rows.lengths, other.own_compliance)
         return other
 
     def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
@@ -234,13 +234,6 @@ class DistributedIteration(ContactIteration):
         closed = np.isin(np.arange(self._problem.contacts), rows)
         return self.at_rest(self.constrained(self.rows.entries[rows], limit), closed)
 
-    def at_rest(self, held: ConstrainedRows, closed: Mask) -> ConstrainedRows:
-        """Return projections that also remove motions which no closed contact and no further row holds."""
-        return self.floating.projections(held, closed)
-
-    def supports(self, closed: Mask, load: Vector) -> bool:
-        return not self.floating.count or self.floating.holds(closed, load)
-
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> DistributedConstrainedRows:
         """Return the projections of rows over the touched unknowns, sums of rows of one contact each."""
         gram = self._gram(entries, self._compliance)
@@ -251,26 +244,6 @@ class DistributedIteration(ContactIteration):
         away = x.copy()
         held.close(x)
         residual -= self.product(x - away)
-
-    def rest(self, problem: Limits) -> tuple[Vector, Mask] | None:
-        if not self.floating.count:
-            return None
-        return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))
-
-    def supported(self, problem: Limits, closed: Mask, x: Vector) -> Mask:
-        """Return closed contacts, and where they leave a body loose those that it would come to rest on."""
-        if self.supports(closed, problem.load):
-            return closed
-        limit = np.concatenate([problem.gap, problem.tie_value])
-        return closed | self.floating.resting(problem.load, limit - self.lengths(x))[1]
-
-    def deflated(self, force: Vector) -> Vector:
-        """Return a force without what it does on rigid motions."""
-        return self.floating.balanced(force)
-
-    def balanced(self, residual: Vector, weight: Vector) -> Vector:
-        """Return the least forces, each over its weight, that leave a residual no work on rigid motions."""
-        return self.floating.balance(residual, weight)
 
     def run(self, x: Vector, residual: Vector, rows: Indices, held: Projections) -> ConjugateGradients:
         """Return conjugate gradients on the displacements that keep some rows.

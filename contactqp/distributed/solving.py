@@ -188,13 +188,13 @@ def iteration_of(problem: DistributedProblem, solver: str) -> DistributedIterati
 
 def _at_rest(problem: DistributedProblem, iteration: DistributedIteration, answer: Answer) -> tuple[Answer, Array]:
     """Return the answer with the displacement of least norm within the gaps, and the motions that nothing resists."""
-    floating = iteration.floating
-    if not floating.count:
+    if not iteration.floating.count:
         return answer, np.zeros((len(problem.load), 0))
+    u, force = answer.displacement, answer.normal_force
     if answer.friction_force is not None and problem.friction is not None:
-        stick = (problem.friction > 0) & (answer.normal_force > 0)
-        floating = iteration.of_rows(FrictionRows(problem, iteration).held_with(stick)).floating
-    displacement, motions = floating.at_rest(problem, answer.displacement, answer.normal_force)
+        displacement, motions = FrictionRows(problem, iteration).at_rest(u, force)
+    else:
+        displacement, motions = iteration.floating.at_rest(u, force, problem.gap)
     return replace(answer, displacement=displacement), motions
 
 

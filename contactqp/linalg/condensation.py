@@ -27,6 +27,7 @@ from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     FAR_APART,
+    UNRESISTED,
     RigidMotions,
     condensed_null_space,
     connected_parts,
@@ -50,8 +51,6 @@ NOTHING_LEFT = 1e-8
 LOST_DIGITS = 8 * np.finfo(float).eps
 # Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
 CONDENSED_ROUNDING = 1e-6
-# A motion of unit length that rows of unit length resist by less than this is not resisted.
-UNRESISTED = 1e-9
 # The eigenvectors of a K up to this size cost next to nothing.
 SMALL = 900
 # Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
@@ -467,7 +466,7 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
     """Return the motions of `near_null_space` that K does not resist, each of one body."""
     if problem.near_null_space is None:
         return RigidMotions(np.zeros((problem.dimension, 0)))
-    return stated_motions(problem.stiffness_rows, problem.near_null_space)
+    return stated_motions(problem.stiffness_rows, problem.stiffness_sizes, problem.near_null_space)
 
 
 def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:

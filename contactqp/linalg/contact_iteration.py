@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.krylov import ConjugateGradients, Projections
+from contactqp.linalg.floating import FloatingMotions
+from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.model.arrays import Mask, Vector
 
 # Vectors that GMRES keeps until it starts anew.
@@ -35,16 +36,6 @@ class Limits(Protocol):
     def tie_value(self) -> Vector: ...  # (k,)
 
 
-class ConstrainedRows(Projections, Protocol):
-    """Projections onto the displacements at which some rows are held at their limits."""
-
-    def close(self, x: Vector) -> None:
-        """Move x onto the limits of the rows, in place."""
-
-    def forces(self, r: Vector) -> Vector:
-        """Return the forces on the rows that balance r best."""
-
-
 class ContactIteration(ABC):
     """A stiffness K and its rows E (contacts, then ties), shared by all problems that have both.
 
@@ -56,8 +47,11 @@ class ContactIteration(ABC):
         The least Ritz value of M K that any run has found, on held rows or without.
     longest_run : int
         The steps of the longest of them.
+    floating : FloatingMotions
+        The rigid motions of bodies that nothing but contacts and ties holds.
     """
 
+    floating: FloatingMotions
     factorised = False  # whether M is the inverse of K but for rounding
 
     def __init__(self) -> None:
@@ -190,41 +184,49 @@ class ContactIteration(ABC):
         del rows, sprung
         return self.smooth
 
-    # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
+    # Bodies that nothing but contacts holds.
 
     def supports(self, closed: Mask, load: Vector) -> bool:
         """Return whether closed contacts and all further rows hold every rigid motion that a load drives."""
-        del closed, load
-        return True
+        return not self.floating.count or self.floating.holds(closed, load)
 
     def at_rest(self, held: ConstrainedRows, closed: Mask) -> ConstrainedRows:
         """Return the projections of held rows that also remove motions which no closed contact or other row holds."""
-        del closed
-        return held
+        return self.floating.projections(held, closed)
 
     def rest(self, problem: Limits) -> tuple[Vector, Mask] | None:
         """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
-        del problem
-        return None
+        if not self.floating.count:
+            return None
+        return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))
 
     def supported(self, problem: Limits, closed: Mask, x: Vector) -> Mask:
-        """Return the closed contacts (m,), with more of them where a floating body would not be held."""
-        del problem, x
-        return closed
+        """Return closed contacts (m,), and where they leave a body loose those that it would come to rest on."""
+        if self.supports(closed, problem.load):
+            return closed
+        limit = np.concatenate([problem.gap, problem.tie_value])
+        return closed | self.floating.resting(problem.load, limit - self.lengths(x))[1]
+
+    def balanced(self, residual: Vector, weight: Vector) -> Vector:
+        """Return the forces of least weighted norm (m + k,) after which a residual does no work on rigid motions."""
+        return self.floating.balance(residual, weight)
+
+    def elastic(self, x: Vector) -> Vector:
+        """Return a displacement less its rigid part, in the metric of D."""
+        if not self.floating.count:
+            return x
+        strained = x.copy()
+        self.floating.admit(strained)
+        return strained
+
+    def deflated(self, force: Vector) -> Vector:
+        """Return a force (n,) without its resultant on rigid motions, which K cannot balance."""
+        return self.floating.balanced(force) if self.floating.count else force
 
     def around(self, contacts: Mask, layers: int) -> Mask:
         """Return the contacts and those within so many layers of unknowns around them (m,); here the contacts alone."""
         del layers
         return contacts
-
-    def balanced(self, residual: Vector, weight: Vector) -> Vector:
-        """Return the forces of least weighted norm (m + k,) after which a residual does no work on rigid motions."""
-        del residual
-        return np.zeros_like(weight)
-
-    def deflated(self, force: Vector) -> Vector:
-        """Return a force (n,) without its resultant on rigid motions, which K cannot balance."""
-        return force
 
     def norm(self, x: Vector) -> float:
         """Return the Euclidean norm |x| of a vector."""

@@ -25,7 +25,7 @@ from contactqp.linalg.dense import BALANCED, IDLE
 from contactqp.linalg.equilibration import Scaling, equilibrated, unknown_scale
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.factorization import RigidMotions, right_singular
 from contactqp.linalg.measures import scale_of_unknowns
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
@@ -81,9 +81,9 @@ class DrivenMotion(ReadOnly):
     rounding: float  # what rounding of the data could make of that [force]
 
 
-def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) -> None:
+def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
     """Raise NoEquilibrium if a rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it."""
-    found = driven_motion(problem, condensation)
+    found = driven_motion(problem, rigid)
     if found is None:
         return
     advice, size = "", float(problem.load_size @ abs(found.motion))
@@ -103,28 +103,28 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     )
 
 
-def driven_motion(problem: ContactProblem, condensation: Condensation) -> DrivenMotion | None:
+def driven_motion(problem: ContactProblem, rigid: RigidMotions) -> DrivenMotion | None:
     """Return a rigid motion that gains energy from the load and that no row resists, if it is proven; else None.
 
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
     constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
     """
-    Z = condensation.rigid.motions
+    Z = rigid.motions
     if not Z.shape[1] or not np.any(problem.load):
         return None
     Z = Z / np.max(abs(Z), axis=0)
     drive = problem.load @ Z
-    if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
+    if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, rigid)) * (problem.load_size @ abs(Z))):
         return None
     resisting, still = resisting_rows(problem), _still(Z, _own_scale(problem))
     coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
     for stated in _stated_ahead(problem):  # a translation says more than what gains most
-        if (simple := _proven_drive(problem, condensation, resisting, stated)) is not None:
+        if (simple := _proven_drive(problem, rigid, resisting, stated)) is not None:
             return simple
     motion = Z @ coordinates
-    return _proven_drive(problem, condensation, resisting, motion / np.max(abs(motion)))
+    return _proven_drive(problem, rigid, resisting, motion / np.max(abs(motion)))
 
 
 def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
@@ -150,17 +150,15 @@ def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
     return coordinates if drive @ coordinates > DRIVEN * (abs(drive) @ abs(coordinates)) else None
 
 
-def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
+def _uncertainty(problem: ContactProblem, rigid: RigidMotions) -> float:
     """Return the relative size of elastic motions that a rigid one may contain; after printed digits it is larger."""
     recognised = RECOGNISED * problem.rigid_change if problem.near_null_space is None else 0.0
-    return max(condensation.rigid.uncertainty, recognised)
+    return max(rigid.uncertainty, recognised)
 
 
-def _proven_drive(
-    problem: ContactProblem, condensation: Condensation, resisting: Any, z: Vector
-) -> DrivenMotion | None:
+def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, z: Vector) -> DrivenMotion | None:
     """Return the motion z if K z, (E z)+ and A z are rounding and the work of the load is more than that; else None."""
-    uncertainty, scale = _uncertainty(problem, condensation), _own_scale(problem)
+    uncertainty, scale = _uncertainty(problem, rigid), _own_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()

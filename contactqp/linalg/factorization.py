@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ DROPPED = 1e-3
 # alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
 RIGID_FORCE = 32 * np.finfo(float).eps
 RIGID_ENERGY = np.finfo(float).eps
+# A motion of unit length that rows of unit length resist by less than this is not resisted.
+UNRESISTED = 1e-9
 # Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
 # Nodes of a body that are retained where it may float: three that are no line hold it.
@@ -53,6 +56,8 @@ HARDLY_HELD = 1e-4
 # Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
 # sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
 SHORT = 2**11
+# Entries of K that are held as such floats at one time.
+ENTRIES_AT_ONCE = 2**20
 
 
 class SuperLU:
@@ -163,9 +168,23 @@ def images(matrix: Any, columns: Array) -> Array:
     if not columns.size:
         return np.zeros((rows.shape[0], columns.shape[1]))
     if np.finfo(np.longdouble).nmant == 63 and np.max(rows.indptr[1:] - rows.indptr[:-1], initial=0) <= SHORT:
-        long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
-        return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
+        return _long_images(rows, columns)
     return exact_images(rows, columns)
+
+
+def _long_images(rows: Any, columns: Array) -> Array:
+    """Return K z of every column in floats of 64 digits, some rows at a time, as a copy of K takes twice its memory."""
+    long, out = columns.astype(np.longdouble), np.empty(columns.shape)
+    parts = max(1, rows.nnz // ENTRIES_AT_ONCE)
+    for first, last in pairwise(rows.shape[0] * i // parts for i in range(parts + 1)):
+        begin, end = rows.indptr[[first, last]]
+        some = (
+            rows.data[begin:end].astype(np.longdouble),
+            rows.indices[begin:end],
+            rows.indptr[first : last + 1] - begin,
+        )
+        out[first:last] = sp.csr_matrix(some, shape=(last - first, rows.shape[1])) @ long
+    return out
 
 
 def exact_images(matrix: Any, columns: Array) -> Array:
@@ -226,14 +245,15 @@ def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
     return int(count), label
 
 
-def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
+def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:
     """The combinations of some motions (n, q) that are rigid, component by component of a matrix's graph.
 
-    Each is that of one component, with K z = 0 to rounding (`is_rigid`); what is not among them may float all the same.
+    Each is that of one component, with K z = 0 to rounding (`is_rigid`), |K| being `sizes`; what is not among them may
+    float all the same.
     """
     graph = sp.csr_matrix(matrix)
     soft = _soft_by_part(graph, motions)
-    return _rigid_among(graph, soft, abs(graph) @ abs(soft))
+    return _rigid_among(graph, soft, sizes @ abs(soft))
 
 
 def _soft_by_part(graph: Any, motions: Array) -> Array:

@@ -26,7 +26,7 @@ from typing import Protocol
 
 import numpy as np
 
-from contactqp.linalg.condensation import UNRESISTED, Condensation
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import compliance_of
 from contactqp.linalg.dense import BALANCED, independent_rows, orthonormal_motions
 from contactqp.linalg.equilibration import unknown_scale
@@ -40,7 +40,7 @@ from contactqp.linalg.extended import (
     residuals_of,
     two_product,
 )
-from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.factorization import UNRESISTED, right_singular
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.linalg.sliced import elastic_after

@@ -209,6 +209,15 @@ class FrictionRows:
         chosen = self.held_with(stick)
         return self.iteration.of_rows(chosen), self.limit[chosen]
 
+    def at_rest(self, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
+        """Return the displacement of least norm within the gaps, contacts that push not sliding, and free motions.
+
+        The motions (n, q) are orthonormal. Collective.
+        """
+        pushes = (self.friction > 0) & (normal_force > 0)
+        floating = self.iteration.of_rows(self.held_with(pushes)).floating
+        return floating.at_rest(displacement, normal_force, self.problem.gap)
+
     def held_with(self, stick: Mask) -> Indices:
         """Return the numbers of all contacts and ties, and of the tangents of sticking contacts."""
         return np.concatenate([np.arange(self.plain), self.tangents(stick)])

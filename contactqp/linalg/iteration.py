@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso, schur
-from contactqp.linalg.contact_iteration import RESTART, ConstrainedRows, ContactIteration
+from contactqp.linalg.contact_iteration import RESTART, ContactIteration
 from contactqp.linalg.equilibration import mostly_bare
-from contactqp.linalg.krylov import AssembledRows, ConjugateGradients
+from contactqp.linalg.factorization import RigidMotions, stated_motions
+from contactqp.linalg.floating import FloatingMotions, OneProcess
+from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
@@ -36,9 +38,6 @@ LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 10_000, 300
 MANY = 3000
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
 LARGEST_BY_SUPERLU = 500_000
-# A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
-# rounding decides: one support among a million unknowns leaves 1e-6.
-FLOATING = 1e-12
 # Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, where a backend finds the
 # closed contacts, or of each entry, where a hierarchy does; of each operation of a sparse factorisation, in a backend,
 # by SuperLU and by PARDISO; operations per squared unknown in space. No more than SMALLEST is not worth looking at;
@@ -53,10 +52,10 @@ def iterated(problem: ContactProblem) -> bool:
     """Return whether a problem is solved and judged without a factorisation.
 
     From 200 000 unknowns with more than 40 entries a row where pyamg is installed, with more than 300 contacts that rub
-    in space from 10 000. What cannot be iterated on, bodies that float and methods that work with factors
-    (`factorised`), is left to PARDISO, which refuses what does not fit into memory. SuperLU, which cannot tell, is left
-    bodies that float, up to a size. Always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names
-    another solver.
+    in space from 10 000. What cannot be iterated on, bodies that float along motions that nobody has stated and methods
+    that work with factors (`factorised`), is left to PARDISO, which refuses what does not fit into memory. SuperLU,
+    which cannot tell, is left bodies that float, up to a size. Always if the variable CONTACTQP_SPARSE_SOLVER says
+    pyamg, never if it names another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
@@ -64,8 +63,8 @@ def iterated(problem: ContactProblem) -> bool:
     if not (_is_large(problem) and available()):
         return False
     if pardiso.available() or problem.dimension < LARGE:
-        return not problem._computed.of_stiffness.factorised and held_by_hierarchy(problem)
-    return problem.dimension > LARGEST_BY_SUPERLU or held_by_hierarchy(problem)
+        return not problem._computed.of_stiffness.factorised and iterable(problem)
+    return problem.dimension > LARGEST_BY_SUPERLU or iterable(problem)
 
 
 def _is_large(problem: ContactProblem) -> bool:
@@ -195,15 +194,21 @@ def factorised(problem: ContactProblem) -> Iterator[None]:
 
 def held_by_hierarchy(problem: ContactProblem) -> bool:
     """Return whether a multigrid hierarchy finds no floating body; False without pyamg."""
+    return iterable(problem) and bool(problem._computed.of_stiffness.supported)
+
+
+def iterable(problem: ContactProblem) -> bool:
+    """Return whether a multigrid hierarchy knows all motions of the bodies that float; False without pyamg."""
     with problem.lock:
-        if problem._computed.of_stiffness.supported is None:
+        of_stiffness = problem._computed.of_stiffness
+        if of_stiffness.iterable is None:
             try:
-                iteration(problem)
+                of_stiffness.supported = not iteration(problem).floating.count
             except (BackendMissing, Unsupported):
-                problem._computed.of_stiffness.supported = False
+                of_stiffness.supported = of_stiffness.iterable = False
             else:
-                problem._computed.of_stiffness.supported = True
-        return problem._computed.of_stiffness.supported
+                of_stiffness.iterable = True
+        return of_stiffness.iterable
 
 
 class Iteration(ContactIteration):
@@ -215,18 +220,23 @@ class Iteration(ContactIteration):
         K, in blocks where it has them.
     rows, touched : (m + k, t) CSR matrix and (t,) array of int
         Contacts, then ties, over the unknowns that they touch.
+    rigid : RigidMotions
+        The rigid motions of bodies that float.
 
     Raises
     ------
     Unsupported
-        A body floats: without a factorisation its motions cannot be told from soft ones.
+        A body floats along motions that `near_null_space` does not state: without a factorisation these cannot be told
+        from soft ones.
     BackendMissing
         pyamg is not installed.
     """
 
     solver = "pyamg"
+    hierarchy: Hierarchy
+    rigid: RigidMotions
 
-    def __init__(self, problem: ContactProblem, tangents: bool = False, known: Hierarchy | None = None) -> None:
+    def __init__(self, problem: ContactProblem, tangents: bool = False, known: Iteration | None = None) -> None:
         super().__init__()
         bare = np.flatnonzero(problem.diagonal == 0)
         if bare.size:
@@ -234,26 +244,25 @@ class Iteration(ContactIteration):
         rows = sp.vstack([problem.normal, problem.tie, *([problem.tangent] if tangents else [])], format="csr")
         mostly = 2 * len(np.unique(rows.indices)) > problem.dimension
         coarsest = COARSEST_TOUCHED if mostly else None
-        hierarchy = known or Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest)
-        floating = np.flatnonzero(hierarchy.held <= FLOATING)
-        if floating.size:
-            member = int(np.flatnonzero(hierarchy.bodies == floating[0])[0])
-            raise Unsupported(
-                f"pyamg: the body of {problem.dof_name(member)} floats: no support holds all of its motions (least "
-                f"energy {hierarchy.held[floating[0]]:.1e} of its diagonal's); {_INSTEAD}"
-            )
+        hierarchy = (
+            Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest) if known is None else known.hierarchy
+        )
+        self.rigid = _rigid_motions(problem, hierarchy) if known is None else known.rigid
         if problem._computed.of_stiffness.bodies is None:
             problem._computed.of_stiffness.bodies = hierarchy.bodies
         self.matrix = hierarchy.levels[0].matrix
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
         self._sizes = problem.stiffness_sizes
-        self.hierarchy, self._hierarchy = hierarchy, HeldHierarchy(hierarchy, rows)
+        afloat = np.any(self.rigid.motions, axis=1) if self.rigid.count else None
+        self.hierarchy, self._hierarchy = hierarchy, HeldHierarchy(hierarchy, rows, afloat)
         self.rows, self.touched = self._hierarchy.rows[0]
         self._row_sizes = abs(self.rows)
         self._near = problem.stiffness_rows[self.touched]
         self._near_sizes = abs(self._near)
         self._no_rows = np.zeros(0, dtype=np.intp)
         self._plain = self._hierarchy.cycle(self._no_rows)
+        motions, m = self.rigid.motions, problem.contacts
+        self.floating = FloatingMotions(OneProcess(), self._diagonal, motions, m, self.lengths, self.own_compliance)
 
     def dot(self, a: Vector, b: Vector) -> float:
         return float(a @ b)
@@ -282,6 +291,7 @@ class Iteration(ContactIteration):
         other = copy(self)
         other._hierarchy = self._hierarchy.of_rows(chosen)
         other.rows, other._row_sizes = self.rows[chosen], self._row_sizes[chosen]
+        other.floating = self.floating.with_rows(other.lengths, other.own_compliance)
         return other
 
     def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
@@ -353,8 +363,9 @@ class Iteration(ContactIteration):
         sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
         return force_measure(self.rows, force, sizes)
 
-    def held(self, rows: NDArray[np.intp], limit: Vector) -> AssembledRows:
-        return self.constrained(self.rows[rows], limit)
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> ConstrainedRows:
+        closed = np.isin(np.arange(self.floating.contacts), rows)
+        return self.at_rest(self.constrained(self.rows[rows], limit), closed)
 
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
         away = x[self.touched]
@@ -365,8 +376,7 @@ class Iteration(ContactIteration):
         return ConjugateGradients(self.product, self._hierarchy.cycle(rows), x, residual, held)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
-        held = self.held(self._no_rows, np.zeros(0))
-        return ConjugateGradients(self.product, self._plain, np.zeros_like(residual), residual, held)
+        return ConjugateGradients(self.product, self._plain, np.zeros_like(residual), residual, self.floating)
 
     def smooth(self, force: Vector) -> Vector:
         return self._plain(force)
@@ -377,6 +387,26 @@ class Iteration(ContactIteration):
             reached = self._near_sizes.T @ (normal.T @ contacts.astype(float))
             contacts = normal @ reached[self.touched] > 0
         return contacts
+
+
+def _rigid_motions(problem: ContactProblem, hierarchy: Hierarchy) -> RigidMotions:
+    """Return the stated rigid motions of the bodies that float; refuse a body that may have others."""
+    floating = np.flatnonzero(hierarchy.soft > 0)
+    if not floating.size:
+        return RigidMotions(np.zeros((problem.dimension, 0)))
+    rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+    if problem.near_null_space is not None:
+        rigid = stated_motions(problem.stiffness_rows, problem.stiffness_sizes, problem.near_null_space)
+    for body in floating:
+        members = np.flatnonzero(hierarchy.bodies == body)
+        known = np.count_nonzero(np.any(rigid.motions[members], axis=0))
+        if known < hierarchy.soft[body]:
+            raise Unsupported(
+                f"pyamg: the body of {problem.dof_name(int(members[0]))} floats: no support holds all of its motions "
+                f"(least energy {hierarchy.held[body]:.1e} of its diagonal's), and near_null_space states {known} of "
+                f"{hierarchy.soft[body]} as rigid; {_INSTEAD}"
+            )
+    return rigid
 
 
 _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
@@ -393,7 +423,6 @@ def iteration(problem: ContactProblem) -> Iteration:
 def frictional_iteration(problem: ContactProblem) -> Iteration:
     """Return the iteration with tangential rows behind contacts and ties, on the same hierarchy."""
     if problem._computed.frictional_iteration is None:
-        known = iteration(problem).hierarchy
-        problem._computed.frictional_iteration = Iteration(problem, tangents=True, known=known)
+        problem._computed.frictional_iteration = Iteration(problem, tangents=True, known=iteration(problem))
     made: Iteration = problem._computed.frictional_iteration
     return made

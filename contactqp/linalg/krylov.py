@@ -42,6 +42,16 @@ class Projections(Protocol):
         """Return r less the forces on the rows that balance it best."""
 
 
+class ConstrainedRows(Projections, Protocol):
+    """Projections onto the displacements at which some rows are held at their limits."""
+
+    def close(self, x: Vector) -> None:
+        """Move x onto the limits of the rows, in place."""
+
+    def forces(self, r: Vector) -> Vector:
+        """Return the forces on the rows that balance r best."""
+
+
 class ConjugateGradients:
     """The state of one run; `step` changes it.
 

@@ -27,16 +27,22 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, Unsupported
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Mask
 
 # Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
 # every set of rows, and beyond some hundred that costs more than another level does.
 COARSEST, COARSEST_TOUCHED = 1500, 400
+# The scaled diagonal of bodies that float is lifted by this part on the coarsest level: little beside what deformations
+# cost, much beside the rounding that rigid motions are left with.
+LIFT = 1e-10
 MOST_LEVELS = 12
 # Steps of Lanczos' method find the largest eigenvalue to a few per cent; what is missing is allowed for.
 LANCZOS_STEPS, ALLOWANCE = 10, 1.1
 # Blocks of unknowns are stored as such where that adds no more than this to the entries.
 BLOCK_FILL = 1.2
+# A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
+# rounding decides: one support among a million unknowns leaves 1e-6.
+FLOATING = 1e-12
 # Damping of the Jacobi step on the prolongator, over the largest eigenvalue: the least energy of its columns.
 JACOBI = 4 / 3
 
@@ -75,6 +81,8 @@ class Hierarchy:
         The number of the connected part of K that each unknown belongs to.
     held : (number of bodies,) array
         The least energy b'Kb / b'Db of a motion b out of B, body by body: rounding where the body floats.
+    soft : (number of bodies,) array of int
+        The dimension of the space of motions out of B whose energy is at most FLOATING.
 
     Raises
     ------
@@ -100,29 +108,29 @@ class Hierarchy:
             aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None
             if aggregates is None or len(self.levels) == MOST_LEVELS:
                 if not self.levels:
-                    self.held = self._least_energy(B, matrix @ B, diagonal)
+                    self.held, self.soft = self._least_energies(B, matrix @ B, diagonal)
                 self.levels.append(Level(matrix, diagonal, largest))
                 return
             tentative, coarse_B = _tentative(aggregates, B)
             product = matrix @ tentative
             if not self.levels:
-                self.held = self._least_energy(B, product @ coarse_B, diagonal)
+                self.held, self.soft = self._least_energies(B, product @ coarse_B, diagonal)
             prolong = tentative - _scaled_rows(product, JACOBI / largest / diagonal, tentative)
             self.levels.append(Level(matrix, diagonal, largest, prolong, prolong.T))
             size = B.shape[1]
             matrix, B = (prolong.T @ (matrix @ prolong)).tobsr((size, size)), coarse_B
 
-    def _least_energy(self, B: Array, forces: Array, diagonal: Array) -> Array:
-        """Return min over a of a'(B'KB)a / a'(B'DB)a for each body; `forces` is K B."""
+    def _least_energies(self, B: Array, forces: Array, diagonal: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return min over a of a'(B'KB)a / a'(B'DB)a for each body, and how many are FLOATING; `forces` is K B."""
         q, count = B.shape[1], int(self.bodies.max()) + 1
-        if count == 1:
-            return energy_ratios(B.T @ forces, B.T @ (diagonal[:, None] * B))[0][:1]
         energy, size = np.empty((2, count, q, q))
         for i in range(q):
             for j in range(q):
                 energy[:, i, j] = np.bincount(self.bodies, B[:, i] * forces[:, j], count)
                 size[:, i, j] = np.bincount(self.bodies, B[:, i] * diagonal * B[:, j], count)
-        return np.array([energy_ratios(e, s)[0][0] for e, s in zip(energy, size, strict=True)])
+        ratios = [energy_ratios(e, s)[0] for e, s in zip(energy, size, strict=True)]
+        soft = [np.count_nonzero(ratio <= FLOATING) for ratio in ratios]
+        return np.array([ratio[0] for ratio in ratios]), np.array(soft)
 
 
 def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
@@ -249,14 +257,18 @@ class CoarsestLevel:
         K of the level; an unknown with a zero row gets a diagonal of one.
     touched : (t,) array of int
         The unknowns that rows may touch.
+    afloat : (n,) array of bool, optional
+        The unknowns of bodies that float, on which K is singular: their diagonal is lifted.
     """
 
-    def __init__(self, matrix: Any, touched: NDArray[np.intp]) -> None:
+    def __init__(self, matrix: Any, touched: NDArray[np.intp], afloat: Mask | None = None) -> None:
         dense = matrix.toarray()
         empty = np.flatnonzero(np.diag(dense) <= 0)
         dense[empty, empty] = 1.0
         self.scale = 1 / np.sqrt(np.diag(dense))
         dense *= np.outer(self.scale, self.scale)
+        if afloat is not None:
+            dense[afloat, afloat] += LIFT
         self.touched = touched
         self.others = np.setdiff1d(np.arange(len(dense)), touched)
         self.lower = cholesky(dense[np.ix_(self.others, self.others)])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import UNRESISTED, Condensation, free_motions
+from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import BALANCED, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import (
     EPS,
@@ -23,6 +23,7 @@ from contactqp.linalg.extended import (
     extended_rows,
     residuals_of,
 )
+from contactqp.linalg.factorization import UNRESISTED
 from contactqp.linalg.measures import (
     force_measure,
     forces_that_meet,

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Hierarchy, Level, largest_eigenvalue
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Mask
 
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the
 # spectrum of D^-1 K, from its end, that it damps.
@@ -104,9 +104,12 @@ class LevelRows(NamedTuple):
 
 
 class HeldHierarchy:
-    """A hierarchy with all rows that may be held, on every level: E, E P, E P P, ... of rows (a, n)."""
+    """A hierarchy with all rows that may be held, on every level: E, E P, E P P, ... of rows (a, n).
 
-    def __init__(self, hierarchy: Hierarchy, rows: Any) -> None:
+    The unknowns `afloat` (n,) are those of bodies that float; None where none does.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, rows: Any, afloat: Mask | None = None) -> None:
         self.levels, self.rows = hierarchy.levels, []
         E = sp.csr_matrix(rows)
         for level in self.levels:
@@ -114,7 +117,9 @@ class HeldHierarchy:
             self.rows.append(LevelRows(sp.csr_matrix(E[:, columns]), columns))
             if level.prolong is not None:
                 E = self.rows[-1].entries @ sp.csr_matrix(sp.csr_matrix(level.prolong)[columns])
-        self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns)
+                if afloat is not None:
+                    afloat = abs(level.restrict) @ afloat > 0
+        self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns, afloat)
 
     def of_rows(self, chosen: NDArray[np.intp]) -> HeldHierarchy:
         """Return the same hierarchy with some of the rows alone."""

@@ -23,6 +23,7 @@ class OfStiffness:
     extended: Any = None  # K for products in twice double precision
     elimination_order: Any = None  # linalg.pardiso: that of the unknowns, found with the first sparse factorisation
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
+    iterable: bool | None = None  # linalg.iteration: whether a hierarchy knows all motions of bodies that float
     supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
     convex_by_iteration: bool = False  # linalg.convexity: whether a run of conjugate gradients met none

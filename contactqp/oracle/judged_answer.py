@@ -160,7 +160,8 @@ def certify(
         Neither displacement nor normal force, wrong shapes or maps, or an indefinite stiffness. NaN is no error here:
         it fails.
     Unsupported
-        A body floats that is too large to factorise, or forces alone are given and it is.
+        A body that is too large to factorise floats along motions that nobody has stated, or forces alone are given and
+        it is.
 
     Examples
     --------

@@ -19,11 +19,12 @@ from contactqp.certificate.coulomb_law import rounded_slips
 from contactqp.certificate.figures import holds, holds_by_products
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported, shown
 from contactqp.linalg import pardiso
-from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
-from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.factorization import UNRESISTED, right_singular
 from contactqp.linalg.friction_states import answer_in, condensed_frictional_rows
+from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.model.arrays import Array
@@ -70,7 +71,7 @@ def solve_associated(problem: ContactProblem, method: Method, settings: Settings
             answer = relaxed_in_space(problem, condense(problem))
         except NotConverged:
             refuse_conflict(problem, condense(problem))
-            refuse_driven_motion(problem, condense(problem))
+            refuse_driven_motion(problem, condense(problem).rigid)
             raise
         return answer, "associated friction law by clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
@@ -259,17 +260,21 @@ class IteratedFrictionRun(RunByIteration):
         super().__init__(problem, method, frictional_iteration)
         self.name = name_of("tresca", method.name)
         refuse_indefinite_by_iteration(problem, self.iteration)
+        refuse_driven_motion(problem, self.iteration.rigid)
         start = _known_answer(problem, settings.warm_start)
-        certifiable = partial(holds_by_products, problem)
+        certifiable = partial(holds_by_products, problem, self.iteration.rigid)
         with on_one_thread():  # nothing dense here is large
             self.candidate = solve_friction_by_iteration(
                 problem, self.iteration, settings.now, start, ENERGY, certifiable
             )
 
     def final(self) -> Final:
-        """The answer that is to be certified: the candidate."""
-        found = self.candidate
-        return Final(found.displacement, found.normal_force, found.tie_force, friction_force=found.friction_force)
+        """Return the candidate with its free motions at rest, which is the answer that is to be certified."""
+        found, u, free = self.candidate, self.candidate.displacement, self.iteration.rigid.motions
+        if free.shape[1]:
+            u, free = FrictionRows(self.problem, self.iteration).at_rest(u, found.normal_force)
+        motions = described(self.problem, free)
+        return Final(u, found.normal_force, found.tie_force, motions, friction_force=found.friction_force)
 
 
 def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
@@ -325,7 +330,7 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
             return SparseFrictionRun(problem, settings)
     meter = Meter(problem)
     with meter.running():
-        refuse_driven_motion(problem, condense(problem))
+        refuse_driven_motion(problem, condense(problem).rigid)
     if algorithm == "associated":
         return _relaxed(problem, method, settings, meter)
     if algorithm == "enumeration":

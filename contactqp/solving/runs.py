@@ -240,7 +240,7 @@ class CondensedRun(Run):
             self._condensation = _condensed(problem)
             refuse_late(f"{method.name} began")
             if self._condensation.rigid.count:
-                refuse_driven_motion(problem, self._condensation)
+                refuse_driven_motion(problem, self._condensation.rigid)
             if not method.semidefinite and saddle_point(self._condensation, np.zeros(0, dtype=np.intp)).free.shape[1]:
                 raise Unsupported(
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
@@ -469,15 +469,22 @@ class IteratedRun(RunByIteration):
         Another method than the active set, or a wish to condense.
     NotConverged
         As `solve_by_iteration`.
+    NoEquilibrium
+        The load drives a rigid motion that nothing holds.
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
         if condense is True:
             raise Unsupported(f"{method.name}: condensing a body this large means factorising it; {_ELSE}")
         super().__init__(problem, method, iteration)
+        refuse_driven_motion(problem, self.iteration.rigid)
         with on_one_thread():  # nothing dense here is large
             self.candidate = solve_by_iteration(problem, self.iteration, settings.now)
 
     def final(self) -> Final:
-        """Return the candidate, which is the answer that is to be certified."""
-        return Final(self.candidate.displacement, self.candidate.normal_force, self.candidate.tie_force)
+        """Return the candidate with its free motions at rest, which is the answer that is to be certified."""
+        found, floating = self.candidate, self.iteration.floating
+        if not floating.count:
+            return Final(found.displacement, found.normal_force, found.tie_force)
+        u, free = floating.at_rest(found.displacement, found.normal_force, self.problem.gap)
+        return Final(u, found.normal_force, found.tie_force, described(self.problem, free))

@@ -240,7 +240,7 @@ def _solve(
         if method != DEFAULT_METHOD or limited:
             raise
         if iterated(problem):
-            if not (problem.frictional and may_be_factorised(problem)):
+            if not may_be_factorised(problem):
                 raise
             with factorised(problem):
                 return _factorised_after(error, solve(problem, method, warm_start=warm_start, **same))

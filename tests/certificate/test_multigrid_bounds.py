@@ -9,6 +9,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.certificate.multigrid_bounds import dual_norm, refined_norm
 from contactqp.linalg.contact_iteration import ContactIteration
+from contactqp.linalg.floating import FloatingMotions, OneProcess
 from contactqp.linalg.iteration import Iteration, iteration
 from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.multigrid import available
@@ -196,6 +197,8 @@ class _Dense(Iteration):
     def __init__(self, K: np.ndarray, M: np.ndarray) -> None:
         ContactIteration.__init__(self)
         self._K, self._M = K, M
+        none = np.zeros((len(K), 0))
+        self.floating = FloatingMotions(OneProcess(), np.diag(K), none, 0, lambda x: x[:0], np.zeros(0))
 
     def product(self, x: np.ndarray) -> np.ndarray:
         return self._K @ x

@@ -10,8 +10,8 @@ import pytest
 
 from contactqp.certificate.figures import _worst_direction
 from contactqp.distributed.certificate import CuttingPlanes
-from contactqp.distributed.floating import resting_place
 from contactqp.errors import NotConverged
+from contactqp.linalg.floating import resting_place
 from tests.distributed.cases import few_and_all
 
 # Nodes on obstacles, bodies that float and rest on their contacts, several of them, free motions, mortar rows, ties.

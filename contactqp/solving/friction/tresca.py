@@ -216,7 +216,7 @@ class _Run:
         scale = np.ones(inner.dimension)
         condensation = Condensation.of_condensed(inner, rigid, scale)
         inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
-        refuse_driven_motion(inner, condensation)
+        refuse_driven_motion(inner, condensation.rigid)
         candidate = solve_convex(self._method, inner, settings)
         return candidate.displacement, candidate.normal_force, candidate.tie_force
 

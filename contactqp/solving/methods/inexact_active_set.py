@@ -18,9 +18,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
-from contactqp.linalg.contact_iteration import ConstrainedRows, ContactIteration, Limits
-from contactqp.linalg.krylov import ConjugateGradients
+from contactqp.certificate.multigrid_bounds import balanced_forces, dual_norm, force_norm
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Vector
@@ -172,13 +172,14 @@ class _Search:
 
     def _candidate(self, sets: int, stopped: str) -> Candidate:
         """What there is; an answer has no tension, not even within the tolerance."""
-        force = self.force[: self.m]
+        force = self.force
         if stopped == FOUND:
-            force = np.maximum(force, 0.0)
+            force = np.where(np.arange(len(force)) < self.m, np.maximum(force, 0.0), force)
+            force = balanced_forces(self.problem, self.x, force, self.iteration)
         return Candidate(
             self.x,
-            force,
-            self.force[self.m :],
+            force[: self.m],
+            force[self.m :],
             iterations=sets,
             claimed=stopped == FOUND,
             status=stopped,
@@ -247,12 +248,12 @@ class _Search:
         """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)
-        m, allowed = self.m, SIGN * self.tolerance
-        pull = self.iteration.force_measure(self.force, self.x, self.problem.load)[:m]
+        m, allowed, strained = self.m, SIGN * self.tolerance, self.iteration.elastic(self.x)
+        pull = self.iteration.force_measure(self.force, strained, self.problem.load)[:m]
         compliance, least = self.iteration.own_compliance[:m], NOTHING * self._energy_norm(run)
         pulling = -self.force[:m] * np.sqrt(compliance) > least
         self.tension = pulling & (pull > allowed)
-        depth, lengths = self._penetration(), (self.iteration.length_sizes(self.x) + abs(self.limit))[:m]
+        depth, lengths = self._penetration(), (self.iteration.length_sizes(strained) + abs(self.limit))[:m]
         self.penetrated = ~self.closed & (depth > np.maximum(allowed * lengths, least * np.sqrt(compliance)))
         pulled = np.where(self.tension, self.force[:m] * np.sqrt(compliance), 0.0)
         sunk = np.where(self.penetrated, depth, 0.0) / np.sqrt(np.where(self.penetrated, compliance, 1.0))
@@ -264,7 +265,8 @@ class _Goal:
 
     def __init__(self, search: _Search) -> None:
         iteration = search.iteration
-        self.sizes = iteration.product_sizes(search.x) + abs(search.problem.load) + iteration.force_sizes(search.force)
+        inner, outer = iteration.product_sizes(iteration.elastic(search.x)), iteration.force_sizes(search.force)
+        self.sizes = inner + abs(search.problem.load) + outer
         self.equilibrium = EQUILIBRIUM * search.tolerance
         self.size = _size(search)
         self.nothing = NOTHING * _strain(search) * np.sqrt(iteration.diagonal)

@@ -212,8 +212,6 @@ def test_what_is_not_iterated_on_is_said_with_the_cure() -> None:
             cq.solve(BLOCK, algorithm=algorithm)
     with pytest.raises(cq.Unsupported, match=r"clarabel: .*only iterated on"):
         cq.solve(BLOCK, "clarabel")
-    with pytest.raises(cq.Unsupported, match="floats"):
-        cq.solve(on_paraboloid((6, 6, 4), sides=False, friction=0.3))
 
 
 def test_a_limit_of_time_is_kept_and_hands_over_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,7 +258,6 @@ def test_many_contacts_that_rub_are_iterated_on_and_other_algorithms_have_their_
 ) -> None:
     assert iterated(large)
     assert not iterated(large.replace(friction=0.0))
-    assert not iterated(on_paraboloid((6, 6, 4), sides=False, friction=0.3))
     solution = cq.solve(large)
     assert solution.work.solver == "pyamg"
     exact = factorised(large)
