@@ -68,7 +68,8 @@ from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
-from contactqp.linalg.factorization import RIGID_ENERGY, UNRESISTED
+from contactqp.linalg.factorization import RIGID_ENERGY
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.measures import (
     forces_that_meet,

@@ -27,7 +27,6 @@ from contactqp.linalg.equilibration import balancing_factors, unknown_scale
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     FAR_APART,
-    UNRESISTED,
     RigidMotions,
     condensed_null_space,
     connected_parts,
@@ -37,6 +36,7 @@ from contactqp.linalg.factorization import (
     stated_motions,
     unknowns_far_apart,
 )
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, LastBlock, NestedBlock, eliminate

@@ -44,8 +44,6 @@ DROPPED = 1e-3
 # alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
 RIGID_FORCE = 32 * np.finfo(float).eps
 RIGID_ENERGY = np.finfo(float).eps
-# A motion of unit length that rows of unit length resist by less than this is not resisted.
-UNRESISTED = 1e-9
 # Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
 # Nodes of a body that are retained where it may float: three that are no line hold it.
@@ -174,17 +172,9 @@ def images(matrix: Any, columns: Array) -> Array:
 
 def _long_images(rows: Any, columns: Array) -> Array:
     """Return K z of every column in floats of 64 digits, some rows at a time, as a copy of K takes twice its memory."""
-    long, out = columns.astype(np.longdouble), np.empty(columns.shape)
-    parts = max(1, rows.nnz // ENTRIES_AT_ONCE)
-    for first, last in pairwise(rows.shape[0] * i // parts for i in range(parts + 1)):
-        begin, end = rows.indptr[[first, last]]
-        some = (
-            rows.data[begin:end].astype(np.longdouble),
-            rows.indices[begin:end],
-            rows.indptr[first : last + 1] - begin,
-        )
-        out[first:last] = sp.csr_matrix(some, shape=(last - first, rows.shape[1])) @ long
-    return out
+    long, parts = columns.astype(np.longdouble), max(1, rows.nnz // ENTRIES_AT_ONCE)
+    ends = [rows.shape[0] * i // parts for i in range(parts + 1)]
+    return np.vstack([np.asarray(rows[i:j].astype(np.longdouble) @ long, dtype=float) for i, j in pairwise(ends)])
 
 
 def exact_images(matrix: Any, columns: Array) -> Array:

@@ -20,12 +20,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.factorization import UNRESISTED
 from contactqp.linalg.krylov import ConstrainedRows
 from contactqp.linalg.measures import reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Mask, Vector
 
+# A motion of unit length that rows of unit length resist by less than this is not resisted.
+UNRESISTED = 1e-9
 Lengths = Callable[[Vector], Vector]
 
 

@@ -40,7 +40,8 @@ from contactqp.linalg.extended import (
     residuals_of,
     two_product,
 )
-from contactqp.linalg.factorization import UNRESISTED, right_singular
+from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.linalg.sliced import elastic_after

@@ -23,7 +23,7 @@ from contactqp.linalg.extended import (
     extended_rows,
     residuals_of,
 )
-from contactqp.linalg.factorization import UNRESISTED
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import (
     force_measure,
     forces_that_meet,

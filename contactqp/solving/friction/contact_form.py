@@ -19,7 +19,8 @@ import scipy.sparse as sp
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import compliance_of
-from contactqp.linalg.factorization import UNRESISTED, right_singular
+from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import FrictionalRows, answer_in
 from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector

@@ -18,7 +18,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, OPERATOR_ROUNDING, Delassus, lower_factor, saddle_point
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import touch_one_each
-from contactqp.linalg.factorization import UNRESISTED
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Vector
