@@ -94,6 +94,10 @@ ITERATED_NOTHING = 1e-10
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
+STATE_MOTIONS = (
+    ": the rounding of K along rigid motions makes forces there, of which redundant contacts take any share; "
+    "give the motions as near_null_space, and they are taken as exact"
+)
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
@@ -117,6 +121,7 @@ class Bounds:
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
+    shared: float = 0.0  # the part of `force_error` that this rounding may make of how closed contacts share forces
     undecided: float = 0.0  # the part of the distance that touching contacts leave open: gaps as doubles do not tell
     estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
@@ -296,11 +301,12 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not problem.diagonal.any()
-    relative = None
+    relative, shared_part = None, 0.0
     largest = float(np.max(own * abs(push), initial=0.0)) if floats else 0.0
     if pair.cleared and problem.near_null_space is None:  # nobody has said what is rigid
         shared, size_of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
-        error, changed = error + size_of_shared / (scale or 1.0), abs(changed) + shared
+        shared_part = size_of_shared / (scale or 1.0)
+        error, changed = error + shared_part, abs(changed) + shared
     force_bound = None if force_bound is None else force_bound + abs(changed)
     if force_bound is not None and max(largest, scale) > 0:
         relative = force_bound * own / (largest or max(scale, size))
@@ -313,6 +319,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=0.0 if nothing_elastic else energy_error,
         force_error=0.0 if nothing_elastic else error,
         force_scale=scale,
+        shared=shared_part,
         largest_force=largest,
         force_bound=force_bound,
         relative_force_bound=relative,
@@ -457,7 +464,8 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
             kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
         if not value * size <= max(limit * size, known.rounding) + forgiven:
-            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+            cure = STATE_MOTIONS if name == "force_error" and known.shared > value / 2 else ""
+            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
 
 
 def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
