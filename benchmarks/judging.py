@@ -253,7 +253,10 @@ def _spoil(
     passed: list[tuple[str, float]] = []
     objection = ""
     for name, u, force in spoiled(truth, np.random.default_rng(seed)):
-        certificate = cq.certify(problem, u, force, tie_force=truth.tie_force)
+        try:
+            certificate = cq.certify(problem, u, force, tie_force=truth.tie_force)
+        except cq.InvalidProblem as error:  # the problem is refused, whatever the answer
+            return (), str(error)
         errors = truth.errors(u, force)
         bounds += bounded(name, truth, certificate, errors)
         if certificate.passed and errors.worst > threshold:

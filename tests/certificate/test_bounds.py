@@ -373,6 +373,23 @@ def test_where_constraints_conflict_the_certificate_of_any_answer_says_so() -> N
         assert any(conflict in failure for failure in certificate.failures)
 
 
+@pytest.mark.parametrize("load", [[0.0, 2.447265625, -121896961.8, 121896961.0, -1.4], [0.0, 0.0, -1.2e8, 1.2e8, 0.0]])
+def test_a_chain_that_its_tie_alone_holds_has_no_norm_of_forces_without_it(load: list[float]) -> None:
+    """One link is 8e7 times stiffer than the others, so that K, which is singular, has all its pivots."""
+    springs = np.array([1.03125, 2.953125, 81264640.0, 1.296875])
+    links = np.diff(np.eye(5), axis=0)
+    problem = cq.ContactProblem(
+        links.T @ np.diag(springs) @ links, load, [[0.0, 0.0, 0.0, 1.0, 0.0]], [0.875],
+        tie=[[1.0, 1.0, 1.0, -1.0, 0.5]], tie_value=[-0.625],
+    )  # fmt: skip
+    truth = cq.exact(problem)
+    u, force, tie = (np.array(part, float) for part in (truth.displacement, truth.normal_force, truth.tie_force))
+    assert force[0] > 0.1
+    assert cq.certify(problem, u, force, tie_force=tie).passed
+    forged = cq.certify(problem, u, force * (1 + 1e-5), tie_force=tie)
+    assert any("force_error" in failure for failure in forged.failures)
+
+
 def test_forces_that_the_rounding_of_a_stiffness_shares_out_are_no_better_than_that():
     """Three masses on springs whose sums are rounded, a metre from the ground: how they share 1e-11 N is rounding."""
     spring = [1.7795540617506418, 2.876159240814838]
