@@ -3,7 +3,7 @@
 An interior-point backend finds which contacts close; sparse saddle points of these, refined in extended precision, give
 the answer (`contactqp.linalg.sparse_saddle`). Where the backend stopped too early to tell, Newton's steps along the
 central path go on from its answer (`contactqp.linalg.interior_point`), or a linear program goes to a vertex near it
-(`contactqp.linalg.crossover`).
+(`contactqp.linalg.interior_point`).
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.linalg import sparse_saddle
-from contactqp.linalg.crossover import MET_TOGETHER, without_conflict
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.interior_point import MET_TOGETHER, without_conflict
 from contactqp.linalg.sparse_saddle import Effort, nearest_state
 from contactqp.model.solution import Answer, Candidate
 
