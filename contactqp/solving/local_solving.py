@@ -39,8 +39,7 @@ from contactqp.solving.friction.exact_enumeration import (
     SEVERAL,
     has_local_equilibrium,
 )
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, refuse_arguments
 
 ENUMERATION = "enumeration"

@@ -17,8 +17,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
 from contactqp.model.coulomb import lengths, onto_cone
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import JOINT_REGULARISATION, BlockSystem, LocalForm
+from contactqp.solving.friction.local_form import JOINT_REGULARISATION, BlockSystem, Iterate, LocalForm
 
 # The residuals are compared after so many iterations, the penalty changes when they differ by this factor.
 EVERY, UNBALANCED = 20, 5.0

@@ -29,8 +29,7 @@ import scipy.sparse as sp
 from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import BlockSystem, LocalForm
+from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
 # The regularisation starts from, stays above, and is given up beyond these; contacts have a compliance of one.
 REGULARISATION = (1e-6, 1e-12, 1e2)

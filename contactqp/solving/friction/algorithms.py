@@ -14,8 +14,7 @@ from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
-from contactqp.solving.friction.iterate import NEARER, Deadline, Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import NEARER, Deadline, Iterate, LocalForm
 from contactqp.solving.friction.newton import solve_newton
 from contactqp.solving.friction.tresca import solve_tresca
 from contactqp.solving.methods import Method, Settings, find

@@ -29,7 +29,7 @@ from contactqp.linalg.iterated_states import (
 from contactqp.linalg.runtime import tell
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving.friction.iterate import RELAXATION, aitken
+from contactqp.solving.friction.local_form import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration, solve_by_iteration
 

@@ -28,8 +28,7 @@ from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, len
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 
 # Tie rows of unit length that leave more than this of their values open conflict.
 CONFLICT = 1e-9

@@ -31,8 +31,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
-from contactqp.solving.friction.iterate import RELAXATION, Deadline, Iterate, aitken
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import RELAXATION, Deadline, Iterate, LocalForm, aitken
 from contactqp.solving.methods import Method, Settings
 
 FACETS = 16

@@ -19,8 +19,7 @@ from contactqp.errors import NotConverged
 from contactqp.linalg.measures import reciprocal
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import de_saxce, lengths, onto_cone
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 
 # Projections of one contact in one sweep; it need not be exact while the others still move.
 LOCAL_STEPS = 12

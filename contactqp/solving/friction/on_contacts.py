@@ -20,8 +20,7 @@ from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATT
 from contactqp.solving.friction.conic import balancing_forces
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
-from contactqp.solving.friction.iterate import NEARER, Deadline, Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import NEARER, Deadline, Iterate, LocalForm
 from contactqp.solving.methods import Method, Settings
 
 # Iterates whose natural map is off by less than this part of the forces may have the right combination.

@@ -31,7 +31,7 @@ from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.convex_steps import solve_convex
-from contactqp.solving.friction.iterate import NEARER, RELAXATION, aitken
+from contactqp.solving.friction.local_form import NEARER, RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 
 # Enough for contractions up to 0.9; what is slower is not getting there.

@@ -11,8 +11,7 @@ import contactqp as cq
 from contactqp.model.coulomb import natural_map
 from contactqp.solving.friction.algorithms import ALGORITHMS, Algorithm, register
 from contactqp.solving.friction.convex_steps import ConvexSteps
-from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.examples import truss
 
 
