@@ -42,7 +42,6 @@ from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
-from contactqp.solving.among_candidates import solve_among
 from contactqp.solving.methods import (
     DEFAULT_METHOD,
     Method,
@@ -53,7 +52,7 @@ from contactqp.solving.methods import (
     registered_name,
     warm_candidate,
 )
-from contactqp.solving.presolve import PresolvedRun, presolved
+from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
 
