@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem
-from contactqp.exchange.deck.cards import Card, read_cards
-from contactqp.exchange.deck.keywords import PRINTED
+from contactqp.exchange.deck.cards import PRINTED, Card, read_cards
 from contactqp.exchange.files import Path, one_line
 from contactqp.model.arrays import Index
 

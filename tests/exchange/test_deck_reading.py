@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.deck.keywords import KEYWORDS, Effect
+from contactqp.exchange.deck.cards import KEYWORDS, Effect
 from contactqp.exchange.deck.reading import read_deck_model
 from tests.decks import STACK, write
 

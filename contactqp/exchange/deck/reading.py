@@ -8,8 +8,7 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck import load_cards, mesh_cards
-from contactqp.exchange.deck.cards import CALCULIX_COLUMNS, Card, read_cards
-from contactqp.exchange.deck.keywords import MODEL, STEP, Effect
+from contactqp.exchange.deck.cards import CALCULIX_COLUMNS, MODEL, STEP, Card, Effect, read_cards
 from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.files import Ledger, Path, is_number
 
