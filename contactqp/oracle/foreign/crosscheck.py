@@ -18,9 +18,8 @@ from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Path, naming
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index, Vector, own_floating_point
-from contactqp.oracle.foreign.crosscheck_causes import Found, causes_of, is_plane
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
-from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, PairVerdict, Word
+from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, Found, PairVerdict, Word, causes_of, is_plane
 from contactqp.scene.deck.contacts import Discretisation, note
 from contactqp.scene.deck.deck import Deck, Enforcement, read_deck
 
