@@ -18,9 +18,9 @@ from contactqp.scene.judging import case_files
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.collecting import Collector, Rounds
-from contactqp.study.conclusion import conclude
-from contactqp.study.delivery import (
+from contactqp.study.conclusion import (
     busy,
+    conclude,
     deliver,
     linear_algebra,
     load,

@@ -16,7 +16,7 @@ from contactqp.study import collecting, report_data, telling
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.case_study import load_studies
-from contactqp.study.delivery import busy
+from contactqp.study.conclusion import busy
 from contactqp.study.footprint import Footprint
 from contactqp.study.report_data import Sizes
 from contactqp.study.running.runner import Running, Stopped

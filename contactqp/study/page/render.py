@@ -14,9 +14,8 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from contactqp.scene.schema import PHYSICS
-from contactqp.study.conclusion import conclude
+from contactqp.study.conclusion import busy, conclude
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
-from contactqp.study.delivery import busy
 from contactqp.study.page.case_view import (
     FACETS,
     CaseView,

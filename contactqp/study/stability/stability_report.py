@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.study import rows as report_rows
+from contactqp.study.conclusion import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.curves import Chart
-from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
 from contactqp.study.rows import aligned
 from contactqp.study.running.journal import Journal, source_digest
