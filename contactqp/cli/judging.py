@@ -166,7 +166,7 @@ def crosscheck_command(
     else:
         click.echo(found.summary())
     if plot is not None:
-        from contactqp.pictures.crosscheck_drawing import draw_crosscheck
+        from contactqp.pictures.drawing import draw_crosscheck
 
         draw_crosscheck(found, plot)
         click.echo(f"written: {plot}", err=as_json)
