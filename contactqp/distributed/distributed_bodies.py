@@ -28,7 +28,6 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import Units
-from contactqp.scene.body_geometry import lattice_of_shape, mesh_of_file, near_enough, nearest_to
 from contactqp.scene.body_model import (
     ContactEntries,
     at_key,
@@ -39,6 +38,7 @@ from contactqp.scene.body_model import (
     sum_of,
     supports_of,
 )
+from contactqp.scene.geometry import lattice_of_shape, mesh_of_file, near_enough, nearest_to
 from contactqp.scene.unknowns import end_time, factors_at, has_corners
 
 if TYPE_CHECKING:

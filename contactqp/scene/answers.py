@@ -24,7 +24,7 @@ from contactqp.model.solution import Solution
 from contactqp.scene import building
 from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.claims import Claim, uniqueness_in_words
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import SceneData
 
 if TYPE_CHECKING:

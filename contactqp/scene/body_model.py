@@ -35,8 +35,7 @@ from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
-from contactqp.scene.body_geometry import body_mesh, nearest_node
-from contactqp.scene.obstacles import height_of, obstacle, warn_of_start
+from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle, warn_of_start
 from contactqp.scene.units import number, vector
 from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 

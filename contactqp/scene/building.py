@@ -30,7 +30,7 @@ from contactqp.errors import SceneError
 from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.scene.obstacles import obstacle, warn_of_nodes
+from contactqp.scene.geometry import obstacle, warn_of_nodes
 from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTrus
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.unknowns import end_time
 
 # Steps of a path that states none.

@@ -30,8 +30,8 @@ from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.building import exact_problem
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.judging import Failure, Judgement, Trial
-from contactqp.scene.obstacles import obstacle
 from contactqp.scene.scene import load_scene
 from contactqp.scene.schema import SceneData
 
