@@ -17,7 +17,7 @@ from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of,
 from contactqp.exchange.files import Ledger, Path, file_size, read_bytes, wrong
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.numpy_files import sparse_matrix
-from contactqp.exchange.own_process import read_in_own_process
+from contactqp.exchange.processes import read_in_own_process
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.unknown_names import AXES

@@ -21,9 +21,9 @@ from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, is_hdf5, read_
 from contactqp.exchange.files import Ledger, Path, check_finite, read_bytes, wrong
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP, names_in_npz, read_npz, sparse_matrix
-from contactqp.exchange.own_process import read_in_own_process
 from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder
 from contactqp.exchange.problem_writing import PROBLEM_FILE
+from contactqp.exchange.processes import read_in_own_process
 from contactqp.exchange.siconos import read_siconos
 from contactqp.model.arguments import checked
 from contactqp.model.global_problem import GlobalProblem

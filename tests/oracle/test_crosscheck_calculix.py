@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.exchange.calculix_process import run_calculix
 from contactqp.exchange.calculix_results import read_displacements
+from contactqp.exchange.processes import run_calculix
 from tests.decks import STACK, Deck, lame_force, needs_calculix, press_fit, two_blocks, write
 from tests.decks import run_calculix as run
 

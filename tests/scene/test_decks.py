@@ -12,10 +12,10 @@ import pytest
 
 import contactqp as cq
 from contactqp.elements.reference_elements import REFERENCES
-from contactqp.exchange.calculix_process import run_calculix as calculix
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck_matrices import read_sti
 from contactqp.exchange.problem_files import read_problem_with_ledger
+from contactqp.exchange.processes import run_calculix as calculix
 from tests.decks import STACK, Deck, needs_calculix, run_calculix, write
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
-from contactqp.exchange.calculix_process import run_calculix
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Path, naming
+from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index, Vector, own_floating_point
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
