@@ -46,9 +46,8 @@ from contactqp.solving.friction.exact_enumeration import (
     exact_equilibria,
 )
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.solving.friction.newton import refined
+from contactqp.solving.friction.newton import refined, solve_sparse_newton
 from contactqp.solving.friction.on_contacts import solve_on_contacts
-from contactqp.solving.friction.sparse_newton import solve_sparse_newton
 from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
