@@ -14,7 +14,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.iteration import condense_anyway, constraints_are_many
 from contactqp.linalg.sparse_states import MOST_CHANGES, ChangedStateSystem, SparseStateSystem, frictional_rows
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
-from contactqp.solving.friction import sparse_newton
+from contactqp.solving.friction import newton
 
 pytest.importorskip("pyamg")
 
@@ -158,7 +158,7 @@ def test_a_start_is_the_combination_of_the_load_before() -> None:
 
 def test_where_newton_gives_up_the_problem_is_condensed(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = cq.solve(pushed(0))
-    monkeypatch.setattr(sparse_newton, "MAX_STEPS", 1)
+    monkeypatch.setattr(newton, "MAX_SPARSE_STEPS", 1)
     found = cq.solve(pushed(0))
     assert found.method != expected.method
     largest = float(np.max(expected.normal_force))
