@@ -7,36 +7,36 @@ from collections.abc import Callable
 import numpy as np
 
 from contactqp.errors import InvalidProblem, counted
-from contactqp.exchange.deck import load_cards, mesh_cards
+from contactqp.exchange.deck import card_readers
 from contactqp.exchange.deck.cards import CALCULIX_COLUMNS, MODEL, STEP, Card, Effect, read_cards
 from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.files import Ledger, Path, is_number
 
 Handler = Callable[[DeckModel, Card], None]
 # What stands before others in a deck, whatever their order in it: sets and loads name nodes and elements.
-_FIRST: dict[str, Handler] = {"NODE": mesh_cards.read_nodes, "ELEMENT": mesh_cards.read_elements}
+_FIRST: dict[str, Handler] = {"NODE": card_readers.read_nodes, "ELEMENT": card_readers.read_elements}
 _MODEL: dict[str, Handler] = {
-    "NSET": mesh_cards.read_set,
-    "ELSET": mesh_cards.read_set,
-    "SURFACE": mesh_cards.read_surface,
-    "MATERIAL": mesh_cards.read_material,
-    "ELASTIC": mesh_cards.read_elastic,
-    "DENSITY": mesh_cards.read_density,
-    "SOLID SECTION": mesh_cards.read_section,
-    "SPRING": mesh_cards.read_spring,
-    "EQUATION": load_cards.read_equation,
-    "TIE": load_cards.read_tie,
-    "CONTACT PAIR": load_cards.read_pair,
-    "SURFACE INTERACTION": load_cards.read_interaction,
-    "SURFACE BEHAVIOR": load_cards.read_behavior,
-    "FRICTION": load_cards.read_friction,
-    "CLEARANCE": load_cards.read_clearance,
+    "NSET": card_readers.read_set,
+    "ELSET": card_readers.read_set,
+    "SURFACE": card_readers.read_surface,
+    "MATERIAL": card_readers.read_material,
+    "ELASTIC": card_readers.read_elastic,
+    "DENSITY": card_readers.read_density,
+    "SOLID SECTION": card_readers.read_section,
+    "SPRING": card_readers.read_spring,
+    "EQUATION": card_readers.read_equation,
+    "TIE": card_readers.read_tie,
+    "CONTACT PAIR": card_readers.read_pair,
+    "SURFACE INTERACTION": card_readers.read_interaction,
+    "SURFACE BEHAVIOR": card_readers.read_behavior,
+    "FRICTION": card_readers.read_friction,
+    "CLEARANCE": card_readers.read_clearance,
 }
 _LOADS: dict[str, Callable[[DeckModel, Card, float], None]] = {
-    "BOUNDARY": load_cards.read_boundary,
-    "CLOAD": load_cards.read_forces,
-    "DLOAD": load_cards.read_distributed,
-    "DSLOAD": load_cards.read_surface_load,
+    "BOUNDARY": card_readers.read_boundary,
+    "CLOAD": card_readers.read_forces,
+    "DLOAD": card_readers.read_distributed,
+    "DSLOAD": card_readers.read_surface_load,
 }
 # What a material or an interaction is made of stands right behind its own keyword.
 _FOLLOWING = {
@@ -67,7 +67,7 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
     for card in cards:
         if card.keyword.name in _FIRST:
             _FIRST[card.keyword.name](model, card)
-    amplitudes: load_cards.Amplitudes = {}
+    amplitudes: card_readers.Amplitudes = {}
     inside, loaded = False, False
     for card in cards:
         name = card.keyword.name
@@ -76,11 +76,11 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
         if name in _MODEL:
             _MODEL[name](model, card)
         elif name == "AMPLITUDE":
-            load_cards.read_amplitude(amplitudes, card)
+            card_readers.read_amplitude(amplitudes, card)
         elif name in _LOADS:
             _check_op(card, loaded and not inside)
             loaded = True
-            _LOADS[name](model, card, load_cards.factor(amplitudes, card, end))
+            _LOADS[name](model, card, card_readers.factor(amplitudes, card, end))
         inside = inside or name == "STEP"
     _check_model(model)
     model.ledger.read.insert(0, _contents(model))
