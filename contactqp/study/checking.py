@@ -16,9 +16,8 @@ from rich.table import Table
 
 from contactqp.certificate.local_certificate import certify_local, contact_figures, velocity_of
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, counts
-from contactqp.exchange.answer_files import read_answer
+from contactqp.exchange.answer_files import read_answer, read_candidate_forces
 from contactqp.exchange.answer_reader import AnswerFile, names_of
-from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
 from contactqp.exchange.files import Ledger, naming, wrong
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
