@@ -234,7 +234,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (
         "motions, large deformations",
         "time stepping and path following",
-        ("contactqp.scene.moving", "contactqp.scene.deforming", "contactqp.analysis.load_path"),
+        ("contactqp.scene.moving", "contactqp.scene.moving", "contactqp.analysis.load_path"),
     ),
     ("plotting", "matplotlib and the pictures", ("matplotlib.figure", "contactqp.study.answer_pictures")),
     (

@@ -152,7 +152,7 @@ class Answer:
 
     def bar_force_now(self, name: str) -> float:
         """Return the true axial force of a bar at large displacements, positive in tension [force]."""
-        from contactqp.scene.deforming import DeformableModel
+        from contactqp.scene.moving import DeformableModel
 
         return DeformableModel(self.model).bar_force(name, self.solution.displacement)
 
@@ -185,7 +185,7 @@ def _reaction(claim: Claim, answer: Answer) -> float:
     """Return the force of the support on the body at a fixed unknown, r = K u + E_N' l_N + E_T' l_T + A' nu - f."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
     if isinstance(solution, LargeSolution):
-        from contactqp.scene.deforming import DeformableModel
+        from contactqp.scene.moving import DeformableModel
 
         return float(DeformableModel(answer.model).support_forces(solution)[exact.unknowns.place[at]])
     stiffness = sum(float(k) * answer.displacement(j) for (i, j), k in exact.stiffness.items() if i == at)

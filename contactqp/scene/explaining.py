@@ -252,7 +252,7 @@ def path_block(scene: SceneData) -> BuildingBlock:
 
 
 def _large_path(path: LoadPath) -> str:
-    from contactqp.scene.deforming import DEFAULT_STEPS
+    from contactqp.scene.moving import DEFAULT_STEPS
 
     control = path.control or "load"
     steps = f"{path.steps or DEFAULT_STEPS} steps"

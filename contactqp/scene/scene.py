@@ -335,7 +335,7 @@ def follow(model: Model, problem: ContactProblem, method: str, **options: Any) -
 def _steps(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
     if model.scene.large:
         from contactqp.scene.building import NodeModel
-        from contactqp.scene.deforming import deform
+        from contactqp.scene.moving import deform
 
         assert isinstance(model, NodeModel)  # large deformations are offered of nodes only
         return deform(model, method, **options)

@@ -13,9 +13,9 @@ from contactqp.cli import main
 from contactqp.errors import NotConverged, SceneError, Unsupported
 from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.building import build
-from contactqp.scene.deforming import DeformableModel
 from contactqp.scene.explaining import explain, report_methods
 from contactqp.scene.judging import Trial, judge
+from contactqp.scene.moving import DeformableModel
 from contactqp.scene.printing import judgement_data
 from contactqp.scene.scene import Scene
 from contactqp.study.answer_pictures import fields_of
