@@ -1,7 +1,7 @@
 """Clocks of an answer's stages and counts of its factorisations, threads of BLAS, and free memory.
 
 A clock costs nothing where none runs. OpenBLAS keeps to one thread around the small dense systems of the contacts
-(`contactqp.model.threads`). MKL, which PARDISO runs on, keeps its threads.
+(`contactqp.model.arrays`). MKL, which PARDISO runs on, keeps its threads.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import NotConverged
-from contactqp.model.threads import WORTHWHILE, on_one_thread, renew_in_child
+from contactqp.model.arrays import WORTHWHILE, on_one_thread, renew_in_child
 
 if TYPE_CHECKING:
     from contactqp.model.problem import ContactProblem

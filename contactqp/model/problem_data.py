@@ -19,9 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector, refuse_places_outside
+from contactqp.model.arrays import WORTHWHILE, Vector, on_one_thread, refuse_places_outside
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
-from contactqp.model.threads import WORTHWHILE, on_one_thread
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 

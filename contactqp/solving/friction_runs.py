@@ -28,11 +28,10 @@ from contactqp.linalg.friction_states import answer_in, condensed_frictional_row
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
-from contactqp.model.threads import on_one_thread
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration

@@ -25,9 +25,8 @@ from contactqp.errors import (
     shown,
 )
 from contactqp.linalg.runtime import THREADS_PAY
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Vector, on_one_thread, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
-from contactqp.model.threads import on_one_thread
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any
 from contactqp.solving.friction.conic import refuse_unbalanced

@@ -39,10 +39,9 @@ from contactqp.linalg.refinement import (
 )
 from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
-from contactqp.model.threads import on_one_thread
 from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration

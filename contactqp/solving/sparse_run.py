@@ -30,9 +30,9 @@ from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, uniqueness
+from contactqp.model.arrays import on_one_thread
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
-from contactqp.model.threads import on_one_thread
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 from contactqp.solving.runs import CONDENSES_ITSELF, Run, described

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from contactqp.errors import BackendMissing, InvalidProblem
-from contactqp.model.threads import renew_in_child
+from contactqp.model.arrays import renew_in_child
 from contactqp.study.running.child import Children
 from contactqp.study.running.journal import source_digest
 
