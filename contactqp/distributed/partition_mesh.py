@@ -14,8 +14,8 @@ import numpy as np
 
 from contactqp.distributed.distributing import partition_graph
 from contactqp.distributed.ranks import Ranks, ask_ranks
-from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
+from contactqp.elements.mesh_files import Lattice
 from contactqp.elements.reference_elements import REFERENCES, Block, Reference, facet_keys, groups
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index

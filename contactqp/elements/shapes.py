@@ -29,8 +29,8 @@ from typing import Any, Literal, ParamSpec, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.lattice import Lattice, Patch
 from contactqp.elements.mesh import Mesh
+from contactqp.elements.mesh_files import Lattice, Patch
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index
