@@ -10,7 +10,7 @@ l_i > (g - E u)_i / (E_i D^-1 E_i'), D = diag K: those that it penetrates, and t
 2 l_i (g - E u)_i. The distance |v - u|_K is added. l are the candidate's forces without tension.
 
 r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`krylov`): no
-eigenvalue of M K exceeds one (`v_cycle`), and
+eigenvalue of M K exceeds one (`contactqp.linalg.multigrid`), and
 
     sum of a_j rho_j + rho_k <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
 

@@ -12,7 +12,7 @@ import threadpoolctl
 
 import contactqp as cq
 from contactqp.linalg import runtime
-from contactqp.model import threads
+from contactqp.model import arrays
 from tests.blocks_in_space import on_paraboloid
 
 
@@ -37,7 +37,7 @@ def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 
     def counts() -> list[int]:
-        return [library["num_threads"] for library in threads._openblas().info()]
+        return [library["num_threads"] for library in arrays._openblas().info()]
 
     with threadpoolctl.threadpool_limits(2, "blas"):
         before = counts()
@@ -77,7 +77,7 @@ def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str,
     solution = cq.solve(problem)
 
     def cholesky(*args, **options):
-        seen.update(library["num_threads"] for library in threads._openblas().info())
+        seen.update(library["num_threads"] for library in arrays._openblas().info())
         return original(*args, **options)
 
     from contactqp.linalg import factorization
@@ -101,7 +101,7 @@ def test_a_dense_stiffness_is_judged_on_one_thread(monkeypatch) -> None:
     original = np.linalg.eigvalsh
 
     def eigenvalues(matrix):
-        seen.update(library["num_threads"] for library in threads._openblas().info())
+        seen.update(library["num_threads"] for library in arrays._openblas().info())
         return original(matrix)
 
     monkeypatch.setattr(np.linalg, "eigvalsh", eigenvalues)

@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.solving import friction_runs
-from contactqp.solving.friction import on_contacts
+from contactqp.solving.friction import contact_form
 
 
 def held_by_friction_alone() -> cq.ContactProblem:
@@ -36,12 +36,12 @@ def test_every_combination_is_tried_where_there_is_time() -> None:
 
 
 def test_combinations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(on_contacts, "MOST_NEARBY", 3)
+    monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
     assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
 
 
 def test_a_limit_of_time_counts_instead_where_one_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(on_contacts, "MOST_NEARBY", 3)
+    monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
     assert "all 9 combinations, refined from there, fail as well" in refusal(time_limit=600.0)
 
 
