@@ -97,7 +97,7 @@ def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str,
 
 def test_a_dense_stiffness_is_judged_on_one_thread(monkeypatch) -> None:
     """Two threads made reading a hundred unknowns 28 times slower beside other work."""
-    m, seen = threads.WORTHWHILE + 8, set()
+    m, seen = arrays.WORTHWHILE + 8, set()
     original = np.linalg.eigvalsh
 
     def eigenvalues(matrix):
