@@ -14,10 +14,10 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks.h1_error import Vector, h1_error
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import disc, rectangle
+from contactqp.elements.solid import Membrane
 from contactqp.elements.structure import Structure, Support
 
 RIM = 2.0

@@ -31,10 +31,9 @@ import contactqp as cq
 from contactqp.certificate.subset_bounds import take_all
 from contactqp.elements.loads import solid_mass
 from contactqp.elements.material import Material
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import rectangle
-from contactqp.elements.solid import Body
+from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.structure import Structure, Support, System
 from contactqp.study.footprint_child import peak, resident
 

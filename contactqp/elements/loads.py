@@ -16,10 +16,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.material import measure
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.reference_elements import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.scalars import Number, Numbers, real_array, square_root, squared_length
-from contactqp.elements.solid import Body, assemble, pattern
+from contactqp.elements.solid import Body, Membrane, assemble, pattern
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Vector

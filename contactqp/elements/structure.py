@@ -15,10 +15,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.loads import Field, Load, field_values, node_numbers, solid_mass
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.scalars import real_vector
-from contactqp.elements.solid import Body
+from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks

@@ -19,14 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements import loads, solid
 from contactqp.elements.material import Material
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, doubt_of_side, pair_scalar, paired
-from contactqp.elements.solid import stress_at_nodes
+from contactqp.elements.solid import Membrane, stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface, diameters

@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from contactqp.elements import shapes
-from contactqp.elements.membrane import Membrane as MembranePart
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mesh_files import Lattice, read_mesh
+from contactqp.elements.solid import Membrane as MembranePart
 from contactqp.elements.structure import Part
 from contactqp.scene.units import read_unit
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.solid import Membrane
 from contactqp.elements.structure import Assembly, System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.files import check_file, check_installed, write_whole

@@ -6,11 +6,10 @@ import scipy.sparse.linalg as spla
 
 import contactqp as cq
 from contactqp.elements.loads import Traction
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import mesh_from_arrays
 from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import box, disc, rectangle
-from contactqp.elements.solid import Body
+from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import PLANE, STEEL, distorted

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements.membrane import Membrane
+from contactqp.elements.solid import Membrane
 from contactqp.pictures.space_drawing import DOTS, membrane_figure
 from contactqp.study.answer_pictures import fields_of_membranes
 
