@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, places
-from contactqp.exchange.files import Ledger, Path, file_size, read_bytes, wrong
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader, Path, file_size, read_bytes, wrong
 from contactqp.exchange.numpy_files import sparse_matrix
 from contactqp.exchange.processes import read_in_own_process
 from contactqp.model.arrays import Vector

@@ -13,8 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.exchange.files import Ledger, Path, check_finite, one_line, text_lines, wrong
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader, Path, check_finite, one_line, text_lines, wrong
 from contactqp.model.arrays import Vector
 
 Integers = NDArray[np.int64]

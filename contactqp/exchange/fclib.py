@@ -22,19 +22,22 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
 from contactqp.exchange.files import (
     Path,
+    Storage,
+    StoredMatrix,
     check_dimension,
     check_file,
     check_finite,
     check_friction,
     file_size,
+    matrix_of,
     naming,
     one_line,
     read_bytes,
+    stored_form,
     write_whole,
     wrong,
 )
 from contactqp.exchange.local_form import body_motion, local_form_of
-from contactqp.exchange.matrix_reader import Storage, StoredMatrix, matrix_of, stored_form
 from contactqp.model.arguments import checked
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem, LocalSolution

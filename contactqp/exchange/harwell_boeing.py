@@ -21,8 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.exchange.files import Ledger, Path, check_rows, file_size, read_text, wrong
-from contactqp.exchange.matrix_reader import COLUMNS, MatrixFile, MatrixReader, StoredMatrix, matrix_of, say_sums
+from contactqp.exchange.files import (
+    COLUMNS,
+    Ledger,
+    MatrixFile,
+    MatrixReader,
+    Path,
+    StoredMatrix,
+    check_rows,
+    file_size,
+    matrix_of,
+    read_text,
+    say_sums,
+    wrong,
+)
 from contactqp.model.arrays import Vector
 
 NAME = "Harwell-Boeing"

@@ -8,8 +8,7 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 
 from contactqp.exchange import ansys, deck_matrices, harwell_boeing, numpy_files, text_matrices
-from contactqp.exchange.files import HEAD, Path, read_bytes, wrong
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.files import HEAD, MatrixFile, MatrixReader, Path, read_bytes, wrong
 
 READERS: list[MatrixReader] = [
     deck_matrices.ABAQUS,  # .mtx without Matrix Market's banner

@@ -20,8 +20,20 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError, Unsupported
-from contactqp.exchange.files import Ledger, Path, check_rows, file_size, one_line, wrong
-from contactqp.exchange.matrix_reader import COLUMNS, ROWS, MatrixFile, MatrixReader, StoredMatrix, matrix_of
+from contactqp.exchange.files import (
+    COLUMNS,
+    ROWS,
+    Ledger,
+    MatrixFile,
+    MatrixReader,
+    Path,
+    StoredMatrix,
+    check_rows,
+    file_size,
+    matrix_of,
+    one_line,
+    wrong,
+)
 
 # The header of one pickled object.
 SINGLE_OBJECT = re.compile(

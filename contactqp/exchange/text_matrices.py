@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from contactqp.errors import Unsupported
 from contactqp.exchange.files import (
     Ledger,
+    MatrixFile,
+    MatrixReader,
     Path,
     check_rows,
     file_size,
@@ -32,9 +34,9 @@ from contactqp.exchange.files import (
     no_number,
     number,
     refuse_utf_16,
+    say_sums,
     wrong,
 )
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
 
 BANNER = b"%%MatrixMarket"
 MATRIX_MARKET_NAME = "Matrix Market"

@@ -9,9 +9,8 @@ import pytest
 
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
-from contactqp.exchange.files import Ledger
+from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader
 from contactqp.exchange.files import Path as AnyPath
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.model.problem import ContactProblem
 
 
