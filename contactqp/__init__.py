@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from contactqp.analysis.bridges import differentiable as differentiable
+    from contactqp.analysis.derivatives import differentiable as differentiable
     from contactqp.analysis.history import History as History
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
