@@ -88,7 +88,7 @@ if TYPE_CHECKING:
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.problem_folder import write_problem as write_problem
     from contactqp.exchange.siconos import read_siconos as read_siconos
-    from contactqp.model.global_problem import GlobalProblem as GlobalProblem
+    from contactqp.model.local_problem import GlobalProblem as GlobalProblem
     from contactqp.model.local_problem import LocalProblem as LocalProblem
     from contactqp.model.local_problem import LocalSolution as LocalSolution
     from contactqp.model.problem import ContactProblem as ContactProblem

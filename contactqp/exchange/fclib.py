@@ -39,8 +39,7 @@ from contactqp.exchange.files import (
 )
 from contactqp.exchange.local_form import body_motion, local_form_of
 from contactqp.model.arguments import checked
-from contactqp.model.global_problem import GlobalProblem
-from contactqp.model.local_problem import LocalProblem, LocalSolution
+from contactqp.model.local_problem import GlobalProblem, LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 

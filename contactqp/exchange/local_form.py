@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
-from contactqp.model.global_problem import GlobalProblem
-from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 # Scaled to unit diagonal, a singular matrix has a reciprocal condition number of a few eps in floating point.

@@ -26,8 +26,7 @@ from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.processes import read_in_own_process
 from contactqp.exchange.siconos import read_siconos
 from contactqp.model.arguments import checked
-from contactqp.model.global_problem import GlobalProblem
-from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 QPS, MATLAB = (".qps", ".mps"), (".mat",)

@@ -22,8 +22,7 @@ from contactqp.exchange.files import (
     wrong,
 )
 from contactqp.model.arguments import checked
-from contactqp.model.global_problem import GlobalProblem
-from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 EXPECTED = "a Siconos file (text)"
