@@ -11,9 +11,9 @@ from scipy.linalg import block_diag
 
 import contactqp as cq
 from contactqp.analysis.motion import step_friction
-from contactqp.analysis.motion.step_certificate import FIGURES, StepJudge
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.analysis.motion.step_friction import frictional_forces, states_of
+from contactqp.analysis.motion.time_stepping import FIGURES, StepJudge
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from tests.analysis.motions import rod_at_wall
 
