@@ -39,7 +39,7 @@ from contactqp.scene.body_model import (
     supports_of,
 )
 from contactqp.scene.geometry import lattice_of_shape, mesh_of_file, near_enough, nearest_to
-from contactqp.scene.unknowns import end_time, factors_at, has_corners
+from contactqp.scene.schema import end_time, factors_at, has_corners
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData

@@ -39,8 +39,7 @@ from contactqp.errors import NoEquilibrium, NotConverged, Unsupported
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import build
-from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import end_time
+from contactqp.scene.schema import SceneData, end_time
 
 if TYPE_CHECKING:
     from contactqp.scene.building import Model

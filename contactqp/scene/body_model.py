@@ -35,8 +35,8 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle, warn_of_start
+from contactqp.scene.schema import GRAVITY, Factors, end_time, factors_at, has_corners
 from contactqp.scene.units import number, vector
-from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Contact, SceneData

@@ -31,7 +31,7 @@ from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle, warn_of_nodes
-from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
+from contactqp.scene.schema import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel

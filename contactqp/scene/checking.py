@@ -13,8 +13,8 @@ from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import ROTATION, refuse_zero_direction, refuse_zero_length
 from contactqp.scene.checking_analyses import claims_fit, control_fits, motion_fits, path_fits
 from contactqp.scene.fields import no_such, refuse_unknown
+from contactqp.scene.schema import Unknowns, is_rotation, unknowns_of
 from contactqp.scene.units import KINDS, Dimension
-from contactqp.scene.unknowns import Unknowns, is_rotation, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, Tie

@@ -15,8 +15,8 @@ from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import QUANTITIES, Claim
 from contactqp.scene.fields import no_such, refuse_unknown
+from contactqp.scene.schema import Unknowns, end_time, load_names, start_values
 from contactqp.scene.units import Quantity
-from contactqp.scene.unknowns import Unknowns, end_time, load_names, start_values
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.scene.building import NodeModel
 from contactqp.scene.judging import Judgement
-from contactqp.scene.schema import SceneData
+from contactqp.scene.schema import SceneData, has_corners
 from contactqp.scene.tables import Drawn, Letters, course, print_table, written
 from contactqp.scene.units import KINDS
-from contactqp.scene.unknowns import has_corners
 
 # Contacts beyond which their sum is drawn.
 MOST_CONTACTS = 6

@@ -21,9 +21,8 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.building import ExactProblem, NodeModel, Row, build
-from contactqp.scene.schema import Contact, SceneData
+from contactqp.scene.schema import Contact, SceneData, is_rotation, load_names
 from contactqp.scene.tables import MOST_ROWS, print_table
-from contactqp.scene.unknowns import is_rotation, load_names
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import LoadPath

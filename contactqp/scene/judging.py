@@ -31,10 +31,9 @@ from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
 from contactqp.scene.scene import STANDARD_INPUT, build_for, run_model
-from contactqp.scene.schema import SceneData
+from contactqp.scene.schema import SceneData, end_time, has_corners
 from contactqp.scene.shipped import case_path
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
-from contactqp.scene.unknowns import end_time, has_corners
 from contactqp.solving.methods import find, options_of
 from contactqp.solving.solve import solve
 

@@ -20,7 +20,7 @@ from contactqp.errors import InvalidProblem, NotConverged, SceneError, Unsupport
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
-from contactqp.scene.unknowns import start_values
+from contactqp.scene.schema import start_values
 from contactqp.solving.methods import find
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ from contactqp.elements.deformable import ContactGeometry, ContactGroup, Obstacl
 from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTruss
 from contactqp.model.arrays import Array
 from contactqp.scene.geometry import obstacle
-from contactqp.scene.unknowns import end_time
+from contactqp.scene.schema import end_time
 
 # Steps of a path that states none.
 DEFAULT_STEPS = 10

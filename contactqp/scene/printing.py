@@ -23,8 +23,8 @@ from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
 from contactqp.scene.judging import Comparison, Failure, Judgement
+from contactqp.scene.schema import is_rotation
 from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, bars, print_table, print_wrapped, shown, written
-from contactqp.scene.unknowns import is_rotation
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}

@@ -31,9 +31,8 @@ from contactqp.scene.building import build
 from contactqp.scene.checking import check
 from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_errors
-from contactqp.scene.schema import SceneData
+from contactqp.scene.schema import SceneData, end_time
 from contactqp.scene.shipped import case_path, nearest_names
-from contactqp.scene.unknowns import end_time
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from contactqp.scene.explaining import explain
 from contactqp.scene.fields import no_such
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.scene import Scene
-from contactqp.scene.unknowns import factors_at
+from contactqp.scene.schema import factors_at
 
 from .test_bodies import PRESSED
 

@@ -384,7 +384,7 @@ def _of_scene(
         if there:
             raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
     from contactqp.scene.building import build
-    from contactqp.scene.unknowns import end_time
+    from contactqp.scene.schema import end_time
 
     model = build(scene)
     walked = scene.path is not None and model.problem.frictional
@@ -421,7 +421,7 @@ def _of_scene(
 def _corners(model: NodeModel) -> list[Any]:
     """Return the exact loads (n, 1) of the path's corners on the free unknowns."""
     from contactqp.linalg.rational import column
-    from contactqp.scene.unknowns import end_time
+    from contactqp.scene.schema import end_time
 
     free = model.exact.unknowns.free
     loads = [model.exact_load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]

@@ -14,7 +14,7 @@ from contactqp.model.solution import Answer
 from contactqp.scene.answers import Instant
 from contactqp.scene.body_answers import BodyAnswer, motions_in_words, summaries
 from contactqp.scene.building import build
-from contactqp.scene.unknowns import end_time
+from contactqp.scene.schema import end_time
 
 ranks = Ranks()
 OF_A_PATH = ("elastic energy", "work of the loads", "dissipated energy", "event time")
