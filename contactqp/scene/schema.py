@@ -14,7 +14,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
@@ -25,10 +25,6 @@ from contactqp.scene.blocks.strings import LineLoad
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, Number, TwoNames, add_patterns_of_units, check_own_keys, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
-
-if TYPE_CHECKING:
-    from contactqp.scene.schema import SceneData, StartDisplacement, StartVelocity
-
 
 # What each kind of obstacle must state, and what it may.
 OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
