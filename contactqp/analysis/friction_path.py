@@ -5,7 +5,7 @@ A step starts from where the one before left its contacts. Afterwards it is foll
 several, or where several equilibria exist at the end of the step, the step has chosen one. Both are noted.
 
 Penalty methods give contacts a stiffness: they solve Coulomb's law of bodies with springs at their contacts
-(`contactqp.solving.friction.contact_springs`). Their path is that of these bodies, in steps or by exact events. The
+(`contactqp.solving.methods.penalty`). Their path is that of these bodies, in steps or by exact events. The
 history shows the bodies without the springs: a solution is what the method itself makes of `solution.problem`, whose
 slip origin is where the sliders were at the instant before, or where they stick.
 """
@@ -43,11 +43,11 @@ from contactqp.model.arrays import Mask, Vector
 from contactqp.model.coulomb import STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
-from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs
 from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction_runs import FrictionRun
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported
 from contactqp.solving.methods.augmented_lagrangian import default_penalty
+from contactqp.solving.methods.penalty import with_contact_springs, without_contact_springs
 
 # Arguments of `solve`, and their values unless stated.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)

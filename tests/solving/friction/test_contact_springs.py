@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.solving.friction.contact_springs import sliders, with_contact_springs, without_contact_springs
+from contactqp.solving.methods.penalty import sliders, with_contact_springs, without_contact_springs
 from tests.solving.friction.problems import TOUCH, random_problem, rough_truss, two_masses
 
 

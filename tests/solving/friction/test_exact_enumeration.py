@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.linalg.exact_algebra import Polyhedron, solutions
-from contactqp.solving.friction.contact_springs import with_contact_springs
+from contactqp.solving.methods.penalty import with_contact_springs
 from tests.solving.friction.problems import pad, random_problem, rough_truss
 
 KLARBRING = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
