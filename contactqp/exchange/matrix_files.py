@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from contactqp.exchange import ansys, deck_matrices, harwell_boeing, numpy_files, text_matrices
+from contactqp.exchange import ansys, deck_matrices, numpy_files, text_matrices
 from contactqp.exchange.files import HEAD, MatrixFile, MatrixReader, Path, read_bytes, wrong
 
 READERS: list[MatrixReader] = [
     deck_matrices.ABAQUS,  # .mtx without Matrix Market's banner
     text_matrices.MATRIX_MARKET,
-    harwell_boeing.READER,
+    text_matrices.HARWELL_BOEING,
     numpy_files.READER,
     deck_matrices.CALCULIX,
     deck_matrices.MASS,

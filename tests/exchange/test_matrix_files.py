@@ -11,8 +11,8 @@ import scipy.io
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.exchange.harwell_boeing import read_load
 from contactqp.exchange.matrix_files import read_matrix
+from contactqp.exchange.text_matrices import read_load
 
 K = np.array([[4.0, -1.0, 0.0], [-1.0, 5.0, 2.5], [0.0, 2.5, 3.0]])
 WIDE = np.array([[1.0, 0.0, -2.5e-30, 1e30], [0.0, 1 / 3, 0.0, 0.0]])
