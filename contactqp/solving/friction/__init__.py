@@ -7,5 +7,5 @@ suggests, `enumeration` tries every one. On the forces of a local problem (`loca
 contact problem), in the plane and in space: `alart_curnier`, `gauss_seidel`, `admm`, and the fixed points over
 `convex_steps`; `algorithms` lists and runs them. All end with the linear system of their combination, solved to the
 last digits (`contactqp.linalg.friction_states`). `associated` is the convex relaxation, which is another law;
-`contact_springs` makes of the penalty method an exact problem for all of these.
+`contactqp.solving.methods.penalty` makes of the penalty method an exact problem for all of these.
 """
