@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.oracle.exact.exact import Column, guessed, reconstruct, simplest, solves
+from contactqp.oracle.exact.reconstructed_answer import Column, guessed, reconstruct, simplest, solves
 from contactqp.oracle.exact.refinement import Fixed, refine
 from contactqp.testing import problem as gallery
 
