@@ -35,6 +35,7 @@ from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
+from contactqp.solving.friction.contact_form import solve_on_contacts
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.solving.friction.exact_enumeration import (
     MOST_PROVEN,
@@ -46,7 +47,6 @@ from contactqp.solving.friction.exact_enumeration import (
 )
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined, solve_sparse_newton
-from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
