@@ -275,12 +275,11 @@ def _numbers_of_line(path: Path, line: int, words: list[str]) -> list[float]:
 TEXT = MatrixReader(TEXT_NAME, (".csv", ".txt", ".dat", ".asc", ".tsv"), read_text_matrix)
 
 
-NAME = "Harwell-Boeing"
+HARWELL_BOEING_NAME = "Harwell-Boeing"
 SYMMETRIES = {"s": "symmetric", "u": "unsymmetric", "r": "rectangular", "z": "skew-symmetric"}
 FORMAT = re.compile(r"\((?:\d*p,?)?(\d*)\(?(?:\d*p,?)?([iedfg])(\d+)(?:\.(\d+)(?:e\d+)?)?\)?\)")
 # A value whose exponent has three digits comes without a letter: 1.0-100.
 BARE_EXPONENT = re.compile(r"(?<=[\d.])(?=[+-]\d+$)")
-LONGEST_CARD = 2**16
 
 
 @dataclass(frozen=True)
@@ -330,7 +329,7 @@ def read_harwell_boeing(path: Path) -> MatrixFile:
     matrix = matrix_of(stored, path, "matrix")
     ledger = Ledger(str(path))
     symmetry = SYMMETRIES[header.kind[1]]
-    ledger.read.append(f"{NAME} {header.kind.upper()}: {rows} by {columns}, {header.entries} entries")
+    ledger.read.append(f"{HARWELL_BOEING_NAME} {header.kind.upper()}: {rows} by {columns}, {header.entries} entries")
     say_sums(ledger, header.entries, matrix.nnz)
     if header.kind[1] in "sz":
         sign = 1 if header.kind[1] == "s" else -1
@@ -360,10 +359,10 @@ def read_load(path: Path) -> tuple[Vector, Ledger] | None:
 
 
 def _opened(path: Path) -> tuple[list[str], Header]:
-    size = file_size(path, NAME)
-    lines = read_text(path, NAME).splitlines()
+    size = file_size(path, HARWELL_BOEING_NAME)
+    lines = read_text(path, HARWELL_BOEING_NAME).splitlines()
     if len(lines) < 4:
-        raise wrong(path, "content", f"{NAME}, four lines at least", f"{len(lines)} lines")
+        raise wrong(path, "content", f"{HARWELL_BOEING_NAME}, four lines at least", f"{len(lines)} lines")
     counts, kind = _whole(path, lines[1], 2), lines[2][:3].lower()
     if len(kind) != 3 or kind[0] not in "ricp" or kind[1] not in "surzh" or kind[2] not in "ae":
         raise wrong(path, "line 3", "a type of matrix such as RSA or RUA", repr(lines[2][:20]))
@@ -406,7 +405,7 @@ def _format(path: Path, text: str, letters: str) -> Format:
     if match is None or match[2] not in letters:
         raise wrong(path, "line 4", "a Fortran format such as (8I10) or (5E16.8)", repr(text[:24]))
     repeat, width = int(match[1][:6] or 1), int(match[3][:6])
-    if not 0 < repeat <= LONGEST_CARD or not 0 < width <= LONGEST_CARD:
+    if not 0 < repeat <= LONGEST_LINE or not 0 < width <= LONGEST_LINE:
         raise wrong(path, "line 4", "a Fortran format with some columns", repr(text[:24]))
     return Format(match[2], repeat, width)
 
@@ -475,7 +474,7 @@ def _known(head: bytes) -> bool:
 
 
 HARWELL_BOEING = MatrixReader(
-    NAME,
+    HARWELL_BOEING_NAME,
     (".rua", ".rsa", ".rra", ".hb", ".rb", ".psa", ".matrix"),
     read_harwell_boeing,
     known=_known,

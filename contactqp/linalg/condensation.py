@@ -154,7 +154,7 @@ class Condensation:
 
     @property
     def back_substitutions(self) -> int:
-        """Right-hand sides solved so far, forward and backward."""
+        """The number of right-hand sides solved so far, forward and backward."""
         return (self._spent + self._elimination.half_substitutions + 1) // 2
 
     def _scale(self, of_stiffness: Array) -> Array:
@@ -201,7 +201,7 @@ class Condensation:
 
     @cached_property
     def bodies(self) -> NDArray[np.intp]:
-        """(p,) the number of the body, a connected part of K, that each retained unknown belongs to."""
+        """The number of the body, a connected part of K, that each retained unknown belongs to (p,)."""
         return np.asarray(connected_parts(self._sparse)[1][self.retained])
 
     @cached_property
@@ -211,7 +211,7 @@ class Condensation:
 
     @cached_property
     def lost_digits(self) -> float:
-        """What rounding has done to S, relative to its diagonal."""
+        """The rounding error of S relative to its diagonal."""
         left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
@@ -252,21 +252,21 @@ class Condensation:
         vars(self).pop("schur_factor", None)
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """f_S, and what `expand` needs of the load; remembered, since method and polishing start from the same load."""
+        """Return f_S (p,) and what `expand` needs of the load; both are kept for the refinement."""
         reduced, inner = self.reduce_residual(load)
         if self._reduced is None or self._reduced[2] is not inner:
             self._reduced = (load.copy(), reduced, inner)
         return self._reduced[1:]
 
     def reduce_residual(self, load: Vector) -> tuple[Vector, Vector]:
-        """`reduce_load` of a load that does not come again, such as what refinement leaves."""
+        """Return what `reduce_load` does of a load that does not come again, such as a residual of the refinement."""
         if self._reduced is not None and np.array_equal(self._reduced[0], load):
             return self._reduced[1:]
         reduced, inner = self._elimination.reduce(load)
         return self._balanced(load, reduced) if self.rigid.count else reduced, inner
 
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
+        """Return `reduce_residual` of a load that was never reduced, such as that of a time step; no body may float."""
         return self._elimination.reduce(load)
 
     def responses(self, retained: Array) -> Array:
@@ -287,7 +287,7 @@ class Condensation:
     def correction(
         self, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector
     ) -> tuple[Vector, Vector, Vector]:
-        """One solve of the full saddle-point system with the condensed factors, in double precision."""
+        """Solve the full saddle-point system once with the condensed factors, in double precision."""
         reduced, inner = self.reduce_residual(residual)
         dx, dl, dn = saddle.solve(reduced, gap, open_tie)
         return self.expand(dx, inner), dl, dn
@@ -311,7 +311,7 @@ class Condensation:
         return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))
 
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
-        """The sizes behind each entry of f_S: where something floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
+        """Return the sizes behind each entry of f_S (p,): where a body floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
         size = problem.load_size[self.retained]
         if not self.rigid.count or len(size) == problem.dimension:
             return size
@@ -321,7 +321,7 @@ class Condensation:
         return np.asarray(size + self._crossing[1])
 
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
-        """The condensed problem, itself a ContactProblem, which knows its own condensation."""
+        """Return the condensed problem, a ContactProblem that knows its own condensation."""
         size = self.reduced_size(problem, inner)
         data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
         reduced = problem.transformed(*data)
@@ -329,7 +329,7 @@ class Condensation:
         return reduced
 
     def cleared_rows(self, rows: ExtendedRows) -> ExtendedRows:
-        """Rows whose stiffness is zero along the rigid motions, for where K's rounding along these matters."""
+        """Return rows whose stiffness is zero along rigid motions, for where K's rounding along these matters."""
         if self._cleared is None:
             weight = np.sqrt(self._diagonal)
             inverse = np.asarray(np.linalg.pinv(weight[:, None] * self.rigid.motions) * weight, dtype=float)
@@ -337,13 +337,13 @@ class Condensation:
         return self._cleared
 
     def idle_motions(self) -> Array:
-        """An orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists at all."""
+        """Return an orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists."""
         rows = np.vstack([self.normal, self.tie]) * self.scale
         motions = self.rigid.motions[self.retained] / self.scale[:, None]
         return orthonormal(motions @ self.unresisted(rows))
 
     def unresisted(self, rows: Array) -> Array:
-        """The rigid motions that scaled rows (k, p) do not resist: their coordinates (r, q).
+        """Return the coordinates (r, q) of the rigid motions that scaled rows (k, p) do not resist.
 
         In this scale stiff bodies move little beside soft ones, and how far a body moves is a question of units. What a
         row may feel of each body, its largest entry there times the size of the motion, is therefore brought to one,
@@ -379,7 +379,7 @@ class Condensation:
 
     @classmethod
     def of_condensed(cls, problem: ContactProblem, rigid: RigidMotions, scale: Array) -> Condensation:
-        """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
+        """Return the condensation of a problem that retains every unknown and whose rigid motions are known."""
         made = object.__new__(cls)
         made.saddles, made.factorisations, made._spent = {}, 0, 0
         made._cleared, made._wider, made._before = None, None, None
@@ -397,11 +397,11 @@ class Condensation:
         self.expand, self.solver = self._elimination.expand, self._elimination.solver
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
-        """What a candidate says of the retained unknowns."""
+        """Return a candidate with the displacement of the retained unknowns alone (p,)."""
         return replace(candidate, displacement=candidate.displacement[self.retained])
 
     def spread_candidate(self, candidate: Candidate) -> Candidate:
-        """A candidate of the retained unknowns among zeros."""
+        """Return a candidate with its displacement (p,) among zeros at the eliminated unknowns (n,)."""
         displacement = np.zeros(len(self._diagonal))
         displacement[self.retained] = candidate.displacement
         return replace(candidate, displacement=displacement)
@@ -434,7 +434,7 @@ def _sparse_columns_of(rows: Any, columns: NDArray[np.intp]) -> Any:
 
 
 def condense(problem: ContactProblem) -> Condensation:
-    """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
+    """Return the condensation of a problem, which is made once and shared with all that `problem.replace` derives."""
     problem.refuse_exchanged_arrays()
     if problem.has_idle_rows:
         raise Unsupported(

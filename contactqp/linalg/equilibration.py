@@ -343,7 +343,7 @@ def _largest_entries(rows: Any) -> Array:
 
 
 def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
-    """The nondimensional twin of a problem."""
+    """Return the nondimensional twin of a problem."""
     D = unknown_scale(problem)
     normal, contacts = _unit_rows(problem.normal, D)
     tie, ties = _unit_rows(problem.tie, D)

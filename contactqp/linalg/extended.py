@@ -68,7 +68,7 @@ class Extended:
         return self + np.negative(other)
 
     def parted(self, *places: int) -> list[Extended]:
-        """The parts between these places, which share their entries with the whole."""
+        """Return the parts between these places, which share their entries with the whole."""
         ends = zip((0, *places), (*places, len(self.hi)), strict=True)
         return [_holding(self.hi[start:end], self.lo[start:end]) for start, end in ends]
 

@@ -81,7 +81,7 @@ class SuperLU:
 
 
 def fill_reducing_order(matrix: Any) -> NDArray[np.intp]:
-    """The order (n,) of elimination that minimum degree finds for the pattern of a symmetric matrix.
+    """Return the order of elimination (n,) that minimum degree finds for the pattern of a symmetric matrix.
 
     SciPy has no function for it. But SuperLU orders before it factorises, and where every entry beside the diagonal is
     dropped the factorisation costs nothing.
@@ -104,7 +104,7 @@ def forget_triangles(factor: Any) -> None:
 
 
 def with_added_diagonal(matrix: Any, added: Array) -> Any:
-    """A square CSR matrix with something (n,) added to its diagonal; where all of that is stored, its pattern stays."""
+    """Return a square CSR matrix with (n,) added to its diagonal; where all of that is stored, its pattern stays."""
     by_rows = sp.csr_matrix(matrix)
     rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
     at = np.flatnonzero(by_rows.indices == rows)
@@ -131,7 +131,7 @@ def factorise(matrix: Any) -> Factorization:
 
 
 def right_singular(rows: Array) -> tuple[Array, Array]:
-    """The singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
+    """Return the singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
     _, values, rotation = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
     return values, rotation
 
@@ -146,12 +146,12 @@ class RigidMotions:
 
     @cached_property
     def count(self) -> int:
-        """How many motions there are."""
+        """The number of motions."""
         return int(self.motions.shape[1])
 
     @property
     def uncertainty(self) -> float:
-        """How much of the softest elastic motion a rigid one may contain: K's rounding cannot tell them apart."""
+        """How much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them apart."""
         return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
 
     @cached_property
@@ -184,7 +184,7 @@ def exact_images(matrix: Any, columns: Array) -> Array:
 
 
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
-    """Which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
+    """Return which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
 
     |K z|_j <= RIGID_FORCE (|K||z|)_j at every unknown j, and z'Kz <= RIGID_ENERGY |z|'|K||z|: a soft spring at one end
     of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
@@ -223,7 +223,7 @@ def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, ND
 
 
 def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
-    """How many connected parts a symmetric matrix has, and (n,) which of them each unknown belongs to."""
+    """Return how many connected parts a symmetric matrix has, and which of them each unknown belongs to (n,)."""
     size = matrix.shape[0]
     if size <= FEW and matrix.format == "csr":
         return _few_connected_parts(matrix.indptr.tolist(), matrix.indices.tolist())
@@ -236,7 +236,7 @@ def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
 
 
 def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:
-    """The combinations of some motions (n, q) that are rigid, component by component of a matrix's graph.
+    """Return the combinations of motions (n, q) that are rigid, component by component of a matrix's graph.
 
     Each is that of one component, with K z = 0 to rounding (`is_rigid`), |K| being `sizes`; what is not among them may
     float all the same.
@@ -285,7 +285,7 @@ def _least_energetic(motions: Array, forces: Array) -> Array:
 
 
 def null_space(matrix: Any) -> RigidMotions:
-    """The null space of a positive semidefinite matrix, component by component of its graph."""
+    """Return the null space of a positive semidefinite matrix, component by component of its graph."""
     graph = sp.csr_matrix(matrix)
     count, label = connected_parts(graph)
     order = np.argsort(label, kind="stable")
@@ -307,7 +307,7 @@ def null_space(matrix: Any) -> RigidMotions:
 
 
 def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: Any, scale: Array) -> RigidMotions:
-    """The null space of K whose interior, without the retained unknowns, is regular: that of S, expanded.
+    """Return the null space of K where the interior is regular: that of S, expanded to all unknowns.
 
     Where S has soft motions that are not rigid, K itself is asked.
 

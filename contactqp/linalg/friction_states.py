@@ -127,7 +127,7 @@ class FrictionalRows:
 
 
 def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
-    """The rows of a problem, made once for its coefficients and its condensation."""
+    """Return the scaled rows of a problem, which are made once for its coefficients and its condensation."""
     known = problem._computed.frictional_rows
     if known is None or known[1] is not condensation or np.any(known[0] != problem.friction):
         rows = FrictionalRows(problem, condensation)

@@ -94,13 +94,13 @@ class ConjugateGradients:
         return len(self._lengths)
 
     def square(self) -> float:
-        """rho = r'M r."""
+        """Return rho = r'M r."""
         if self._square is None:
             self._square = self._aim()
         return self._square
 
     def estimate(self) -> float:
-        """An estimate of rho from the last application of M, scaled with the residual; infinite before the first."""
+        """Return rho as the last application of M has it, scaled with the residual; infinite before the first."""
         return self._before * self._size() / self._before_size
 
     def _aim(self) -> float:
@@ -139,7 +139,7 @@ class ConjugateGradients:
         return True
 
     def least_eigenvalue(self) -> float:
-        """The least Ritz value of M K; one, the largest that M K can have, before the first step."""
+        """Return the least Ritz value of M K, or one, the largest that M K can have, before the first step."""
         from scipy.linalg import eigvalsh_tridiagonal
 
         if not self._lengths:

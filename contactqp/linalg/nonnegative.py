@@ -93,7 +93,7 @@ def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
 
 
 def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
-    """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap.
+    """Return the nearest shift that leaves no contact penetrated: min |a - wanted| subject to rows a <= gap.
 
     Where there is none, as between contacts that touch on both sides and are penetrated by rounding, those that are
     penetrated stay so.

@@ -196,7 +196,7 @@ class Pardiso:
 
     @property
     def order(self) -> Indices:
-        """(n,) the unknowns in the order in which they were eliminated, where none is retained."""
+        """The unknowns (n,) in the order in which they were eliminated, where none is retained."""
         return self._analysis.chosen.astype(np.intp)
 
     @property
@@ -206,7 +206,7 @@ class Pardiso:
 
     @property
     def predicted_memory(self) -> int:
-        """Bytes that analysis, factors and solutions take at their peak, as the analysis tells."""
+        """The bytes that analysis, factors and solutions take at their peak, as the analysis predicts."""
         told = self._analysis.settings
         return 1024 * max(int(told[PEAK_OF_ANALYSIS]), int(told[STAYS]) + int(told[OF_FACTORS]))
 
@@ -220,15 +220,15 @@ class Pardiso:
             )
 
     def solve_all(self, right: Array) -> Array:
-        """K^-1 right, where no unknown is retained."""
+        """Return K^-1 right, where no unknown is retained."""
         return self._solve(SOLVE, right)
 
     def forward(self, right: Array) -> Array:
-        """L^-1 right on the interior; f_S on the retained unknowns."""
+        """Return L^-1 right on the interior and f_S on the retained unknowns."""
         return self._solve(FORWARD, right)
 
     def backward(self, right: Array) -> Array:
-        """u from L^-1 f on the interior and u_c on the retained unknowns, of one load (n,) or several (n, q)."""
+        """Return u from L^-1 f on the interior and u_c on the retained unknowns, of one load (n,) or (n, q)."""
         return self._solve(BACKWARD, right)
 
     def _solve(self, phase: int, right: Array) -> Array:
@@ -394,7 +394,7 @@ def _entries_of(matrix: Any, kind: int) -> Any:
 
 
 def upper_triangle(matrix: Any) -> Any:
-    """The entries of a symmetric matrix on its diagonal and right of it, by rows."""
+    """Return the entries of a symmetric matrix on its diagonal and right of it, by rows."""
     by_rows = sp.csr_array(matrix.T if matrix.format == "csc" else matrix)
     rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
     right = by_rows.indices >= rows

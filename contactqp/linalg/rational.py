@@ -34,7 +34,7 @@ class Undecided(Exception):
 
 
 def rational(x: float) -> fmpq:
-    """A float as it stands."""
+    """Return a float as the rational number that it is."""
     return fmpq(*float(x).as_integer_ratio())
 
 
@@ -47,14 +47,14 @@ def fraction(x: fmpq) -> Fraction:
 
 
 def matrix(values: Any) -> fmpq_mat:
-    """A dense or sparse matrix of floats as it stands."""
+    """Return a dense or sparse matrix of floats as a matrix of the rational numbers that they are."""
     dense = np.atleast_2d(values.toarray() if hasattr(values, "toarray") else np.asarray(values, dtype=float))
     rows, columns = dense.shape
     return fmpq_mat(rows, columns, [rational(x) if x else fmpq(0) for x in dense.ravel().tolist()])
 
 
 def column(values: Any) -> fmpq_mat:
-    """A vector of floats, Fractions or rationals, as a column."""
+    """Return a vector of floats, Fractions or rationals as a column."""
     entries = [_entry(x) for x in values]
     return fmpq_mat(len(entries), 1, entries)
 
@@ -66,12 +66,12 @@ def _entry(x: Any) -> fmpq:
 
 
 def number(x: fmpq) -> float:
-    """The nearest float; Python divides integers of any size correctly rounded."""
+    """Return the nearest float; Python divides integers of any size correctly rounded."""
     return int(x.p) / int(x.q)
 
 
 def floats(column_: fmpq_mat) -> NDArray[np.float64]:
-    """A column in the nearest floats."""
+    """Return the nearest floats of a column."""
     return np.array([number(x) for x in column_.entries()], dtype=float)
 
 
@@ -80,7 +80,7 @@ def fractions(column_: fmpq_mat) -> list[Fraction]:
 
 
 def stack(*blocks: fmpq_mat) -> fmpq_mat:
-    """Blocks above each other."""
+    """Return a matrix of blocks above each other."""
     return fmpq_mat(sum(b.nrows() for b in blocks), blocks[0].ncols(), [x for b in blocks for x in b.entries()])
 
 
@@ -106,18 +106,18 @@ def is_zero(values: fmpq_mat) -> bool:
 
 
 def dot(one: fmpq_mat, other: fmpq_mat) -> fmpq:
-    """The product of two columns."""
+    """Return the scalar product of two columns."""
     return (one.transpose() * other)[0, 0] if one.nrows() else fmpq(0)
 
 
 def pivot_columns(reduced: Any) -> list[int]:
-    """The pivot column of each nonzero row of a reduced row echelon form."""
+    """Return the pivot column of each nonzero row of a reduced row echelon form."""
     firsts = (next((j for j, x in enumerate(row) if x != 0), None) for row in reduced.tolist())
     return [j for j in firsts if j is not None]
 
 
 def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
-    """Columns that are independent, as many as there are modulo the prime: over the rationals these are, too."""
+    """Return as many independent columns as there are modulo the prime; over the rationals they are so, too."""
     if not a.nrows() or not a.ncols():
         return []
     integers, _ = a.numer_denom()
@@ -126,7 +126,7 @@ def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
 
 
 def independent_rows(a: fmpq_mat) -> list[int]:
-    """A basis of the rows, proven by `null_space` to be one where it leaves any out."""
+    """Return a basis of the rows, which `null_space` proves to be one where it leaves any out."""
     for prime in PRIMES:
         rows = independent_columns(a.transpose(), prime)
         if len(rows) == a.nrows() or null_space(a.transpose()).ncols() == a.nrows() - len(rows):
@@ -135,7 +135,7 @@ def independent_rows(a: fmpq_mat) -> list[int]:
 
 
 def null_space(a: fmpq_mat) -> fmpq_mat:
-    """A rational basis (n, r) of the null space."""
+    """Return a rational basis (n, r) of the null space."""
     n = a.ncols()
     for prime in PRIMES:
         rows, leading = _profile(a, prime)
@@ -156,7 +156,7 @@ def null_space(a: fmpq_mat) -> fmpq_mat:
 
 
 def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
-    """One solution of a x = right (one column or more), and whether it is the only one; None, proven, without one."""
+    """Return a solution of a x = right (columns) and whether it is the only one; None if there is provably none."""
     n = a.ncols()
     for prime in PRIMES:
         rows, leading = _profile(a, prime)
@@ -195,7 +195,7 @@ def _combined(a: fmpq_mat, rows: Sequence[int], leading: Sequence[int], core: fm
 
 
 def least_change(directions: fmpq_mat, x: fmpq_mat) -> fmpq_mat:
-    """x - Z (Z'Z)^-1 Z'x: what is left of x without its part along the columns of Z, which are independent."""
+    """Return x - Z (Z'Z)^-1 Z'x: x without its part along the columns of Z, which are independent."""
     if not directions.ncols():
         return x
     across = directions.transpose()

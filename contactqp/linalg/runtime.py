@@ -46,13 +46,13 @@ class StageClock:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """So far, by stage; of what is in none by the name ''."""
+        """The seconds so far by stage; those outside of any have the name ''."""
         self._charge()
         return dict(self._seconds)
 
     @property
     def back_substitutions(self) -> int:
-        """Right-hand sides solved, forward and backward."""
+        """The number of right-hand sides solved, forward and backward."""
         return (self.half_substitutions + 1) // 2
 
     @contextmanager
@@ -80,7 +80,7 @@ _UNTIMED = nullcontext()
 
 @contextmanager
 def timed() -> Iterator[StageClock]:
-    """A clock for all that this thread does meanwhile."""
+    """Run a clock for all that this thread does inside the block."""
     clock = StageClock()
     token = RUNNING.set(clock)
     try:
@@ -135,7 +135,7 @@ def within_time(seconds: float | None) -> Iterator[None]:
 
 @contextmanager
 def in_any_time() -> Iterator[None]:
-    """No end while this lasts: what has been found is certified."""
+    """Suspend the time limit inside the block, so that what has been found is certified."""
     token = _END.set(None)
     try:
         yield
@@ -144,7 +144,7 @@ def in_any_time() -> Iterator[None]:
 
 
 def seconds_left() -> float | None:
-    """Until the call that runs has to end, at least a microsecond; None where it need not."""
+    """Return the seconds until the running call has to end, at least a microsecond; None without a limit."""
     end = _END.get()
     return None if end is None else max(end[0] - time.perf_counter(), 1e-6)
 
@@ -156,7 +156,7 @@ def time_is_up() -> bool:
 
 
 def stated_limit(seconds: float | None) -> str:
-    """The time that the call was given in words; outside of a call, these seconds that a step of it was given."""
+    """Return in words the time limit of the call; outside of a call, of a step that was given these seconds."""
     end = _END.get()
     return f"{seconds if end is None else end[1]:g} s"
 
@@ -199,7 +199,7 @@ def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
 
 @cache
 def lapack() -> Any:
-    """SciPy's LAPACK, which is imported when the first system is solved."""
+    """Return SciPy's LAPACK, which is imported when the first system is solved."""
     from scipy.linalg import lapack as found
 
     return found
@@ -219,7 +219,7 @@ _GROUPS = (
 
 
 def free_memory() -> int | None:
-    """Bytes of memory that may still be taken without swapping, the limits of the process and its group included.
+    """Return the bytes of memory that may still be taken without swapping, within the limits of process and group.
 
     None where the system does not say.
     """

@@ -173,16 +173,16 @@ class Elimination(Protocol):
 
     @property
     def half_substitutions(self) -> int:
-        """Forward or backward, with one right-hand side."""
+        """The number of substitutions, forward or backward, with one right-hand side each."""
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
-        """f_S (p,), and what `expand` needs of the load."""
+        """Return f_S (p,), and what `expand` needs of the load."""
 
     def expand(self, retained: Vector, state: Vector) -> Vector:
-        """u (n,) from u_c and the load that was reduced."""
+        """Return u (n,) from u_c and the load that was reduced."""
 
     def expand_motions(self, retained: Array) -> Array:
-        """u (n, q) without a load from several u_c (p, q)."""
+        """Return u (n, q) without a load from several u_c (p, q)."""
 
 
 class LastBlock:
@@ -198,7 +198,7 @@ class LastBlock:
         self.half_substitutions = 0
 
     def reduce(self, load: Array) -> tuple[Array, Array]:
-        """As of any elimination, or of several loads (n, q) at once."""
+        """Do the same as other eliminations, of one load (n,) or of several (n, q) at once."""
         if not load.any():
             return np.zeros((len(self._retained), *load.shape[1:])), np.zeros_like(load)
         self._count(load)
@@ -206,7 +206,7 @@ class LastBlock:
         return eliminated[self._retained], eliminated
 
     def expand(self, retained: Array, state: Array) -> Array:
-        """As of any elimination, or of several loads (n, q) at once."""
+        """Do the same as other eliminations, of one load (n,) or of several (n, q) at once."""
         self._count(state)
         right = state.copy()
         right[self._retained] = retained
@@ -275,7 +275,7 @@ class NestedBlock:
 
 
 def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True) -> Elimination:
-    """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain.
+    """Return the fastest available elimination for a stiffness (n, n) in CSR and unknowns (p,) to retain.
 
     Raises
     ------

@@ -234,7 +234,6 @@ HELD = {
     "XASYMM": (1, 2), "YASYMM": (0, 2), "ZASYMM": (0, 1),
 }  # fmt: skip
 ROTATIONS = (4, 5, 6)
-TERMS_A_LINE = 4
 
 
 def read_amplitude(amplitudes: Amplitudes, card: Card) -> None:

@@ -30,7 +30,7 @@ RELAXATION = 1.6
 
 
 def admm(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
-    """Iterates, one every few iterations, without end; what they owe is in their error."""
+    """Yield an iterate every few iterations, without end; its error says how far it is from a solution."""
     rho = _first_penalty(form)
     system = _factorised(form, rho)
     z, joint = start.force, start.joint_force

@@ -40,7 +40,7 @@ ROUNDING = 1e-15
 
 
 def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING) -> Iterate:
-    """The best iterate that Newton's method reaches from a start; it is never worse than the start."""
+    """Return the best iterate that Newton's method reaches from a start; it is never worse than the start."""
     best, regularisation = start, REGULARISATION[0]
     history = [start.error]
     for _ in range(max_iter):
@@ -106,7 +106,7 @@ def _direction(form: LocalForm, here: Iterate, regularisation: float) -> tuple[A
 
 
 def jacobian_blocks(r: Array, u: Array, friction: Vector) -> tuple[Array, Array, Array]:
-    """A, B (m, d, d) of the Jacobian A + B W, and Phi (m, d), at forces and velocities (m, d)."""
+    """Return A, B (m, d, d) of the Jacobian A + B W, and Phi (m, d), at forces and velocities (m, d)."""
     m, d = r.shape
     trial = r[:, 0] - u[:, 0]
     y = r[:, 1:] - u[:, 1:]
@@ -149,7 +149,7 @@ PROXIMAL_ROUNDING = 1e-14
 
 
 def proximal_points(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
-    """Iterates, one a proximal point, until Newton's method finds none at any weight."""
+    """Yield an iterate for each proximal point, until Newton's method finds none at any weight."""
     here, weight, count = start, FIRST, 0
     while weight <= MOST:
         nearby = _regular(form, here, weight)

@@ -36,7 +36,7 @@ MAX_STEPS = 30
 
 
 def relaxed_in_the_plane(problem: ContactProblem) -> ContactProblem:
-    """The quadratic program: rows E_N + mu E_T of all contacts, then E_N - mu E_T of those with friction."""
+    """Return the quadratic program with rows E_N + mu E_T of all contacts, then E_N - mu E_T of those with friction."""
     mu, origin, rubs = _coulomb_data(problem)
     dragged = sp.diags(mu) @ sp.csr_array(problem.tangent)
     shift = mu * origin[:, 0]
@@ -55,7 +55,7 @@ def relaxed_in_the_plane(problem: ContactProblem) -> ContactProblem:
 
 
 def recovered(problem: ContactProblem, displacement: Vector, force: Vector, tie_force: Vector) -> Answer:
-    """l_N and l_T from the forces of `relaxed_in_the_plane`."""
+    """Return l_N and l_T from the forces of `relaxed_in_the_plane`."""
     mu, _, rubs = _coulomb_data(problem)
     one, other = force[: problem.contacts], np.zeros(problem.contacts)
     other[rubs] = force[problem.contacts :]
@@ -63,7 +63,7 @@ def recovered(problem: ContactProblem, displacement: Vector, force: Vector, tie_
 
 
 def relaxed_in_space(problem: ContactProblem, condensation: Condensation) -> Answer:
-    """The answer to the conic program.
+    """Return the answer to the conic program.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class _Program:
         self._S = condensation.schur * np.outer(scale, scale)
 
     def by_clarabel(self) -> _Point:
-        """A + s = b with s = (g - N x, mu (T x - o)) in a cone for each contact, s = 0 for ties; z are the forces."""
+        """Solve A x + s = b, s = (g - N x, mu (T x - o)) in a cone for each contact, 0 for ties; forces are z."""
         try:
             clarabel: Any = import_module("clarabel")
         except ImportError as error:
@@ -156,7 +156,7 @@ class _Program:
         return np.concatenate([balance, law.ravel(), self._tie @ point.x - self._value])
 
     def refined(self, point: _Point) -> _Point:
-        """By semismooth Newton steps, as long as they halve the residual."""
+        """Return the answer refined by semismooth Newton steps, as long as they halve the residual."""
         missed = float(np.linalg.norm(self.residual(point)))
         for _ in range(MAX_STEPS):
             step = np.linalg.lstsq(self._jacobian(point), -self.residual(point), rcond=1e-13)[0]
@@ -171,7 +171,7 @@ class _Program:
         return point
 
     def answer(self, point: _Point) -> Answer:
-        """In the unknowns and units of the problem."""
+        """Return the answer in the unknowns and units of the problem."""
         force = point.r * (self._size / self._length[:, None])
         u = self._condensation.expand(point.x * self._size * self._condensation.scale, self._inner)
         return Answer(u, force[:, 0], -force[:, 1:], point.tie * self._size / self._tie_length)
@@ -200,7 +200,7 @@ class _Program:
 
 
 def projection_slope(x: Vector, mu: float) -> Array:
-    """A generalised derivative (d, d) of the projection onto Coulomb's cone at x, normal component first."""
+    """Return a generalised derivative (d, d) of the projection onto Coulomb's cone at x, normal component first."""
     normal, across = float(x[0]), x[1:]
     size = float(lengths(across[None])[0])
     if size <= mu * normal:

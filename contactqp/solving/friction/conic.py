@@ -138,7 +138,7 @@ def _cvxpy(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector] |
 
 
 def diagonal_rows(values: Array) -> Any:
-    """A sparse diagonal of an array, flattened."""
+    """Return a sparse diagonal matrix of the entries of an array."""
     return sp.csc_array(sp.diags(np.ravel(values)))
 
 

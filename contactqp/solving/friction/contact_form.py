@@ -119,11 +119,11 @@ class ContactOperator:
         return start
 
     def free(self, load: Vector, start: Vector) -> Vector:
-        """H'x (d m,) under a load (y,) on the bodies without contacts, their rigid motions at rest."""
+        """Return H'x (d m,) under a load (y,) on the bodies without contacts, their rigid motions at rest."""
         return np.asarray(self._HB @ (self.compliance @ load) + self.H @ start)
 
     def drive(self, problem: ContactProblem) -> Vector:
-        """z'f of every rigid motion; exactly nothing where it is rounding."""
+        """Return z'f of every rigid motion, exactly zero where it is rounding."""
         work, size = self._whole.T @ problem.load, abs(self._whole).T @ abs(problem.load)
         return np.asarray(np.where(abs(work) <= max(BALANCED, self._uncertain) * size, 0.0, work))
 
@@ -185,11 +185,11 @@ class ContactForm:
         self.local = operator.local(problem, rows.coefficient, operator.free(self._load, self._start) + w)
 
     def answer_in(self, status: Status, start: Answer) -> Answer:
-        """The answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
+        """Return the answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
         return answer_in(self._problem, self._condensation, self._rows, status, start)
 
     def status(self, form: LocalForm, iterate: Iterate) -> Status:
-        """Closed where r_N > u_N, sliding where |r_T - u_T| exceeds the bound, contacts having a compliance of one."""
+        """Return the states (m,): closed where r_N > u_N, sliding where |r_T - u_T| exceeds the friction bound."""
         r, u = iterate.force, form.velocity(iterate.force, iterate.joint_force)
         pushed, trial = r[:, 0] - u[:, 0], r[:, 1:] - u[:, 1:]
         slides = lengths(trial) > form.mu * np.maximum(pushed, 0.0)
@@ -199,7 +199,7 @@ class ContactForm:
         return np.where(pushed > 0, closed, OPEN).astype(np.int8)
 
     def scaled_force(self, normal_force: Vector, friction_force: Array | None) -> Array:
-        """Forces (m, d) of the local form with normal forces (m,) and friction (m, d-1) of the problem."""
+        """Return the forces (m, d) of the local form from normal forces (m,) and friction (m, d-1) of the problem."""
         force = np.zeros((len(normal_force), self.local.dimension))
         force[:, 0] = np.maximum(normal_force, 0.0) * self._rows.normal_length
         if friction_force is not None:
@@ -207,7 +207,7 @@ class ContactForm:
         return force
 
     def plain(self, form: LocalForm, iterate: Iterate) -> Answer:
-        """The answer as the iterate has it."""
+        """Return the answer of the iterate without refinement."""
         rows, operator = self._rows, self._operator
         force, joint = form.unscaled(iterate.force, iterate.joint_force)
         pushed = operator.H.T @ force.ravel()

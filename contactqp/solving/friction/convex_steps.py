@@ -41,7 +41,7 @@ POLYGONS = ("inscribed", "circumscribed")
 
 
 def cone_error(facets: int, polygon: str) -> float:
-    """The largest part of the friction bound that a polygon loses, or gains."""
+    """Return the largest part of the friction bound that a polygon loses or gains."""
     cosine = float(np.cos(np.pi / facets))
     return 1.0 - cosine if polygon == "inscribed" else 1.0 / cosine - 1.0
 
@@ -98,18 +98,18 @@ class ConvexSteps:
 
     @property
     def cone_error(self) -> float:
-        """The largest part of the friction bound that the sets of these steps lose or gain: 0 for true cones."""
+        """The largest part of the friction bound that the sets of these steps lose or gain; 0 for true cones."""
         return 0.0 if self.conic or self._form.d == 2 else cone_error(self.facets, self.polygon)
 
     def over_cones(self, shift: Vector) -> tuple[Array, Vector]:
-        """r (m, d) and l (p,) for De Saxce's shifts (m,) of the normal velocity."""
+        """Return r (m, d) and l (p,) for De Saxce's shifts (m,) of the normal velocity."""
         form = self._form
         linear = form.q.reshape(form.m, form.d).copy()
         linear[:, 0] += shift
         return self._minimum(linear, form.mu, None)
 
     def over_discs(self, bound: Vector) -> tuple[Array, Vector]:
-        """r (m, d) and l (p,) for friction bounds (m,)."""
+        """Return r (m, d) and l (p,) for friction bounds (m,)."""
         return self._minimum(self._form.q.reshape(self._form.m, self._form.d), None, bound)
 
     def _minimum(self, linear: Array, mu: Vector | None, bound: Vector | None) -> tuple[Array, Vector]:
@@ -226,7 +226,7 @@ def solve_convex(method: Method, problem: ContactProblem, settings: Settings) ->
 
 
 def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:
-    """Iterates, one a convex problem, without end."""
+    """Yield an iterate for each convex problem, without end."""
     shift = _shift(form, start) if np.any(start.force) else np.zeros(form.m)
     count = 0
     while True:
@@ -238,7 +238,7 @@ def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Ite
 
 
 def tresca_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:
-    """Iterates, one a convex problem, without end."""
+    """Yield an iterate for each convex problem, without end."""
     bound = form.mu * np.maximum(start.force[:, 0], 0.0)
     relaxation, count = RELAXATION[1], 0
     before: Vector | None = None

@@ -81,7 +81,7 @@ class Combinations:
         return _filled(np.maximum(asked, np.max(abs(self.fixed_right), initial=0.0)), 1.0)
 
     def plausible(self) -> Iterator[tuple[Status, Vector]]:
-        """Combinations (m,) and their y (q,) where signs hold, or miss by what may be rounding."""
+        """Yield the combinations (m,) and their y (q,) whose signs hold, or fail by what may be rounding."""
         combinations = all_combinations(self.coefficient)
         while batch := list(itertools.islice(combinations, BATCH)):
             yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(self.coefficient)))
@@ -283,7 +283,7 @@ class _Systems:
         )
 
     def plausible(self) -> Iterator[tuple[Status, Answer]]:
-        """Combinations whose signs hold, or miss by what may be rounding."""
+        """Yield the combinations whose signs hold, or fail by what may be rounding."""
         for status, y in self._combinations.plausible():
             yield status, self._answer(y)
 

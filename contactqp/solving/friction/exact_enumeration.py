@@ -263,7 +263,7 @@ class _Bodies:
         return [*slope, dot(row, self._start[:n]) - limit]
 
     def members(self, status: tuple[int, ...]) -> _Members | None:
-        """All equilibria in one combination, None where there are none."""
+        """Return all equilibria in one combination, None where there are none."""
         columns = _Columns(self, status)
         rows = [columns.of(row) for row in self.balance]
         for i, state in enumerate(status):
@@ -312,7 +312,7 @@ class _Columns:
         self.count, self._size = len(self._parts), bodies.size
 
     def of(self, row: Row) -> Row:
-        """A form in y, its constant last, as one in these unknowns."""
+        """Return a linear form in y, its constant last, as one in these unknowns."""
         return [*(sum((row[j] * share for j, share in part), ZERO) for part in self._parts), row[-1]]
 
 
@@ -358,7 +358,7 @@ class _Members:
         return within is not None and not within[1].empty
 
     def forces(self, displacement: Row) -> list[Row]:
-        """Contact forces that belong to one displacement: none, one, or more than one where there are many."""
+        """Return the contact forces of one displacement: none, one, or more than one where there are many."""
         within = self._within(displacement)
         if within is None or within[1].empty:
             return []

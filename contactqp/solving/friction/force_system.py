@@ -44,7 +44,7 @@ class Lengths:
     size: float  # the largest of them
 
     def felt(self, status: Status) -> float:
-        """The largest of them without gaps and origins of open contacts: a far obstacle is no size of the others."""
+        """Return the largest of the data, without gaps and slip origins of open contacts, which may be far away."""
         felt, m = np.ones(len(self.target), dtype=bool), len(status)
         felt[:m] = felt[m : 2 * m] = status != OPEN
         parts = (self.free, self.target[felt], self.drive)
@@ -65,7 +65,7 @@ class CombinationAnswer:
     left: float  # the largest residual of the system: not rounding where the combination has no answer
 
     def worst(self, coefficient: Vector) -> Vector:
-        """(m,) by how much each contact's signs fail; negative where they hold."""
+        """Return by how much the signs of each contact fail (m,), negative where they hold."""
         stuck = np.abs(self.friction) - coefficient * self.normal
         tangential = np.where(self.status == STICK, stuck, np.where(coefficient > 0, -self.status * self.slip, -np.inf))
         return np.where(self.status == OPEN, -self.gap, np.maximum(-self.normal, tangential))
@@ -106,11 +106,11 @@ class ForceSystem:
         return Lengths(free, target, drive, load, size or 1.0)
 
     def plain(self, status: Status) -> Status:
-        """A combination in which what has no friction slips on where it is closed: either way says the same."""
+        """Return a combination in which closed contacts without friction slip on: slipping back is the same."""
         return np.where((self.coefficient <= 0) & (status != OPEN), SLIP_ON, status).astype(np.int8)
 
     def solve(self, status: Status, lengths: Lengths) -> CombinationAnswer:
-        """The answer of a combination; where it leaves forces or motions free, the least one that fits best."""
+        """Return the answer of a combination; where it leaves forces or motions free, the least one that fits best."""
         if self._factor is None or not self._factor.near(status):
             self._factorise(status)
         y, left = self._solved(status, lengths)
@@ -147,20 +147,20 @@ class ForceSystem:
         return np.concatenate([contacts, contacts & (self.coefficient > 0)])
 
     def displacement(self, answer: CombinationAnswer, lengths: Lengths) -> Vector:
-        """x (p,), scaled."""
+        """Return the scaled displacement x (p,)."""
         rows = self.rows
         forces = np.concatenate([answer.normal, answer.friction, answer.tie])
         pushed = lengths.load - rows.all_rows.T @ forces
         return np.asarray(rows.compliance @ pushed + rows.motions @ answer.motion)
 
     def unscaled(self, answer: CombinationAnswer, expanded: Vector) -> Answer:
-        """The answer in the problem's own forces, with the displacement (n,) expanded from `displacement`."""
+        """Return the answer in the problem's own forces, with the displacement (n,) expanded from `displacement`."""
         rows = self.rows
         friction = (answer.friction / rows.tangent_length)[:, None]
         return Answer(expanded, answer.normal / rows.normal_length, friction, answer.tie / rows.tie_length)
 
     def row(self, i: int, status: Status) -> Vector:
-        """Row i of the matrix of a combination."""
+        """Return row i of the matrix of a combination."""
         m, row = self.contacts, np.zeros(self.slope.shape[1])
         if i < m and status[i] == OPEN:
             row[i] = 1.0
@@ -171,7 +171,7 @@ class ForceSystem:
         return row
 
     def matrix(self, status: Status) -> Array:
-        """(2m + k + q) square."""
+        """Return the square matrix of a combination, of 2m + k + q rows."""
         m = self.contacts
         matrix = np.vstack([self.slope, self._balance])
         free, loose = np.flatnonzero(status == OPEN), np.flatnonzero(status != STICK)
@@ -241,7 +241,7 @@ class _Factor:
         return len(self._changed(status)) <= CHANGED_ROWS * len(self._lu)
 
     def solve(self, status: Status, right: Vector) -> Vector:
-        """y with the rows of another combination in place of those factorised."""
+        """Return y with the rows of another combination in place of those factorised."""
         y = self._back(right)
         changed = self._changed(status)
         if not len(changed):

@@ -31,7 +31,7 @@ JOINT_COMPLIANCE = 1.0
 
 
 def gauss_seidel(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
-    """Iterates, one a sweep, without end; what they owe is in their error."""
+    """Yield an iterate for each sweep, without end; its error says how far it is from a solution."""
     sweeps = _Sweeps(form, start)
     count = 0
     while True:
@@ -64,7 +64,7 @@ class _Sweeps:
         return rows
 
     def once(self) -> None:
-        """One sweep over all contacts."""
+        """Make one sweep over all contacts."""
         form, q = self._form, self._form.q
         if form.joints:
             # l = (R + e)^-1 (e l_old - s - V'r): what of it is no spring on the contacts.
@@ -81,7 +81,7 @@ class _Sweeps:
 
 
 def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray[np.bool_]]:
-    """Forces (k, 2) of k contacts on their own, u = W_ii r + q_i, and which have any; open comes first, then stick."""
+    """Return forces (k, 2) of single contacts, u = W_ii r + q_i, and which have any; open comes first, then stick."""
     a, b, c, e = own[:, 0, 0], own[:, 0, 1], own[:, 1, 0], own[:, 1, 1]
     normal, tangential = outer[:, 0], outer[:, 1]
     r, done = np.zeros_like(outer), normal >= 0
@@ -99,7 +99,7 @@ def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray
 
 
 def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
-    """Forces (k, d) of k contacts on their own, u = W_ii r + q_i, and the steps rho (k,) that suited them."""
+    """Return forces (k, d) of k single contacts, u = W_ii r + q_i, and the steps rho (k,) that suited them."""
     if own.shape[1] == 2:
         r, solved = solve_in_plane(own, outer, mu)
         if np.all(solved):
@@ -112,7 +112,7 @@ def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vect
 
 
 def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
-    """As `solve_contacts`, by a few projections."""
+    """Do the same as `solve_contacts`, by a few projections."""
     r, rho = start.copy(), rho.copy()
     for _ in range(LOCAL_STEPS):
         velocity = de_saxce(np.einsum("iab,ib->ia", own, r) + outer, mu)
@@ -133,7 +133,7 @@ def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -
 
 
 def colours(W: Array, m: int, d: int) -> list[NDArray[np.intp]]:
-    """Contacts in groups that do not feel each other, greedily."""
+    """Return groups of contacts that do not feel each other, found greedily."""
     entries = sp.coo_array(W)
     pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))
     pairs = sp.csr_array(pairs + pairs.T)

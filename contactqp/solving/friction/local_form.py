@@ -71,12 +71,12 @@ class LocalForm:
 
     @property
     def joints(self) -> int:
-        """Number of joints p."""
+        """The number of joints p."""
         return len(self.s)
 
     @cached_property
     def joint_signs(self) -> Vector:
-        """(p,) the signs by which R may be regularised: 1 for joints with a compliance, -1 for conditions on forces."""
+        """The signs (p,) by which R may be regularised: 1 for joints with a compliance, -1 for conditions on forces."""
         return np.where(np.any(self.R != 0, axis=1), 1.0, -1.0)
 
     @cached_property
@@ -90,20 +90,20 @@ class LocalForm:
         return (self.W + self.W.T) / 2 if self.asymmetric else self.W
 
     def velocity(self, r: Array, joint: Vector) -> Array:
-        """u (m, d) of forces (m, d) and (p,)."""
+        """Return the velocities u (m, d) of forces of contacts (m, d) and joints (p,)."""
         return np.asarray((self.W @ r.ravel() + self.q + self.V @ joint).reshape(self.m, self.d))
 
     def error(self, r: Array, joint: Vector) -> float:
-        """The largest entry of the natural map's residual and of what the joints leave open."""
+        """Return the largest entry of the natural map's residual and of the residual of the joints."""
         residual = np.max(abs(natural_map(r, self.velocity(r, joint), self.mu)), initial=0.0)
         return float(max(residual, np.max(abs(self.joint_residual(r, joint)), initial=0.0)))
 
     def joint_residual(self, r: Array, joint: Vector) -> Vector:
-        """V'r + R l + s (p,)."""
+        """Return the residual V'r + R l + s (p,) of the joints."""
         return np.asarray(self.V.T @ r.ravel() + self.R @ joint + self.s)
 
     def joint_force(self, r: Array) -> Vector:
-        """The joints' forces that fit contact forces best: R l = -s - V'r, and where R has no say, u small."""
+        """Return the joints' forces that fit contact forces best: R l = -s - V'r, and a small u where R is singular."""
         if not self.joints:
             return np.zeros(0)
         stacked = np.vstack([self.R, 1e-8 * self.V])
@@ -111,12 +111,12 @@ class LocalForm:
         return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
 
     def scaled(self, force: NDArray[np.float64]) -> Array:
-        """r (m, d) of the forces of the problem."""
+        """Return r (m, d) from the contact forces of the problem."""
         size = self._contact_scale * self._velocity_size * self._force_size
         return np.asarray((np.asarray(force).ravel() / size).reshape(self.m, self.d))
 
     def unscaled(self, r: Array, joint: Vector) -> tuple[NDArray[np.float64], Vector]:
-        """The forces (m, d) and (p,) of the problem."""
+        """Return the contact forces (m, d) and joint forces (p,) of the problem."""
         size = self._contact_scale * self._velocity_size * self._force_size
         force = (r.ravel() * size).reshape(self.m, self.d)
         return force, joint * self._joint_scale * self._velocity_size
@@ -154,7 +154,7 @@ class BlockSystem:
             self._factor = (factor, pivots)
 
     def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:
-        """x (d m,) and l (p,)."""
+        """Return x (d m,) and l (p,)."""
         right = np.concatenate([top, bottom])
         if not len(right):
             solution = right
@@ -184,7 +184,7 @@ class Iterate:
 
     @classmethod
     def nothing(cls, form: LocalForm) -> Iterate:
-        """No force anywhere, bodies at rest or, where that is better, where joints have them."""
+        """Return the iterate without contact forces, the bodies at rest or where the joints hold them."""
         none = np.zeros((form.m, form.d))
         starts = (cls.at(form, none, joint) for joint in (np.zeros(form.joints), form.joint_force(none)))
         return min(starts, key=lambda one: one.error)
@@ -201,7 +201,7 @@ class Deadline:
 
     @property
     def left(self) -> float | None:
-        """Seconds, None without a limit."""
+        """The seconds left, None without a limit."""
         return None if self._limit is None else max(self._end - time.perf_counter(), 0.0)
 
     @property
@@ -222,7 +222,7 @@ RELAXATION = (0.05, 1.0)
 def aitken(
     relaxation: float, before: Vector | None, missing: Vector, dot: Callable[[Vector, Vector], float] = np.dot
 ) -> float:
-    """The next factor (Irons and Tuck 1969), from F(b) - b of the step before, None at first, and of this one."""
+    """Return the next factor (Irons and Tuck 1969) from F(b) - b of the step before, None at first, and of this one."""
     if before is None:
         return relaxation
     change = missing - before

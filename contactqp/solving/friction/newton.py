@@ -93,7 +93,7 @@ def refined(
     lengths: Lengths,
     found: CombinationAnswer,
 ) -> Answer:
-    """The answer of a combination to the last digits; nothing is said of whether its signs hold."""
+    """Return the answer of a combination to the last digits, whether its signs hold or not."""
     _, inner = condensation.reduce_load(problem.load)
     expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
     answer = answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
@@ -101,7 +101,7 @@ def refined(
 
 
 def without_idle_friction(system: ForceSystem, answer: Answer) -> Answer:
-    """A contact that cannot slide has no friction: its tangential row is zero, and any friction would do."""
+    """Return the answer without friction at contacts that cannot slide: their tangential rows are zero."""
     if answer.friction_force is None or np.all(system.rows.slides):
         return answer
     return replace(answer, friction_force=np.where(system.rows.slides[:, None], answer.friction_force, 0.0))
@@ -174,7 +174,7 @@ def _not_drowned(
 
 
 def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
-    """The combination that the projections make of an answer."""
+    """Return the combination that the projections make of an answer."""
     m = system.contacts
     push = found.normal - system.resistance[:m] * found.gap
     trial = found.friction + system.resistance[m:] * found.slip

@@ -171,7 +171,7 @@ class _Run:
         return np.asarray(self._rows.coefficient * np.maximum(step.normal, 0.0))
 
     def with_bound(self, bound: Vector) -> _Step:
-        """The answer to the Tresca problem of a bound (m,)."""
+        """Return the answer to the Tresca problem of a friction bound (m,)."""
         rows, m, p = self._rows, self._problem.contacts, len(self._rows.S)
         bounded = np.flatnonzero(rows.slides & (bound > NO_BOUND * np.max(bound, initial=0.0)))
         count, T, o = len(bounded), rows.tangent[bounded], self._origin[bounded]
@@ -231,7 +231,7 @@ class _Run:
         return np.where(closed, status, OPEN).astype(np.int8)
 
     def answer_in(self, status: Status, step: _Step) -> Answer:
-        """The answer of a combination, refined from that of a step."""
+        """Return the answer of a combination, refined from that of a step."""
         rows = self._rows
         u = self._condensation.expand(step.x * rows.scale, self._inner)
         forces = (step.normal / rows.normal_length, (step.friction / rows.tangent_length)[:, None])
