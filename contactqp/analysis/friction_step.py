@@ -23,7 +23,7 @@ from contactqp.certificate.figures import balance
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
-from contactqp.linalg.measures import own_compliance
+from contactqp.linalg.measures import own_compliance, row_sizes
 from contactqp.linalg.runtime import METHOD, POLISH, one_blas_thread, stage
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
@@ -382,7 +382,7 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
     gap = problem.gap - problem.normal @ u
     largest = float(np.max(np.sqrt(problem.diagonal) * abs(u), initial=0.0))
     nearby = np.sqrt(own_compliance(problem, problem.normal)) * largest
-    rounding = TOUCHING * (abs(problem.normal) @ abs(u) + abs(problem.gap) + nearby)
+    rounding = TOUCHING * (row_sizes(problem, problem.normal).lengths(abs(u)) + abs(problem.gap) + nearby)
     pushes = solution.normal_force > 0
     return State(
         fraction=fraction,
