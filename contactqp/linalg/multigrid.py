@@ -112,13 +112,14 @@ class Hierarchy:
                 self.levels.append(Level(matrix, diagonal, largest))
                 return
             tentative, coarse_B = _tentative(aggregates, B)
-            product = matrix @ tentative
+            blocks = _as_blocks(matrix)
+            product = blocks @ tentative
             if not self.levels:
                 self.held, self.soft = self._least_energies(B, product @ coarse_B, diagonal)
             prolong = tentative - _scaled_rows(product, JACOBI / largest / diagonal, tentative)
             self.levels.append(Level(matrix, diagonal, largest, prolong, prolong.T))
             size = B.shape[1]
-            matrix, B = (prolong.T @ (matrix @ prolong)).tobsr((size, size)), coarse_B
+            matrix, B = (prolong.T @ (blocks @ prolong)).tobsr((size, size)), coarse_B
 
     def _least_energies(self, B: Array, forces: Array, diagonal: Array) -> tuple[Array, NDArray[np.intp]]:
         """Return min over a of a'(B'KB)a / a'(B'DB)a for each body, and how many are FLOATING; `forces` is K B."""
@@ -160,6 +161,13 @@ def in_blocks(stiffness: Any, total: Callable[[int], int] = int) -> Any:
             if total(blocks.data.size) <= BLOCK_FILL * entries:
                 return blocks
     return rows
+
+
+def _as_blocks(matrix: Any) -> Any:
+    """Return a matrix by rows as one of blocks of one, without a copy: products with blocks stay blocks."""
+    if matrix.format == "bsr":
+        return matrix
+    return sp.bsr_matrix((matrix.data.reshape(-1, 1, 1), matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def block_size(matrix: Any) -> int:

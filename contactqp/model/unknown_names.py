@@ -68,9 +68,10 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     """Describe a motion in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
-    together = _moving_together((problem.dof_name(int(j)) for j in moving), motion[moving])
-    if together:
-        return listed(together)
+    if problem.dof_names is not None:
+        together = _moving_together((problem.dof_names[j] for j in moving.tolist()), motion[moving])
+        if together:
+            return listed(together)
     # Rounded, so that unknowns that move alike are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
@@ -79,7 +80,8 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
 
 def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
     """Describe translations of bodies as ``"block along x by +1 (node 0 and 152 more)"``; empty if nodes move apart."""
-    moved: dict[tuple[str, str], list[str]] = {}
+    first: dict[tuple[str, str], str] = {}
+    count: dict[tuple[str, str], int] = {}
     step_of: dict[tuple[str, str], float] = {}
     for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
         parts = name.rsplit(" ", 3)  # body, node, its number, axis
@@ -88,9 +90,10 @@ def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
         key = parts[0], parts[3]
         if step_of.setdefault(key, step) != step:
             return []
-        moved.setdefault(key, []).append(parts[2])
-    more = {key: f" and {len(nodes) - 1} more" if len(nodes) > 1 else "" for key, nodes in moved.items()}
-    return [f"{key[0]} along {key[1]} by {step_of[key]:+.3g} (node {moved[key][0]}{more[key]})" for key in moved]
+        first.setdefault(key, parts[2])
+        count[key] = count.get(key, 0) + 1
+    more = {key: f" and {nodes - 1} more" if nodes > 1 else "" for key, nodes in count.items()}
+    return [f"{key[0]} along {key[1]} by {step_of[key]:+.3g} (node {first[key]}{more[key]})" for key in first]
 
 
 def listed(names: list[str], count: int | None = None) -> str:
