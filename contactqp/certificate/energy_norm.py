@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import REGULAR, SaddlePoint, saddle_point
+from contactqp.linalg.dense import REGULAR, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
@@ -33,6 +33,8 @@ SWEEPS, ENOUGH = 8, 1e-9
 # A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
 # motion; so is a contact force's whose energy norm is this part of its size.
 RIGID_ROUNDING = 64 * np.finfo(float).eps
+# Units 1/sqrt(K_jj) of unknowns that differ by no more than this are alike.
+UNITS_ALIKE = 1e3
 # Rounding of K makes so many times the contact forces that one sample of it does, at most.
 PUSHED_BY_ROUNDING = 8.0
 
@@ -105,7 +107,7 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
-    motions = free_motions(condensation, saddle)
+    motions = _free_motions(problem, condensation, saddle, tied)
     left = _left_along(problem, condensation, motions, load, tied)
     load = without_part_along(motions, load)
     u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
@@ -134,6 +136,25 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
             break
         last = size
     return u, 2 * size + left
+
+
+def _free_motions(problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, tied: bool) -> Vector:
+    """Return the motions (n, q) that nothing resists, known to a few eps at every unknown.
+
+    Orthonormal ones are so in units of the unknowns that are alike. In others what has cancelled at an unknown is a
+    rounding of the largest entry in units of 1/sqrt(K_jj); one correction by K z in extended precision removes that.
+    """
+    motions, scale = free_motions(condensation, saddle), problem.own_scale
+    if not motions.shape[1] or scale.max() <= UNITS_ALIKE * scale.min():
+        return motions
+    if saddle.corrected_motions is None:
+        rows, corrected, none = extended_rows(problem), motions.copy(), np.zeros(0)
+        for z in corrected.T:
+            held = (rows.stiffness @ extend(z)).double()
+            open_tie = -(rows.tie @ extend(z)).double() if tied else none
+            z += condensation.correction(saddle, -held, none, open_tie)[0]
+        saddle.corrected_motions = orthonormal(corrected)
+    return saddle.corrected_motions
 
 
 def _left_along(

@@ -129,7 +129,8 @@ def orthonormal(motions: Array) -> Array:
     """Return an orthonormal basis (n, r) of independent motions, as accurate as these at unknowns of any unit."""
     for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
         motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
-    return motions
+    # Products of entries of very different sizes, which cancel, are nearer to zero than reflections bring them.
+    return motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ motions).T)
 
 
 class BackSubstitution:
@@ -292,6 +293,7 @@ class RangeSpace:
     def __init__(self, condensation: Condensed, operator: Delassus, closed: NDArray[np.intp], tied: bool) -> None:
         self.closed = closed
         self.contraction: float | None = None
+        self.corrected_motions: Array | None = None
         self._operator = operator
         ties = np.arange(len(condensation.normal), len(operator.rows)) if tied else np.zeros(0, dtype=np.intp)
         self._members = np.concatenate([closed, ties])
@@ -347,6 +349,7 @@ class SaddlePoint(Protocol):
     free: Array  # (p, q) orthonormal scaled motions that nothing resists
     free_coordinates: Array  # (r, q) of such in the rigid motions
     contraction: float | None  # what refinement leaves of a correction, once it has been measured
+    corrected_motions: Array | None  # (n, q) free ones, to a few eps at every unknown, once they have been asked for
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
         """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
@@ -369,6 +372,7 @@ class NullSpace:
 
         self.closed = np.asarray(closed, dtype=np.intp)
         self.contraction: float | None = None
+        self.corrected_motions: Array | None = None
         self._scale = condensation.scale
         self._uncertainty = condensation.rigid.uncertainty
         self._bodies = condensation.bodies

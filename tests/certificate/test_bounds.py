@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -388,6 +389,28 @@ def test_a_chain_that_its_tie_alone_holds_has_no_norm_of_forces_without_it(load:
     assert cq.certify(problem, u, force, tie_force=tie).passed
     forged = cq.certify(problem, u, force * (1 + 1e-5), tie_force=tie)
     assert any("force_error" in failure for failure in forged.failures)
+
+
+def test_forces_on_what_floats_are_measured_where_units_differ_by_1e8():
+    """One of two free motions has 1e-8 of its size at an unknown whose unit makes it matter as much."""
+    K = np.array([[12 * 2.0**30, -96.0, -(3 * 2.0**18)], [-96.0, 2.0**-20, 2.0**-8], [-(3 * 2.0**18), 2.0**-8, 64.0]])
+    K = K[np.ix_([0, 1, 2, 0], [0, 1, 2, 0])]
+    problem = cq.ContactProblem(K, np.zeros(4), [[2.0**16, 0.0, 0.0, 0.0]], [1.0])
+    assert condense(problem).rigid.count == 2
+    norm, uncertain = force_norm(problem, condense(problem), extend(np.ones(1)))
+    # What no motion takes of the force is C y, C being columns of K that span the others.
+    C = [[Fraction(entry) for entry in K[:, place]] for place in (0, 2)]
+    gram = [[sum(a * b for a, b in zip(one, other, strict=True)) for other in C] for one in C]
+    work = [column[0] * 2**16 for column in C]
+    determinant = gram[0][0] * gram[1][1] - gram[0][1] ** 2
+    y = [
+        (gram[1][1] * work[0] - gram[0][1] * work[1]) / determinant,
+        (gram[0][0] * work[1] - gram[0][1] * work[0]) / determinant,
+    ]
+    resisted = [y[0] * C[0][i] + y[1] * C[1][i] for i in (0, 2)]
+    exact = float(y[0] * resisted[0] + y[1] * resisted[1]) ** 0.5
+    assert abs(norm - exact) <= uncertain + 1e-15 * exact
+    assert uncertain < 1e-9 * exact
 
 
 def test_forces_that_the_rounding_of_a_stiffness_shares_out_are_no_better_than_that():
