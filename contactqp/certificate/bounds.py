@@ -94,10 +94,8 @@ ITERATED_NOTHING = 1e-10
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
-STATE_MOTIONS = (
-    ": the rounding of K along rigid motions makes forces there, of which redundant contacts take any share; "
-    "give the motions as near_null_space, and they are taken as exact"
-)
+# What to do where K, being rounded, makes forces of rigid motions, of which redundant contacts take any share.
+STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
@@ -291,7 +289,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=_free_distance(problem, condensation, pair) if floats else 0.0,
+        free_distance=_free_distance(problem, condensation, pair, energy_scale) if floats else 0.0,
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
@@ -345,16 +343,23 @@ def _strain(
     return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
 
 
-def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:
+def _free_distance(
+    problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair, energy_scale: float
+) -> float:
     """Return the energy norm of the distance along free motions, which is rounding of K."""
     motions = free_motions(condensation, pair.saddle)
     if not motions.shape[1]:
         return 0.0
     resisted, _ = energy_norm(problem, without_part_along(motions, pair.to_middle))
-    counted = max(sum(energy_norm(problem, pair.to_middle)) - resisted, 0.0)
+    distance = sum(energy_norm(problem, pair.to_middle))
+    if 0 < FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
+        forces = extended_rows(problem).stiffness @ pair.to_middle
+        elastic, missing = response(problem, condensation, forces, tied=False)
+        resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)
     size = abs(motions @ (motions.T @ pair.to_middle.double()))
     # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
-    return min(counted, float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size)))))
+    most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
+    return min(max(distance - resisted, 0.0), most)
 
 
 def _force_error(

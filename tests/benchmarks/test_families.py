@@ -87,6 +87,16 @@ def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> 
     assert [bound for bound in report.bounds if bound.below] == []
 
 
+@pytest.mark.parametrize("seed", [141, 405])
+def test_the_truth_passes_however_far_a_body_moves_freely(seed: int) -> None:
+    """Its strain is 1e-9, and eps of the 8 and 328 that it has moved freely is no part of that."""
+    report = judging.judge("unstrained", seed, ("active-set",))
+    assert (report.truth, report.truth_refused) == ("exact", "")
+    assert [outcome.verdict for outcome in report.outcomes] == ["right"]
+    assert report.bounds
+    assert not any(bound.below for bound in report.bounds)
+
+
 def test_strain_that_is_nothing_beside_the_load_makes_no_answer_wrong() -> None:
     """The load acts where the contact does: contact forces strain 1e-8 of what they are worth where they act."""
     report = judging.judge("pushed_rigidly", 12, ("lagrange-multiplier",))
