@@ -129,8 +129,9 @@ def orthonormal(motions: Array) -> Array:
     """Return an orthonormal basis (n, r) of independent motions, as accurate as these at unknowns of any unit."""
     for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
         motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
-    # Products of entries of very different sizes, which cancel, are nearer to zero than reflections bring them.
-    return motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ motions).T)
+    gram = motions.T @ motions  # entries of very different sizes cancel in it better than in reflections
+    least = min(np.linalg.eigvalsh(gram), default=1.0) if np.all(np.isfinite(gram)) else 0.0
+    return motions @ np.linalg.inv(np.linalg.cholesky(gram).T) if least > REGULAR * np.trace(gram) else motions
 
 
 class BackSubstitution:

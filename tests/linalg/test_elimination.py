@@ -17,7 +17,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, factorization, pardiso, schur
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import BackSubstitution, DenseCholesky
+from contactqp.linalg.dense import BackSubstitution, DenseCholesky, orthonormal
 from contactqp.linalg.factorization import connected_parts, factorise, null_space, with_added_diagonal
 from contactqp.linalg.pardiso import EliminationOrder, NotPositive, Pardiso, available
 from contactqp.linalg.schur import LastBlock, TrailingBlock, eliminate
@@ -437,3 +437,15 @@ def test_a_diagonal_below_the_normal_floats_is_scaled_without_overflow():
     matrix = np.outer([1.0, 0.6, 2e-160], [1.0, 0.6, 2e-160])
     assert 0 < matrix[2, 2] < np.finfo(float).tiny
     assert DenseCholesky(matrix).smallest_pivot <= 1e-15
+
+
+def test_motions_are_orthonormal_in_units_that_make_them_nearly_parallel() -> None:
+    units = np.array([1e17, 1.0, 1e-17])
+    motions = orthonormal(units[:, None] * np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 3.0], [1.0, 3.0, 7.0]]))
+    assert motions.T @ motions == pytest.approx(np.eye(3), abs=1e-14)
+
+
+def test_motions_that_units_make_dependent_stay_as_they_are() -> None:
+    units = np.array([1e17, 1e13, 1e-9])
+    motions = orthonormal(units[:, None] * np.array([[0.0, 1.0, 3.0], [-3.0, 2.0, 3.0], [3.0, -2.0, -3.0]]))
+    assert np.all(np.isfinite(motions))
