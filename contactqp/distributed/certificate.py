@@ -23,10 +23,10 @@ from contactqp.certificate.failures import (
 )
 from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants
 from contactqp.certificate.uniqueness import UNKNOWN
-from contactqp.distributed.floating import floating_bodies
 from contactqp.distributed.problem import (
     Bodies,
     DistributedProblem,
+    floating_bodies,
     largest_over_ranks,
     message_of_first,
     message_of_largest,

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.floating import floating_motions
 from contactqp.distributed.preconditioner import Preconditioner
-from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.problem import Bodies, DistributedProblem, floating_bodies
 from contactqp.distributed.ranks import Ranks, petsc
 from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.linalg.contact_iteration import RESTART, ContactIteration
+from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows, IndependentRows, Projections
 from contactqp.linalg.measures import force_measure, reciprocal
-from contactqp.model.arrays import Index, Indices, Mask, Vector
+from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
 
 
 class SeparateGram:
@@ -314,3 +314,22 @@ def stacked_rows(parts: list[Rows], like: Any) -> Rows:
         for rows in parts
     ]
     return Rows.from_csr(sp.vstack(entries, format="csr"), like)
+
+
+def floating_motions(problem: DistributedProblem, rows: Rows, compliance: Vector) -> FloatingMotions:
+    """Return the rigid motions of all bodies with the rows, whose E_i D^-1 E_i' is the compliance. Collective."""
+    own = _motions(problem)
+    return FloatingMotions(problem.ranks, problem.metric, own, problem.contacts, rows.lengths, compliance)
+
+
+def _motions(problem: DistributedProblem) -> Array:
+    """Return the rigid motions (n_here, r) of all bodies, D-orthonormal, body by body. Collective."""
+    ranks, bodies = problem.ranks, Bodies(problem.ranks, problem.body)
+    found = floating_bodies(problem, bodies)
+    columns = [
+        np.where(problem.body == body, motion, 0.0)
+        for body in np.unique(ranks.gathered(bodies.numbers[found.floats]))
+        for motion in found.motions.T
+    ]
+    acting = [z for z in columns if ranks.any(z != 0)]
+    return np.column_stack(acting) if acting else np.zeros((len(problem.load), 0))

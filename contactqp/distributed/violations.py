@@ -24,8 +24,7 @@ from contactqp.certificate.coulomb_law import (
     tangential_force,
 )
 from contactqp.certificate.figures import Sizes, figures
-from contactqp.distributed.floating import without_rigid_part
-from contactqp.distributed.problem import Bodies, DistributedProblem
+from contactqp.distributed.problem import Bodies, DistributedProblem, without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (

@@ -10,9 +10,8 @@ import scipy.sparse as sp
 from scipy.linalg import block_diag
 
 import contactqp as cq
-from contactqp.analysis.motion import step_friction
-from contactqp.analysis.motion.step_contact import StepProblem, StepResult
-from contactqp.analysis.motion.step_friction import frictional_forces, states_of
+from contactqp.analysis.motion import step_contact
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult, frictional_forces, states_of
 from contactqp.analysis.motion.time_stepping import FIGURES, StepJudge
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from tests.analysis.motions import rod_at_wall
@@ -90,7 +89,7 @@ def still(m: int) -> np.ndarray:
 def test_one_contact_by_hand(
     free: list[float], coefficient: float, expected: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(step_friction, "solve", None)  # no local problem is needed
+    monkeypatch.setattr(step_contact, "solve", None)  # no local problem is needed
     normal, friction = frictional_forces(ONE, np.array(free), np.array([coefficient]), still(1), "active-set", {})
     np.testing.assert_allclose([normal[0], friction[0, 0]], expected, rtol=1e-14, atol=1e-15)
 
@@ -111,7 +110,7 @@ def test_states_find_what_the_algorithms_find(seed: int) -> None:
 
 
 def test_states_that_cycle_are_left_to_an_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(step_friction, "MAX_CHANGES", 0)
+    monkeypatch.setattr(step_contact, "MAX_STATE_CHANGES", 0)
     normal, friction = frictional_forces(ONE, np.array([-1.0, 2.0]), np.array([0.6]), still(1), "active-set", {})
     np.testing.assert_allclose([normal[0], friction[0, 0]], [1 / 0.7, 0.6 / 0.7], rtol=1e-12)
 

@@ -10,7 +10,13 @@ Without friction the forces follow from the Delassus operator W of the step,
     gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
 
 with c (m,) the gap without contact forces. The search starts at the active set of the step before; any other method is
-given the same minimum as a problem of its own, whose multipliers are the gaps.
+given the same minimum as a problem of its own, whose multipliers are the gaps. With friction the forces r (m, d) on the
+body, contact by contact in the order (N, T), and gaps and slips u satisfy
+
+    u = W r + c,    r_N >= 0,  u_N >= 0,  r_N u_N = 0,    |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T is not 0
+
+In the plane the search starts at the states of the step before; what these do not settle, and what turns in space, is a
+`LocalProblem` for the algorithms of friction.
 """
 
 from __future__ import annotations
@@ -22,12 +28,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.step_friction import correction, frictional_forces, states_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import DenseCholesky
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import OPEN
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
 
@@ -46,17 +52,19 @@ SHARP = 1e-11
 MOST_INVERTED = 60
 # Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.
 MAX_CHANGES = 30
-# Forces and gaps of this part of the largest are rounding.
+# The same of the states of contacts with friction, which an algorithm of friction takes over.
+MAX_STATE_CHANGES = 10
+# Gaps, slips and forces of this part of their own terms are rounding.
 ROUNDING = 1e-13
+# A friction force that is this near to the cone slips; forces on their states are refined so many times.
+ON_CONE, REFINEMENTS = 1e-9, 2
 # Compliance, as part of its own, that is given to contacts whose forces nothing else bounds.
 SQUEEZED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """The data of one step of a scheme; where there is a base, the load is f - K base, which cancels less than f
-    does.
-    """
+    """The data of one step of a scheme; with a base the load is f - K base, which cancels less than f does."""
 
     load: Vector  # (n,) on x, or on x - base
     gap: Vector  # (m,); has no meaning where a contact is not closable
@@ -112,9 +120,7 @@ class StepContact:
         return self._condensation.back_substitutions
 
     def _local_rows(self) -> Array:
-        """Return the rows (d m, p), contact by contact -E_N before E_T; they map x to gap and slip, forces on the
-        body to loads.
-        """
+        """Return the rows (d m, p) that map x to gaps and slips, contact by contact -E_N before E_T."""
         m = self.template.contacts
         width = len(self._T) // max(m, 1)
         rows = np.empty((m, 1 + width, self._E.shape[1]))
@@ -211,8 +217,7 @@ class StepContact:
         return response - self._of_ties @ change, change
 
     def _without_dust(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
-        """Return the forces without those that move their own contact by less than the rounding of what moves it in
-        all.
+        """Return the forces without those that move their own contact by less than the rounding of all that moves it.
 
         All rows of a contact are in one unit of length, and so are the effects of its forces.
         """
@@ -231,8 +236,7 @@ class StepContact:
     def _sharpened(
         self, normal: Vector, friction: Vector, x: Vector, gap: Vector, origin: Any
     ) -> tuple[Vector, Vector] | None:
-        """Return forces corrected by the residuals of contacts that push and do not slip, or None where that gains
-        nothing.
+        """Return forces corrected by the residuals of contacts that push and do not slip; None where nothing is gained.
 
         Forces are known to some roundings of the largest, such as a weight. Where others are all that acts on a body
         that comes to rest, that moves it, by a rounding that is as large as anything that moves there.
@@ -319,8 +323,8 @@ def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, op
         Gaps without contact forces.
     start : (m,) mask
         Contacts that are taken to push at first.
-    method, options : str, dict
-        As for `solve`.
+    method, options
+        Of `solve`.
     """
     if method == "active-set" and not options:
         found = _by_active_set(W, c, start)
@@ -364,3 +368,133 @@ def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | No
             return force
         pushes = (pushes & ~wrong_force) | wrong_gap
     return None
+
+
+def frictional_forces(
+    W: Array, c: Vector, friction: Vector, start: Status, method: str, options: dict[str, Any]
+) -> tuple[Vector, NDArray[np.float64]]:
+    """Return l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
+
+    Parameters
+    ----------
+    W, c : (d m, d m), (d m,) arrays
+    friction : (m,) array
+    start : (m,) array
+        The states of the step before.
+    method, options
+        Of `solve`, for the local problem; any but the default is what solves it.
+    """
+    m = len(friction)
+    d = len(c) // m
+    if d == 2 and method == "active-set" and not options:
+        found = _by_states(W, c, friction, start)
+        if found is not None:
+            return found[:, 0], -found[:, 1:]
+    local = LocalProblem(delassus=W, offset=c, friction=friction, dimension=d)
+    force = _refined(W, c, friction, np.array(solve(local, method, **options).force))
+    return force[:, 0], -force[:, 1:]
+
+
+def states_of(normal: Vector, friction: Array, coefficient: Vector) -> Status:
+    """Return the states (m,) of forces in the plane; l_T of a contact in SLIP_ON is positive."""
+    slips = abs(friction[:, 0]) >= (1 - ON_CONE) * coefficient * normal
+    state = np.where(slips, np.where(friction[:, 0] >= 0, SLIP_ON, SLIP_BACK), STICK)
+    return np.where(normal > 0, state, OPEN).astype(np.int8)
+
+
+def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Array) -> Array:
+    """Return the change (m, d) of forces on the body that removes the residuals (m, d) of gaps and slips.
+
+    Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.
+
+    Parameters
+    ----------
+    W : (m d, m d) array
+        The Delassus operator of the step.
+    force : (m, d) array
+        Forces on the body, contact by contact in the order (N, T).
+    sticks : (m,) mask
+        Contacts that stick.
+    residual : (m, d) array
+        Gaps and slips that should vanish.
+    """
+    m, d = force.shape
+    rows = np.zeros((m, d), dtype=bool)
+    rows[:, 0], rows[:, 1:] = force[:, 0] > 0, sticks[:, None]
+    constrained = np.flatnonzero(rows)
+    columns = np.eye(m * d)[:, constrained]
+    for column, i in enumerate(constrained):
+        if i % d == 0 and not sticks[i // d]:
+            columns[i : i + d, column] = force[i // d] / force[i // d, 0]
+    change, *_ = np.linalg.lstsq(W[constrained] @ columns, -residual.ravel()[constrained], rcond=None)
+    return np.asarray((columns @ change).reshape(m, d))
+
+
+def _by_states(W: Array, c: Vector, friction: Vector, start: Status) -> Array | None:
+    """Return forces (m, 2) on the body that agree with their states, or None where the states cycle."""
+    m = len(friction)
+    state = start.copy()
+    size_of_c, seen = abs(c), set()
+    slides = np.where(c[1::2] >= 0, SLIP_ON, SLIP_BACK)
+    state[(state == OPEN) & (c[::2] < 0)] = slides[(state == OPEN) & (c[::2] < 0)]
+    state[(friction == 0) & (state == STICK)] = SLIP_ON
+    for _ in range(MAX_STATE_CHANGES):
+        if state.tobytes() in seen:
+            return None
+        seen.add(state.tobytes())
+        force = _in_states(W, c, friction, state)
+        if force is None:
+            return None
+        u = (W @ force.ravel() + c).reshape(m, 2)
+        size = ROUNDING * (abs(W) @ abs(force).ravel() + size_of_c).reshape(m, 2)
+        bound = friction * force[:, 0]
+        closed, sign = state != OPEN, np.where(state == SLIP_BACK, -1.0, 1.0)
+        opens = closed & (force[:, 0] < 0)
+        closes = ~closed & (u[:, 0] < -size[:, 0])
+        slips = (state == STICK) & (abs(force[:, 1]) > bound) & ~opens
+        sticks = (abs(state) == SLIP_ON) & (friction > 0) & (sign * u[:, 1] < -size[:, 1]) & ~opens
+        if not np.any(opens | closes | slips | sticks):
+            return force
+        state[opens], state[closes] = OPEN, slides[closes]
+        state[slips] = np.where(force[slips, 1] <= 0, SLIP_ON, SLIP_BACK)
+        state[sticks] = STICK
+    return None
+
+
+def _in_states(W: Array, c: Vector, friction: Vector, state: Status) -> Array | None:
+    """Return forces (m, 2) that close what is not open and stop what sticks, or None where they are not determined."""
+    m = len(friction)
+    rows = np.column_stack([state != OPEN, state == STICK]).ravel()
+    constrained = np.flatnonzero(rows)
+    columns = np.eye(2 * m)[:, constrained]
+    pushed = constrained[constrained % 2 == 0]
+    slope = np.where(state == SLIP_ON, -friction, np.where(state == SLIP_BACK, friction, 0.0))
+    columns[pushed + 1, np.flatnonzero(constrained % 2 == 0)] += slope[pushed // 2]
+    try:
+        force = columns @ np.linalg.solve(W[constrained] @ columns, -c[constrained])
+    except np.linalg.LinAlgError:
+        return None
+    residual = (W @ force + c)[constrained]
+    size = (abs(W) @ abs(force) + abs(c))[constrained]
+    if not np.all(abs(residual) <= ON_CONE * size):  # as good as singular
+        return None
+    return np.asarray(force.reshape(m, 2))
+
+
+def _refined(W: Array, c: Vector, friction: Vector, force: Array) -> Array:
+    """Refine forces (m, d) on the body until closed gaps and sticking slips vanish to rounding of their own terms.
+
+    A step may hardly move what large forces hold: the answer to the contacts, right to a part of the largest force, is
+    then no better than the velocities that are left.
+    """
+    pushes = force[:, 0] > 0
+    sticks = pushes & (np.linalg.norm(force[:, 1:], axis=1) < (1 - ON_CONE) * friction * force[:, 0])
+    if not np.any(pushes):
+        return force
+    for _ in range(REFINEMENTS):
+        refined = force + correction(W, force, sticks, (W @ force.ravel() + c).reshape(force.shape))
+        inside = np.linalg.norm(refined[:, 1:], axis=1) <= friction * refined[:, 0] * (1 + ON_CONE)
+        if not np.all(refined[pushes, 0] > 0) or not np.all(inside | ~pushes):
+            break
+        force = refined
+    return force

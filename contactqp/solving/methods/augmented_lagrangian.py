@@ -15,7 +15,6 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.penalty import frictional_penalty_loop, penalty_loop
 from contactqp.solving.methods.status_loop import status_loop
@@ -29,7 +28,7 @@ from contactqp.solving.methods.stick_and_slip import (
     status_rows,
 )
 from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered, spread, springs
-from contactqp.solving.methods.textbook_loop import Budget, active_set_loop
+from contactqp.solving.methods.textbook_loop import Budget, Step, active_set_loop
 
 NAME = "augmented-lagrangian"
 

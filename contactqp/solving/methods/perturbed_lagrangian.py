@@ -11,12 +11,11 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
 from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered
-from contactqp.solving.methods.textbook_loop import active_set_loop
+from contactqp.solving.methods.textbook_loop import Step, active_set_loop
 
 NAME = "perturbed-lagrangian"
 

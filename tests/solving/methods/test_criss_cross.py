@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from contactqp.errors import NotConverged
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods.augmented_lagrangian import solve_augmented_lagrangian
-from contactqp.solving.methods.criss_cross import Sets
 from contactqp.solving.methods.lagrange_multiplier import _enforce, solve_lagrange_multiplier
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.penalty import solve_penalty
 from contactqp.solving.methods.textbook_algebra import SingularSystem
+from contactqp.solving.methods.textbook_loop import Sets
 
 # A body between two grounded springs, pulled apart from the left one: with both contacts closed, both are in tension.
 BETWEEN = ContactProblem(

@@ -1,24 +1,45 @@
-"""The trapezoidal rule (Newmark 1959, gamma = 1/2, beta = 1/4) with contact at the end of the step; backward Euler.
+"""Schemes of Newmark's family: the trapezoidal rule, backward Euler, and what cures the rule's chatter at contacts.
+
+The trapezoidal rule (Newmark 1959, gamma = 1/2, beta = 1/4) takes contact at the end of the step:
 
     M (v+ - v) / h + K (u + u+) / 2 + E'(l + l+) / 2 + A'nu = (f + f+) / 2,    u+ = u + h (v + v+) / 2,
     E_N u+ <= g,  l_N+ >= 0,  complementary
 
 With mass at the contacts it creates energy at impacts and its contact forces chatter: it is kept because people use it.
-Without (`modified_mass`) contact nodes are in static equilibrium, K u+ + E'l+ + A'nu = f+ there, and both are cured.
-A tie between unknowns with mass and without would have the mean of a step on one side and its end on the other: it is
-refused, as is such a contact.
+Without (modified mass: Khenous, Laborde and Renard 2008) contact nodes are in static equilibrium, K u+ + E'l+ + A'nu =
+f+ there, and both are cured. A tie between unknowns with mass and without would have the mean of a step on one side and
+its end on the other: it is refused, as is such a contact.
+
+Central differences with modified mass (Doyen, Ern and Piperno 2011) are explicit in the unknowns I with mass, and solve
+a small static contact problem in those C that contacts act on:
+
+    M_II (u+ - 2u + u-)_I / h^2 + (K u)_I = f_I,
+    K_CC u_C+ + E_C'l + K_CI u_I+ = f_C+,    E_C u_C+ <= g,  l_N >= 0,  complementary
+
+The contact-stabilised scheme (Deuflhard, Krause and Ertel 2008) projects the prediction first:
+
+    w = the admissible displacement nearest to u + h v in the norm of M
+    M (u+ - w) + h^2/2 (K (u + u+) / 2 + E'l + A'nu - (f + f+) / 2) = 0,    E_N u+ <= g,  l_N >= 0,  complementary
+    v+ = v + 2 (u+ - w) / h
+
+The forces of the projection never enter the velocity: energy that an impact takes is lost.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.motion.mass_matrix import massless
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.errors import Unsupported
+from contactqp.linalg.dense import Factorization
+from contactqp.linalg.factorization import factorise
 from contactqp.model.arrays import Vector
 
 
@@ -94,8 +115,89 @@ class BackwardEuler(Scheme):
         return StepProblem(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
 
+class ContactStabilised(Scheme):
+    """The scheme with the unknowns x = w, then x = u+."""
+
+    name = "deuflhard-krause-ertel"
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.inertia = 4 / body.step**2
+        self._inertia = self.inertia / 2 * body.mass
+        predictor = body.template(self._inertia)
+        if predictor.frictional:
+            predictor = predictor.replace(friction=0.0)
+        self.templates = (predictor, body.template(self._inertia + body.stiffness / 2))
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
+        body, u = self.body, state.displacement
+        limits = body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u
+        if not answers:
+            return StepProblem(self._inertia @ (body.step * state.velocity), *limits)
+        force = self._inertia @ answers[0].increment + (load + next_load) / 2 - body.stiffness @ u
+        return StepProblem(force, *limits)
+
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
+        predicted, found = answers
+        v = state.velocity + 2 / self.body.step * (found.increment - predicted.increment)
+        return State(found.unknown, v, found.normal, found.friction, found.tie, state.displacement)
+
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
+        """Return the results of both problems; the forces of the projection are not kept."""
+        (found,) = super().answered(before, after)
+        motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
+        normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
+        return StepResult(before.displacement + motion, normal, friction, tie, motion), found
+
+
+class ModifiedMassCentral(TwoStep):
+    """The scheme with x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
+
+    name = "modified-mass-central"
+
+    def __init__(self, body: Body) -> None:
+        if body.problem.ties:
+            raise Unsupported("modified-mass-central: ties; take modified-mass, or remove the tied unknowns")
+        self.body = body
+        bare = massless(body.mass)
+        self._moving, self._bare = np.flatnonzero(~bare), np.flatnonzero(bare)
+        self._inertia = body.mass / body.step**2
+        only = sp.diags(bare.astype(float))
+        self.templates = (body.template(self._inertia + only @ body.stiffness @ only),)
+        self._coupling = body.stiffness[self._bare][:, self._moving]
+
+    @cached_property
+    def _mass(self) -> Factorization:
+        return factorise(self.body.mass[self._moving][:, self._moving])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without factors, which are not pickled; they are made again where they are needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_mass"}
+
+    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
+        """Return the acceleration at the start where there is mass, 0 elsewhere."""
+        del velocity
+        acceleration = np.zeros(len(load))
+        force = load - self.body.stiffness @ displacement
+        acceleration[self._moving] = self._mass.solve(force[self._moving])
+        return acceleration
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
+        del answers
+        body, u = self.body, state.displacement
+        internal = body.stiffness @ u
+        force = load - internal + self._inertia @ (u - state.before)
+        ahead = self._mass.solve(force[self._moving]) * body.step**2
+        force[self._bare] = (next_load - internal)[self._bare] - self._coupling @ ahead
+        return StepProblem(force, body.problem.gap, None, body.slip_from(u), None, u)
+
+
 SCHEMES = (
     SchemeEntry("modified-mass", lambda body, _: Trapezoidal(body, "modified-mass"), massless_contacts=True),
     SchemeEntry("newmark", lambda body, _: Trapezoidal(body, "newmark")),
     SchemeEntry("backward-euler", lambda body, _: BackwardEuler(body)),
+    SchemeEntry(
+        "modified-mass-central", lambda body, _: ModifiedMassCentral(body), explicit=True, massless_contacts=True
+    ),
+    SchemeEntry("deuflhard-krause-ertel", lambda body, _: ContactStabilised(body)),
 )
