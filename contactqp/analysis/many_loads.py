@@ -45,7 +45,7 @@ from contactqp.certificate.number_range import near_one
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import lower_factor
-from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import METHOD, free_memory, lapack, one_blas_thread, stage, telling
 from contactqp.linalg.sliced import LEFT_OUT, SlicedStiffness
 from contactqp.model.arguments import checked
@@ -342,7 +342,7 @@ def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
         return False
     if rough or not 0 < count <= min(PER_CASE * cases.count, problem.dimension) or problem.has_idle_rows:
         return False
-    if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
+    if systems_of(problem) is not Systems.CONDENSED:
         return False
     return near_one(problem) is None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,7 @@ from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated, iteration
+from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.model.arrays import Vector, own_floating_point
@@ -208,14 +207,16 @@ def _measured(
 ) -> _Measured:
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
-        route = _route(problem, factorization)
-        candidates = believed_candidates(problem, answer) if route is _Route.CANDIDATES else None
+        systems = systems_of(problem) if factorization is None else Systems.CONDENSED
+        candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
         if candidates is not None and problem.frictional:
             reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE
             left, known, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:
-            left, known, rigid, condensation = _residuals_and_bounds(problem, answer, route, factorization, candidates)
+            left, known, rigid, condensation = _residuals_and_bounds(
+                problem, answer, systems, factorization, candidates
+            )
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
         out_of_balance, law = balance(problem, answer, rigid) if rigid.count else 0.0, None
         if problem.frictional:
@@ -324,29 +325,10 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
     return (*said, *said_of_estimates(known)) if known.estimated else tuple(said)
 
 
-class _Route(Enum):
-    """The ways in which the distance of an answer from the solution is bounded."""
-
-    ITERATED = "by products, nothing being factorised"
-    SPARSE = "by sparse systems of all unknowns"
-    CANDIDATES = "by the contacts that an answer closes, the others being open"
-    CONDENSED = "by the bodies condensed onto all contacts"
-
-
-def _route(problem: ContactProblem, factorization: Condensation | None) -> _Route:
-    if factorization is not None:
-        return _Route.CONDENSED
-    if iterated(problem):
-        return _Route.ITERATED
-    if constraints_are_many(problem):
-        return _Route.SPARSE
-    return _Route.CANDIDATES if contacts_are_many(problem) else _Route.CONDENSED
-
-
 def _residuals_and_bounds(
     problem: ContactProblem,
     answer: Answer,
-    route: _Route,
+    systems: Systems,
     factorization: Condensation | None,
     candidates: NDArray[np.intp] | None,
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
@@ -354,12 +336,12 @@ def _residuals_and_bounds(
 
     The condensation is None where it does not retain all contacts.
     """
-    if route is _Route.ITERATED:
+    if systems is Systems.ITERATED:
         left = plain_residuals(problem, answer)
         known = bounds(problem, answer, left, iteration(problem))
         return left, known, iteration(problem).rigid, None
     left = kept_residuals(problem, answer)
-    if route is _Route.SPARSE:
+    if systems is Systems.SPARSE:
         known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
     if candidates is not None:

@@ -35,7 +35,7 @@ from contactqp.certificate.state_bodies import Bodies, CondensedBodies, Iterated
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
-from contactqp.linalg.iteration import constraints_are_many, iterated, iteration
+from contactqp.linalg.iteration import Systems, iterated, iteration, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, in_energy, row_sizes
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -140,9 +140,9 @@ def state_verdict(
         if (reason := _too_large(problem, condensation, answer)) is not None:
             return figures_alone(reason)
         bodies = CondensedBodies(problem, condensation)
-    elif iterated(problem):
+    elif (systems := systems_of(problem)) is Systems.ITERATED:
         bodies = IteratedBodies(problem)
-    elif constraints_are_many(problem):
+    elif systems is Systems.SPARSE:
         bodies = SparseBodies(problem)
     else:
         return figures_alone("the bodies are not factorised as a whole")

@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
+from enum import Enum
 
 import numpy as np
 import scipy.sparse as sp
@@ -46,6 +47,24 @@ PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6
 SMALLEST, OF_PLANES = 3e7, 25
 # With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
 FRICTION_CONDENSED = 3.0
+
+
+class Systems(Enum):
+    """The systems that a problem is solved and judged by."""
+
+    ITERATED = "products with K and a hierarchy, nothing being factorised"
+    SPARSE = "sparse saddle points of all unknowns"
+    SUBSET = "the bodies condensed onto the contacts that may close"
+    CONDENSED = "the bodies condensed onto all contacts and ties"
+
+
+def systems_of(problem: ContactProblem) -> Systems:
+    """Return the systems that are predicted to cost a problem least: `solve` takes these, and its certificate too."""
+    if iterated(problem):
+        return Systems.ITERATED
+    if constraints_are_many(problem):
+        return Systems.SPARSE
+    return Systems.SUBSET if contacts_are_many(problem) else Systems.CONDENSED
 
 
 def iterated(problem: ContactProblem) -> bool:

@@ -15,7 +15,7 @@ from rich.markup import escape
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.iteration import LARGE, constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.iteration import LARGE, Systems, systems_of
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.blocks import BLOCKS
@@ -373,15 +373,16 @@ def _axes(problem: ContactProblem) -> int:
 
 def _systems(problem: ContactProblem) -> BuildingBlock:
     """Return which systems `solve` takes."""
-    if iterated(problem):
+    systems = systems_of(problem)
+    if systems is Systems.ITERATED:
         many = problem.frictional and problem.dimension < LARGE
         why = "contacts that rub are many" if many else "the body is too large to factorise"
         return BuildingBlock("condensation", False, f"{why}: it is iterated on")
-    if constraints_are_many(problem):
+    if systems is Systems.SPARSE:
         return BuildingBlock("condensation", False, "constraints are many: sparse systems are predicted to cost less")
     rows = [problem.normal, problem.tie] if problem.tangent is None else [problem.normal, problem.tie, problem.tangent]
     touched = len(np.unique(np.concatenate([some.indices for some in rows])))
-    if contacts_are_many(problem):
+    if systems is Systems.SUBSET:
         why = "friction retains three rows of each" if problem.frictional else "dense systems of all cost more"
         text = f"onto contacts that may close, of {problem.contacts} that touch {touched} unknowns with the ties: {why}"
         return BuildingBlock("condensation", True, text)

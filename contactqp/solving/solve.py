@@ -29,12 +29,12 @@ from contactqp.errors import (
     shown,
 )
 from contactqp.linalg.iteration import (
+    Systems,
     condense_anyway,
-    constraints_are_many,
     contacts_are_many,
     factorised,
-    iterated,
     may_be_factorised,
+    systems_of,
 )
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
 from contactqp.model.arrays import Vector, own_floating_point
@@ -218,12 +218,11 @@ def _solve(
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
     chosen = find(method)
-    large = iterated(problem)
-    if large and _works_with_factors(chosen, condense, algorithm) and may_be_factorised(problem):
+    systems = systems_of(problem)
+    if systems is Systems.ITERATED and _works_with_factors(chosen, condense, algorithm) and may_be_factorised(problem):
         with factorised(problem):
             return solve(problem, method, warm_start=warm_start, **same)
-    some = not large and not constraints_are_many(problem) and contacts_are_many(problem)
-    if some and algorithm != "associated":
+    if systems is Systems.SUBSET and algorithm != "associated":
         with problem.lock, stage(METHOD):
             among = solve_among(
                 problem, warm_start, lambda few, known: solve(few, method, warm_start=known, **same), _without_friction
@@ -238,12 +237,13 @@ def _solve(
         limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
             raise
-        if iterated(problem):
+        systems = systems_of(problem)  # what has failed may have found that a body floats
+        if systems is Systems.ITERATED:
             if not may_be_factorised(problem):
                 raise
             with factorised(problem):
                 return _factorised_after(error, solve(problem, method, warm_start=warm_start, **same))
-        if constraints_are_many(problem):
+        if systems is Systems.SPARSE:
             if not problem.frictional:
                 raise  # the other routes condense
             condense_anyway(problem)
@@ -466,7 +466,7 @@ def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str)
     if method.kind not in (CONDENSES_ITSELF, "quadratic program", "modelling language") or not method.sparse:
         return False
     if condense == "auto":
-        return constraints_are_many(problem)
+        return systems_of(problem) is Systems.SPARSE
     return condense is False and method.kind == CONDENSES_ITSELF
 
 
@@ -481,7 +481,7 @@ WAYS = (
     Way(lambda problem, *_: problem.frictional, _run_friction),
     # The body is too large to factorise.
     Way(
-        lambda problem, *_: iterated(problem),
+        lambda problem, *_: systems_of(problem) is Systems.ITERATED,
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.

@@ -20,11 +20,10 @@ from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
 from contactqp.linalg.iteration import (
-    constraints_are_many,
-    contacts_are_many,
+    Systems,
     held_by_hierarchy,
-    iterated,
     iteration,
+    systems_of,
 )
 from contactqp.linalg.refinement import shift_to_least_norm
 from contactqp.linalg.runtime import refuse_late, tell
@@ -153,7 +152,7 @@ class SparseRun(Run):
     def _at_rest(self, final: Final) -> Final:
         """Return the answer with its free motions at rest and listed, where the certificate condenses the problem."""
         problem = self.problem
-        if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
+        if systems_of(problem) is not Systems.CONDENSED:
             return final
         if self._state is None or uniqueness(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it

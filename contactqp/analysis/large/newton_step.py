@@ -22,7 +22,7 @@ from contactqp.analysis.large.active_kkt import (
 from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, iterated
+from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import POLISH, one_blas_thread, stage
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -214,7 +214,7 @@ def _refined(problem: ContactProblem, settings: NewtonSettings, start: Candidate
     plain = settings.exact and find(settings.method).polish and set(options) <= REFINED and options.get("polish", True)
     if problem.frictional or not plain or problem.has_idle_rows or near_one(problem) is not None:
         return None
-    if iterated(problem) or constraints_are_many(problem) or contacts_are_many(problem):
+    if systems_of(problem) is not Systems.CONDENSED:
         return None
     try:
         run = begin(problem, settings.method, start, **options)

@@ -16,7 +16,6 @@ from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.conclusion import deliver, machine, report_folder, unfinished, versions, workshop, write
-from contactqp.study.curves import Chart
 from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
 from contactqp.study.rows import aligned
 from contactqp.study.running.journal import Journal, source_digest
@@ -253,11 +252,6 @@ def terminal_lines(study: StabilityStudy) -> Iterator[str]:
     for row in study.wrong:
         yield f"WRONG BUT PASSED: {row.axis} = {row.label}: {row.name}: error {row.error}: {row.message}"
     yield str(study)
-
-
-def stability_charts(study: StabilityStudy) -> tuple[Chart, ...]:
-    """Return the charts of all sections."""
-    return tuple(chart for section in stability_sections(study) for chart in section.charts)
 
 
 def stability_sections(study: StabilityStudy) -> tuple[Section, ...]:

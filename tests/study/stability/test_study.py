@@ -22,6 +22,7 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
+from contactqp.study.curves import Chart
 from contactqp.study.page.case_view import stability_bars
 from contactqp.study.running.journal import Crash
 from contactqp.study.running.runner import Stopped
@@ -48,7 +49,6 @@ from contactqp.study.stability.stability_report import (
     grouped,
     page_of,
     safe_ranges,
-    stability_charts,
     stability_sections,
     terminal_lines,
     write_stability,
@@ -220,9 +220,13 @@ def test_columns_verdicts_and_axes_are_documented() -> None:
     assert re.findall(r"^\| `([\w-]+)` \|", table, flags=re.MULTILINE) == [axis.name for axis in AXES]
 
 
+def charts_of(study: StabilityStudy) -> list[Chart]:
+    return [chart for section in stability_sections(study) for chart in section.charts]
+
+
 def test_charts_are_plotlys(small: StabilityStudy) -> None:
     graph_objects = pytest.importorskip("plotly.graph_objects")
-    charts = stability_charts(small)
+    charts = charts_of(small)
     assert len({chart.name for chart in charts}) == len(charts) == 3 * len(small.axes) + 1
     for chart in charts:
         graph_objects.Figure(chart.figure)  # refuses what Plotly does not know
@@ -238,7 +242,7 @@ def test_charts_are_plotlys(small: StabilityStudy) -> None:
 
 
 def test_cells_of_a_verdict_map_have_letters(small: StabilityStudy) -> None:
-    chart = next(chart for chart in stability_charts(small) if chart.name == "stability-mesh-grading-verdicts")
+    chart = next(chart for chart in charts_of(small) if chart.name == "stability-mesh-grading-verdicts")
     [trace] = chart.figure["data"]
     assert set(np.ravel(trace["text"])) <= {letter for letter, _ in LETTERS.values()}
     assert [line[0] for line in chart.lines] == ["active-set", "penalty", "lagrange-multiplier"]
