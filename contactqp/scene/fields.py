@@ -30,7 +30,7 @@ from contactqp.scene.units import (
 class Block(BaseModel):
     """A table of a case file: no unknown keys, nothing changes after it is read."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, defer_build=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with some keys changed, without what was computed of the old ones."""

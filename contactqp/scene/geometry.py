@@ -7,38 +7,27 @@ they touch are warned of.
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.obstacle import Obstacle, Plane
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.errors import InvalidProblem, StartWarning, warn
-from contactqp.scene.units import number, vector
+from contactqp.scene.units import number, read_unit, vector
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # meshes are imported where a scene has bodies
     from collections.abc import Mapping
 
+    from contactqp.elements.mesh import Mesh
+    from contactqp.elements.mesh_files import Lattice
+    from contactqp.elements.structure import Part
     from contactqp.model.arrays import Array
     from contactqp.scene.schema import Contact, SceneData
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from numpy.typing import ArrayLike
-
-from contactqp.elements import shapes
-from contactqp.elements.mesh import Mesh
-from contactqp.elements.mesh_files import Lattice, read_mesh
-from contactqp.elements.solid import Membrane as MembranePart
-from contactqp.elements.structure import Part
-from contactqp.scene.units import read_unit
-
-if TYPE_CHECKING:
-    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
-
 
 # How far a point may be from the node that it stands for, in diagonals of the node's smallest element: coordinates in
 # a case file are rounded, and a node of a mesh is no neighbour's.
@@ -74,6 +63,8 @@ def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
 
 def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
     """Read the mesh of a file, in the scene's unit of length."""
+    from contactqp.elements.mesh_files import read_mesh
+
     folder = Path() if scene.file is None else scene.file.parent
     mesh = read_mesh(folder / source.file, part=source.part, drop_unconnected=source.drop_unconnected)
     scale = float(read_unit(source.unit)[0] / read_unit(scene.units.length)[0])
@@ -82,6 +73,8 @@ def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
 
 def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
     """Return the mesh of a shape before it is made, in the scene's unit of length."""
+    from contactqp.elements import shapes
+
     options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
     for key, name in (("corner", "corner"), ("centre", "center")):
         if getattr(shape, key) is not None:
@@ -117,7 +110,9 @@ def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
 
 def nearest_to(body: Part, point: ArrayLike) -> Nearest:
     """Return the node of a body or membrane nearest to a point, however far."""
-    points = body.points if isinstance(body, MembranePart) else body.mesh.points
+    from contactqp.elements.solid import Membrane
+
+    points = body.points if isinstance(body, Membrane) else body.mesh.points
     apart = np.linalg.norm(points - np.asarray(point), axis=1)
     node = int(np.argmin(apart))
     around = [points[block.nodes[(block.nodes == node).any(axis=1)]] for block in body.mesh.blocks]

@@ -9,19 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History, contact_changes
-from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, unknown_names_of
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
+
+if TYPE_CHECKING:  # imported where something deforms: this module also says what is no large deformation
+    from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING = 64 * np.finfo(float).eps
@@ -90,6 +92,8 @@ class LoadedBody:
     @cached_property
     def unknown_names(self) -> tuple[str, ...] | None:
         """Return the names of the unknowns, where the body has such."""
+        from contactqp.elements.deformable import unknown_names_of
+
         return unknown_names_of(self.body)
 
     def at(self, u: Vector) -> Instant:
@@ -100,6 +104,8 @@ class LoadedBody:
 
     def _contact(self, u: Vector) -> ContactState:
         if self.contact is None:
+            from contactqp.elements.deformable import ContactState
+
             none = np.zeros(0)
             return ContactState(none, sp.csr_array((0, self.dimension)), None, none)
         return self.contact.state(u)
