@@ -85,6 +85,16 @@ LEFT, P, 0.1
 *NODE PRINT, NSET=TOP
 U
 *END STEP
+*STEP
+*STATIC
+0.5, 2.
+*BOUNDARY
+TOP, 1, 1, 0.001
+*CLOAD, OP=NEW
+23, 1, -1.
+*DLOAD
+3, P3, 2.
+*END STEP
 """
 NODES = """\
 *NODE, NSET=EVERY
@@ -115,7 +125,7 @@ def write_decks(folder: Path) -> None:
         labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
         three = np.pad(moved, ((0, 0), (0, 3 - moved.shape[1])))
         rows = [f"{label:10d}" + "".join(f" {x:13.6E}" for x in row) for label, row in zip(labels, three, strict=True)]
-        title = " displacements (vx,vy,vz) for set EVERY and time  0.1000000E+01"
+        title = f" displacements (vx,vy,vz) for set EVERY and time {deck.model.end:14.7E}"
         (folder / f"{name}.dat").write_text("\n".join(["", title, "", *rows, ""]))
 
 

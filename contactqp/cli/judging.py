@@ -145,7 +145,7 @@ def crosscheck_command(
 ) -> None:
     """Judge the contact of MODEL.inp as CalculiX solves it, pair by pair: exit 0 if it is right, 1 if it is wrong.
 
-    MODEL.inp is an input deck of Abaqus or CalculiX: one linear elastic static step. RESULTS is a .dat or .frd file of
+    MODEL.inp is an input deck of Abaqus or CalculiX: linear elastic static steps. RESULTS is a .dat or .frd file of
     CalculiX with the displacements of all nodes (`*NODE PRINT` or `*NODE FILE`, U); without it the deck is run by ccx,
     or by the command that CONTACTQP_CCX names, and exit 3 says that there is none.
 

@@ -336,15 +336,17 @@ def _warnings(printed: str) -> tuple[str, ...]:
 
 def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
     """Yield the lines of the deck that is run."""
+    steps = 0
     for card in cards:
         name = card.keyword.name
         if card.keyword.why == PRINTED:
             continue
-        if name == "STEP":
+        if name == "STEP" and not steps:
             yield f"*NSET, NSET={NODES}"
             labels = nodes.tolist()
             for at in range(0, len(labels), LABELS_A_LINE):
                 yield ", ".join(map(str, labels[at : at + LABELS_A_LINE])) + ","
+        steps += name == "STEP"
         if name == "END STEP":
             yield from (f"*NODE PRINT, NSET={NODES}", "U")
         yield from _folded(card.head.text)

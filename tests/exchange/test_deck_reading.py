@@ -32,7 +32,7 @@ def test_a_deck_is_read_as_it_stands(tmp_path: pathlib.Path) -> None:
     assert model.surfaces["ABOVE"].faces is not None
     assert model.pairs[0].name == "ABOVE on BELOW"
     assert model.interactions["TOUCH"].stiffness == 1e4
-    assert model.supports[-1].value == -0.02
+    assert model.loading.supports[-1].value == -0.02
 
 
 def test_case_blanks_tabs_and_line_ends_mean_nothing(tmp_path: pathlib.Path) -> None:
@@ -85,11 +85,13 @@ MISTAKES = {
     "an element with too few nodes": ("16, 17, 18\n", "16, 17\n", "expected a label and 8 nodes for each C3D8"),
     "large displacements": ("*STEP", "*STEP, NLGEOM", "expected NLGEOM=NO or OFF"),
     "another overclosure": ("=LINEAR", "=EXPONENTIAL", "expected PRESSURE-OVERCLOSURE=HARD or LINEAR"),
-    "another procedure": ("*STATIC", "*DYNAMIC", "*DYNAMIC: a deck has one *STATIC step here"),
+    "another procedure": ("*STATIC", "*DYNAMIC", "*DYNAMIC: the steps of a deck are *STATIC here"),
     "a plastic material": ("*DENSITY", "*PLASTIC", "materials are linear elastic"),
     "a load before the step": ("*STEP", "*CLOAD\nTOP, 3, 1.\n*STEP", "*CLOAD: expected it between *STEP and *END STEP"),
     "a deck that was cut off": ("*END STEP", "", "the file was cut off"),
-    "a second step": ("*END STEP", "*END STEP\n*STEP", "a deck has one step here"),
+    "a second step without an end": ("*END STEP", "*END STEP\n*STEP\n*STATIC", "the file was cut off"),
+    "a second step without a procedure": ("*END STEP", "*END STEP\n*STEP\n*END STEP", "expected *STATIC in the step"),
+    "a load behind the last step": ("*END STEP", "*END STEP\n*BOUNDARY\nTOP, 1, 1", "nothing but another *STEP"),
     "an interaction that is not there": ("INTERACTION=TOUCH", "INTERACTION=TUCH", "there is no interaction TUCH"),
     "a surface that is not there": ("ABOVE, BELOW", "ABOVE, FLOOR", "there is no surface FLOOR; it has BELOW, ABOVE"),
     "data behind a keyword that has none": (
@@ -146,7 +148,7 @@ def test_amplitudes_scale_loads_at_the_end_of_the_step(tmp_path: pathlib.Path) -
     text = STACK.replace("*STEP", "*AMPLITUDE, NAME=A\n0., 0., 1., 3., 4., 9.\n*STEP").replace(
         "*STATIC\n*BOUNDARY", "*STATIC\n0.1, 2.\n*BOUNDARY, AMPLITUDE=A"
     )
-    assert read_deck_model(write(tmp_path, text)).supports[-1].value == pytest.approx(-0.02 * 5)
+    assert read_deck_model(write(tmp_path, text)).loading.supports[-1].value == pytest.approx(-0.02 * 5)
 
 
 def test_loads_equations_and_symmetry_are_read(tmp_path: pathlib.Path) -> None:
@@ -157,16 +159,16 @@ def test_loads_equations_and_symmetry_are_read(tmp_path: pathlib.Path) -> None:
         "*END STEP", "*CLOAD\nTOP, 1, 2.5\n*DLOAD\nSOLID, GRAV, 9.81, 0., 0., -2.\n2, P2, 4.\n*END STEP"
     )
     model = read_deck_model(write(tmp_path, text))
-    assert [one.axis for one in model.supports[:4]] == [0, 1, 2, 0]
+    assert [one.axis for one in model.loading.supports[:4]] == [0, 1, 2, 0]
     assert model.equations[0].coefficients.tolist() == [1.0, -0.5, -0.5]
-    assert model.forces[0].value == 2.5
-    assert np.allclose(model.accelerations[0].vector, [0.0, 0.0, -9.81])
-    assert (model.pressures[0].faces.face.tolist(), model.pressures[0].value) == ([2], 4.0)
+    assert model.loading.forces[0].value == 2.5
+    assert np.allclose(model.loading.accelerations[0].vector, [0.0, 0.0, -9.81])
+    assert (model.loading.pressures[0].faces.face.tolist(), model.loading.pressures[0].value) == ([2], 4.0)
 
 
 def test_numbers_that_calculix_cuts_off_are_told(tmp_path: pathlib.Path) -> None:
     text = STACK.replace("TOP, 3, 3, -0.02", "TOP, 3, 3, -2.00000000000000e-02")
     whole, cut = read_deck_model(write(tmp_path, text)), read_deck_model(write(tmp_path, text), columns=20)
-    assert whole.supports[-1].value == -0.02
-    assert cut.supports[-1].value == -2.0
+    assert whole.loading.supports[-1].value == -0.02
+    assert cut.loading.supports[-1].value == -2.0
     assert any("CalculiX reads the first 20" in line for line in whole.ledger.assumed)

@@ -26,6 +26,7 @@ from contactqp.exchange.deck.model import (
     FacePressure,
     Faces,
     Interaction,
+    Loading,
     Section,
     SpringSection,
 )
@@ -253,13 +254,13 @@ def factor(amplitudes: Amplitudes, card: Card, end: float) -> float:
     return float(np.interp(end, times, values))
 
 
-def read_boundary(model: DeckModel, card: Card, scale: float) -> None:
+def read_boundary(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
     """Read displacements: nodes, a first and a last direction, a value; or nodes and a word such as ENCASTRE."""
     rotations = 0
     for line, words in card.table("nodes, a first and a last direction, a displacement"):
         nodes = members(model.node_sets, card, line, words[0])
         if len(words) == 2 and words[1] in HELD:
-            model.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in HELD[words[1]])
+            loading.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in HELD[words[1]])
             continue
         if not 2 <= len(words) <= 4:
             raise card.wrong("nodes, a first and a last direction, a displacement", repr(line.text[:40]), line)
@@ -274,7 +275,7 @@ def read_boundary(model: DeckModel, card: Card, scale: float) -> None:
                 if value:
                     raise card.wrong("directions 1 to 3 with a value", f"the rotation {direction}", line)
             else:
-                model.supports.append(AtNodes(nodes, direction - 1, value, line.place))
+                loading.supports.append(AtNodes(nodes, direction - 1, value, line.place))
     if rotations:
         model.ledger.ignored.append(f"{card.head.place}: *BOUNDARY: rotations; the elements have none")
 
@@ -285,17 +286,17 @@ def _direction(card: Card, line: Line, word: str) -> int:
     return int(word)
 
 
-def read_forces(model: DeckModel, card: Card, scale: float) -> None:
+def read_forces(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
     """Read forces: nodes, a direction, a value; forces on one node add up."""
     for line, words in card.table("nodes, a direction, a force"):
         if len(words) != 3 or words[1] not in ("1", "2", "3"):
             raise card.wrong("nodes, a direction 1, 2 or 3, a force", repr(line.text[:40]), line)
         nodes = members(model.node_sets, card, line, words[0])
         value = scale * card.real(line, 2, "a force")
-        model.forces.append(AtNodes(nodes, int(words[1]) - 1, value, line.place))
+        loading.forces.append(AtNodes(nodes, int(words[1]) - 1, value, line.place))
 
 
-def read_distributed(model: DeckModel, card: Card, scale: float) -> None:
+def read_distributed(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
     """Read pressures ``elements, P1, value`` and weights ``elements, GRAV, g, nx, ny, nz``."""
     for line, words in card.table("elements, P1 or GRAV, a value"):
         if len(words) < 3:
@@ -307,24 +308,26 @@ def read_distributed(model: DeckModel, card: Card, scale: float) -> None:
                 raise card.wrong("elements, P1, a pressure", repr(line.text[:40]), line)
             value = scale * card.real(line, 2, "a pressure")
             faces = Faces(elements, np.full(len(elements), int(face[1])))
-            model.pressures.append(FacePressure(faces, value, line.place))
+            loading.pressures.append(FacePressure(faces, value, card.name, line.place))
         elif words[1] == "GRAV":
-            model.accelerations.append(Acceleration(elements, scale * _gravity(card, line, words), line.place))
+            direction = _direction_of_gravity(card, line, words)
+            value = scale * card.real(line, 2, "an acceleration")
+            loading.accelerations.append(Acceleration(elements, value, direction, line.place))
         else:
             raise card.refuse(f"the load {words[1][:40]} is not offered; P1 to P6 and GRAV are", line)
 
 
-def _gravity(card: Card, line: Line, words: list[str]) -> Vector:
+def _direction_of_gravity(card: Card, line: Line, words: list[str]) -> Vector:
     if not 4 <= len(words) <= 6:
         raise card.wrong("elements, GRAV, an acceleration and its direction", repr(line.text[:60]), line)
     direction = np.pad(card.numbers(line, words[3:], "a direction"), (0, 6 - len(words)))
     length = float(np.linalg.norm(direction))
     if not length > 0:
         raise card.wrong("a direction of gravity", "zeros", line)
-    return card.real(line, 2, "an acceleration") * direction / length
+    return np.asarray(direction / length)
 
 
-def read_surface_load(model: DeckModel, card: Card, scale: float) -> None:
+def read_surface_load(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
     """Read pressures on surfaces: ``surface, P, value``."""
     for line, words in card.table("a surface, P, a pressure"):
         if len(words) != 3 or words[1] != "P":
@@ -332,7 +335,8 @@ def read_surface_load(model: DeckModel, card: Card, scale: float) -> None:
         surface = find(model.surfaces, card, line, words[0], "surface")
         if surface.faces is None:
             raise card.wrong("a surface of faces", f"{surface.name}, of nodes", line)
-        model.pressures.append(FacePressure(surface.faces, scale * card.real(line, 2, "a pressure"), line.place))
+        value = scale * card.real(line, 2, "a pressure")
+        loading.pressures.append(FacePressure(surface.faces, value, card.name, line.place))
 
 
 def read_equation(model: DeckModel, card: Card) -> None:

@@ -377,7 +377,7 @@ def _read(name: str, where: str, *parameters: str, idle: str = "", refused: str 
 _SMALL = "displacements are small here; take it out to judge the small-displacement problem"
 _ELASTIC = "materials are linear elastic and isotropic here"
 _FLAT = "parts and instances are not followed; let Abaqus write a flat deck (noPartsInputFile=ON)"
-_PROCEDURE = "a deck has one *STATIC step here"
+_PROCEDURE = "the steps of a deck are *STATIC here"
 
 _READ = (
     _read("NODE", MODEL, "NSET", "SYSTEM=R", refused="INPUT"),

@@ -117,20 +117,27 @@ class AtNodes:
 
 @dataclass(frozen=True, eq=False)
 class FacePressure:
-    """A pressure [force / length^2] on faces of elements, positive towards the body."""
+    """A pressure [force / length^2] on faces of elements, positive towards the body; *DLOAD or *DSLOAD states it."""
 
     faces: Faces
     value: float
+    keyword: str
     place: str
 
 
 @dataclass(frozen=True, eq=False)
 class Acceleration:
-    """A body force of some elements: gravity, density times this vector [length / time^2]."""
+    """A body force of some elements: density times gravity [length / time^2] along a unit vector (3,)."""
 
     elements: Index
-    vector: NDArray[np.float64]
+    value: float
+    direction: NDArray[np.float64]
     place: str
+
+    @property
+    def vector(self) -> NDArray[np.float64]:
+        """Return the acceleration (3,) [length / time^2]."""
+        return self.value * self.direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +214,16 @@ class ContactPair:
 
 
 @dataclass
+class Loading:
+    """What acts at the end of a step: displacements and forces of nodes, pressures on faces, gravity."""
+
+    supports: list[AtNodes] = field(default_factory=list)
+    forces: list[AtNodes] = field(default_factory=list)
+    pressures: list[FacePressure] = field(default_factory=list)
+    accelerations: list[Acceleration] = field(default_factory=list)
+
+
+@dataclass
 class DeckModel:
     """All that a deck states.
 
@@ -219,8 +236,10 @@ class DeckModel:
     points : (N, 3) array
     clearances : mapping of (slave, master) to length
         What *CLEARANCE puts in the place of the distances.
+    steps : list of Loading
+        What acts at the end of each step; the last one is that of the deck.
     end : float
-        The time at the end of the step.
+        The time at the end of the last step.
     long_numbers : list of str
         Where numbers of more characters stand than CalculiX reads.
     """
@@ -236,17 +255,19 @@ class DeckModel:
     materials: dict[str, DeckMaterial] = field(default_factory=dict)
     sections: list[Section] = field(default_factory=list)
     springs: list[SpringSection] = field(default_factory=list)
-    supports: list[AtNodes] = field(default_factory=list)
-    forces: list[AtNodes] = field(default_factory=list)
-    pressures: list[FacePressure] = field(default_factory=list)
-    accelerations: list[Acceleration] = field(default_factory=list)
     equations: list[Equation] = field(default_factory=list)
     ties: list[DeckTie] = field(default_factory=list)
     interactions: dict[str, Interaction] = field(default_factory=dict)
     pairs: list[ContactPair] = field(default_factory=list)
     clearances: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    steps: list[Loading] = field(default_factory=list)
     end: float = 1.0
     long_numbers: list[str] = field(default_factory=list)
+
+    @property
+    def loading(self) -> Loading:
+        """Return what acts at the end of the last step."""
+        return self.steps[-1]
 
     @property
     def dimension(self) -> int:

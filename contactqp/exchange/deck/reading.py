@@ -9,7 +9,8 @@ import numpy as np
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck import card_readers
 from contactqp.exchange.deck.cards import CALCULIX_COLUMNS, MODEL, STEP, Card, Effect, read_cards
-from contactqp.exchange.deck.model import DeckModel
+from contactqp.exchange.deck.model import DeckModel, Loading
+from contactqp.exchange.deck.steps import StepLoads
 from contactqp.exchange.files import Ledger, Path, is_number
 
 Handler = Callable[[DeckModel, Card], None]
@@ -32,7 +33,7 @@ _MODEL: dict[str, Handler] = {
     "FRICTION": card_readers.read_friction,
     "CLEARANCE": card_readers.read_clearance,
 }
-_LOADS: dict[str, Callable[[DeckModel, Card, float], None]] = {
+_LOADS: dict[str, Callable[[DeckModel, Loading, Card, float], None]] = {
     "BOUNDARY": card_readers.read_boundary,
     "CLOAD": card_readers.read_forces,
     "DLOAD": card_readers.read_distributed,
@@ -45,6 +46,8 @@ _FOLLOWING = {
     "FRICTION": "SURFACE INTERACTION",
 }  # fmt: skip
 _SHOWN = 5
+# Steps of one deck: each is merged with all that the ones before it state.
+MOST_STEPS = 1000
 
 
 def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
@@ -63,12 +66,13 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
     """
     cards = read_cards(path, columns)
     model = DeckModel(str(path), Ledger(str(path)))
-    end = model.end = _check_order(path, cards)
+    periods = _check_order(path, cards)
+    model.end = sum(periods)
     for card in cards:
         if card.keyword.name in _FIRST:
             _FIRST[card.keyword.name](model, card)
     amplitudes: card_readers.Amplitudes = {}
-    inside, loaded = False, False
+    acting = StepLoads()
     for card in cards:
         name = card.keyword.name
         _note_idle(model.ledger, card)
@@ -76,25 +80,29 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
         if name in _MODEL:
             _MODEL[name](model, card)
         elif name == "AMPLITUDE":
+            if len(periods) > 1 and card.parameter("TIME", "STEP TIME") != "STEP TIME":
+                raise card.refuse("with several steps, expected TIME=STEP TIME")
             card_readers.read_amplitude(amplitudes, card)
         elif name in _LOADS:
-            _check_op(card, loaded and not inside)
-            loaded = True
-            _LOADS[name](model, card, card_readers.factor(amplitudes, card, end))
-        inside = inside or name == "STEP"
+            stated = acting.stated_by(card)
+            _LOADS[name](model, stated, card, card_readers.factor(amplitudes, card, periods[len(model.steps)]))
+        elif name == "STEP":
+            acting.begin_step()
+        elif name == "END STEP":
+            model.steps.append(acting.end_step())
     _check_model(model)
     model.ledger.read.insert(0, _contents(model))
     return model
 
 
-def _check_order(path: Path, cards: list[Card]) -> float:
-    """Check that cards stand where they may, with one static step at the end; return the time at its end."""
-    inside = ended = False
-    end, static, owner = 1.0, False, ""
+def _check_order(path: Path, cards: list[Card]) -> list[float]:
+    """Check that cards stand where they may, with static steps at the end; return how long each of these takes."""
+    inside, static, owner = False, False, ""
+    periods: list[float] = []
     for card in cards:
         name = card.keyword.name
-        if ended and card.keyword.effect is not Effect.IDLE:
-            raise card.refuse("a deck has one step here; expected nothing behind *END STEP")
+        if periods and not inside and name != "STEP" and card.keyword.effect is not Effect.IDLE:
+            raise card.refuse("expected nothing but another *STEP behind *END STEP")
         if (card.keyword.where == STEP and not inside) or (card.keyword.where == MODEL and inside):
             raise card.refuse(f"expected it {card.keyword.where}")
         if name in _FOLLOWING and owner != _FOLLOWING[name]:
@@ -102,18 +110,25 @@ def _check_order(path: Path, cards: list[Card]) -> float:
         if name not in _FOLLOWING:
             owner = name
         if name == "STEP":
-            inside = True
+            inside, static = True, False
         elif name == "STATIC":
             if static:
                 raise card.refuse("a step has one *STATIC; expected one")
-            static, end = True, _period(card)
+            if periods and (card.has("TIME RESET") or card.has("TOTAL TIME AT START")):
+                raise card.refuse("times of the steps of a deck go on; expected neither TIME RESET nor TOTAL TIME")
+            static = True
+            periods.append(_period(card))
         elif name == "END STEP":
-            ended = True
-    if not static:
+            if not static:
+                raise card.refuse("expected *STATIC in the step, got none")
+            inside = False
+    if not periods:
         raise InvalidProblem(f"{path}: expected a *STEP with *STATIC in it, got none")
-    if not ended:
+    if inside:
         raise InvalidProblem(f"{path}: expected *END STEP at the end, got none: the file was cut off")
-    return end
+    if len(periods) > MOST_STEPS:
+        raise InvalidProblem(f"{path}: expected at most {MOST_STEPS} steps, got {len(periods)}")
+    return periods
 
 
 def _period(card: Card) -> float:
@@ -129,12 +144,6 @@ def _period(card: Card) -> float:
         if len(times) > 1 and times[1] > 0:
             return float(times[1])
     return 1.0
-
-
-def _check_op(card: Card, before: bool) -> None:
-    """Refuse OP=NEW where it would take something away that stands before the step."""
-    if card.parameters.get("OP") == "NEW" and before:
-        raise card.refuse("OP=NEW takes away what stands before the step; expected the deck without it")
 
 
 def _note_idle(ledger: Ledger, card: Card) -> None:
@@ -181,6 +190,8 @@ def _check_model(model: DeckModel) -> None:
             if name not in model.surfaces:
                 has = ", ".join(model.surfaces)[:200] or "none"
                 raise InvalidProblem(f"{place}: there is no surface {name}; it has {has}")
+    if len(model.steps) > 1 and any(interaction.friction > 0 for interaction in model.interactions.values()):
+        model.ledger.assumed.append(f"friction is followed step by step, each of the {len(model.steps)} one increment")
     pairs = {(pair.slave, pair.master) for pair in model.pairs}
     for slave, master in model.clearances:
         if (slave, master) not in pairs:

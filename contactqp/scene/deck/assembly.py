@@ -81,10 +81,10 @@ class DeckAssembly:
     def load(self) -> Vector:
         """Return the forces on all unknowns [force]."""
         total = np.zeros(self.topology.size)
-        for force in self.topology.model.forces:
+        for force in self.topology.model.loading.forces:
             np.add.at(total, self._unknowns(force, "*CLOAD"), force.value)
         self._press(total)
-        for acting in self.topology.model.accelerations:
+        for acting in self.topology.model.loading.accelerations:
             self.topology.check_elements(acting.elements, acting.place)
             for group in self.topology.groups:
                 mine = np.isin(group.labels, acting.elements)
@@ -98,7 +98,7 @@ class DeckAssembly:
         return total
 
     def _press(self, total: Vector) -> None:
-        pressures = self.topology.model.pressures
+        pressures = self.topology.model.loading.pressures
         if not pressures:
             return
         faces = Faces(
@@ -154,7 +154,7 @@ class DeckAssembly:
         """Return the prescribed displacements, NaN at free unknowns [length]; of two, the last one counts."""
         values = np.full(self.topology.size, np.nan)
         ledger = self.topology.model.ledger
-        for support in self.topology.model.supports:
+        for support in self.topology.model.loading.supports:
             unknowns = self._unknowns(support, "*BOUNDARY")
             before = values[unknowns]
             if np.any(before[~np.isnan(before)] != support.value):

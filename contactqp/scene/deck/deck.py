@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.scalars import real_vector
-from contactqp.elements.structure import FreeContacts, free_contacts
+from contactqp.elements.structure import FreeContacts, free_contacts, stacked
 from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.deck.reading import read_deck_model
@@ -32,6 +32,7 @@ from contactqp.scene.deck.contacts import (
     tie_rows,
 )
 from contactqp.scene.deck.groups import topology_of
+from contactqp.solving.solve import solve
 
 Enforcement = Literal["exact", "penalty"]
 # What CalculiX makes of HARD: springs of this many times Young's modulus, per length of the deck's unit.
@@ -99,6 +100,14 @@ class Deck:
         return tuple(self.assembly.topology.name(unknown) for unknown in self.free.tolist())
 
     @cached_property
+    def before(self) -> Deck | None:
+        """Return the deck of all steps but the last, with a ledger of its own; None where there is one step."""
+        if len(self.model.steps) == 1:
+            return None
+        own = Ledger(self.model.file, read=self.ledger.read[:1])
+        return Deck(replace(self.model, steps=self.model.steps[:-1], ledger=own))
+
+    @cached_property
     def _given(self) -> Vector:
         return np.where(np.isnan(self.assembly.prescribed), 0.0, self.assembly.prescribed)
 
@@ -143,7 +152,7 @@ class Deck:
         """
         contacts = self.contacts(discretisation)
         with naming(self.model.file):
-            exact = self._exact(contacts.free)
+            exact = self._exact(contacts.free, self._slipped_before(enforcement, discretisation))
             problem = exact if enforcement == "exact" else self._on_springs(exact, contacts)
             return problem.with_load_sum(problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free))))
 
@@ -153,11 +162,30 @@ class Deck:
         contacts: DeckContacts = getattr(self, found[discretisation])
         return contacts
 
-    def _exact(self, contacts: FreeContacts) -> ContactProblem:
+    def _slipped_before(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
+        """Return E_T u of each contact after the steps before the last, where its slip starts from [length].
+
+        Springs along the surface have taken a part of that. None where there is one step, or no friction.
+        """
+        contacts = self.contacts(discretisation)
+        if self.before is None or contacts.free.tangent is None or not len(contacts.free.kept):
+            return None
+        problem, earlier = self.before.problem(enforcement, discretisation), self.before.contacts(discretisation)
+        u = solve(problem).displacement
+        for kind, line in self.before.ledger:
+            note(getattr(self.ledger, kind), line)
+        moved = earlier.tangent @ self.before.expand(u[: len(self.before.free)])
+        if problem.tangent is not None:
+            moved[earlier.tangent_rows] = problem.tangent @ u - earlier.free.slip_origin
+        return np.asarray(moved[contacts.tangent_rows])
+
+    def _exact(self, contacts: FreeContacts, slipped: Vector | None) -> ContactProblem:
         assembly, free = self.assembly, self.free
         if not len(free):
             raise InvalidProblem("every node is held; expected some that are free")
-        given, tie = self._given, self.ties
+        given, tie, slip_origin = self._given, self.ties, contacts.slip_origin
+        if slipped is not None and slip_origin is not None:
+            slip_origin = slip_origin + slipped
         return ContactProblem(
             stiffness=self._stiffness,
             load=(assembly.load - assembly.stiffness @ given)[free],
@@ -165,7 +193,7 @@ class Deck:
             gap=contacts.gap,
             tangent=contacts.tangent,
             friction=contacts.friction,
-            slip_origin=contacts.slip_origin,
+            slip_origin=slip_origin,
             tie=tie[:, free] if tie.shape[0] else None,
             tie_value=-(tie @ given) if tie.shape[0] else None,
             dof_names=self.dof_names,
@@ -269,6 +297,17 @@ class DeckContacts:
             names=contact_names(self.pairs),
         )
 
+    @property
+    def tangent(self) -> Any:
+        """Return the tangential rows of all pairs over the unknowns of all nodes."""
+        return stacked([one.pairing.tangent for one in self.pairs], len(self.prescribed))
+
+    @property
+    def tangent_rows(self) -> Index:
+        """Return the places of the tangential rows of the contacts of the problem among those of all pairs."""
+        along = self.pairs[0].pairing.tangent.shape[0] // len(self.pairs[0].labels)
+        return np.asarray((self.free.kept[:, None] * along + np.arange(along)).ravel())
+
     def of_pair(self, number: int) -> tuple[Index, Index]:
         """Return the contacts of the problem that belong to a pair, and their places among the contacts of the pair."""
         ends = np.cumsum([0, *(len(one.labels) for one in self.pairs)])
@@ -280,7 +319,10 @@ class DeckContacts:
 @checked
 @own_floating_point
 def read_deck(path: Path) -> Deck:
-    """Read an input deck of Abaqus or CalculiX: one linear elastic static step, with its contact pairs.
+    """Read an input deck of Abaqus or CalculiX: linear elastic static steps, with their contact pairs.
+
+    The problem is that at the end of the last step. Where there is friction, each step before is solved as one
+    increment, and slip starts from where it ends.
 
     Every keyword and parameter is honoured, refused by its line, or stands in `deck.ledger` as without effect. Lengths
     and forces stay in the units of the deck. Elements: C3D4, C3D8, C3D10, C3D20, C3D20R, CPE, CPS and CAX with 3, 4, 6
