@@ -40,7 +40,8 @@ PUSHED_BY_ROUNDING = 8.0
 
 
 def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
-    """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion.
+    """Return |v|_K [square root of energy] and a bound on its error: even extended precision rounds a large rigid
+    motion.
 
     In double precision, unless that rounds away more than a few digits.
     """
@@ -63,7 +64,7 @@ def energy_norms(
     displacement: Extended,
     counted: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """The least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
+    """Return the least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
 
     `counted` is `energy_norm` of v, where it has been formed already.
 
@@ -82,7 +83,7 @@ def energy_norms(
 def force_norm(
     problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
 ) -> tuple[float, float]:
-    """|d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
+    """Return |d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
     d = force.double()
     if not d.any():
         return 0.0, 0.0
@@ -100,7 +101,7 @@ def force_norm(
 
 
 def response(problem: ContactProblem, condensation: Condensation, load: Extended, tied: bool) -> tuple[Extended, float]:
-    """The displacement u under a load, contacts open, with a bound on its error in the energy norm.
+    """Return the displacement u under a load with all contacts open, and a bound on its error in the energy norm.
 
     K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P leaves the part of the load out that drives
     motions which nothing resists.
@@ -160,7 +161,7 @@ def _free_motions(problem: ContactProblem, condensation: Condensation, saddle: S
 def _left_along(
     problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
 ) -> float:
-    """The energy norm of the response to what rounding leaves of a load that motions (n, q) or ties take.
+    """Bound the response, in the energy norm, to what rounding leaves of a load that motions (n, q) or ties take.
 
     Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
     of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
@@ -177,26 +178,26 @@ def _left_along(
 
 
 def _resisted(problem: ContactProblem, motions: Vector) -> float:
-    """What ties resist of motions (n, q), as a part of these."""
+    """Return how much ties resist motions (n, q), relative to the terms that should cancel."""
     most = abs(problem.tie).sum(axis=1)[:, None] * np.max(abs(motions), axis=0, initial=0.0)
     return float(np.max(abs(problem.tie @ motions) / np.where(most > 0, most, 1.0), initial=0.0))
 
 
 def without_part_along(motions: Vector, vector: Extended) -> Extended:
-    """A vector less its part along orthonormal motions (n, q)."""
+    """Return a vector less its part along orthonormal motions (n, q)."""
     if not motions.shape[1]:
         return vector
     return vector - motions @ (motions.T @ vector.double())
 
 
 def residual_noise(problem: ContactProblem, answer: Answer) -> float:
-    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
+    """Bound what the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
     scale = problem.own_scale
     return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
 def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: Vector) -> float:
-    """The energy norm that the rounding of a rigid displacement has; zero where nothing floats."""
+    """Return the energy norm of the rounding of a rigid displacement; zero where nothing floats."""
     if not rigid.count:
         return 0.0
     size = abs(displacement)
@@ -235,6 +236,6 @@ def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
 
 
 def force_size(problem: ContactProblem, force: Vector) -> float:
-    """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
+    """Return |D E'l|, the size of contact forces at their own unknowns, the rest held [square root of energy]."""
     resultant = row_sizes(problem, problem.normal).resultant(force)
     return float(np.linalg.norm(problem.own_scale * resultant))

@@ -264,7 +264,7 @@ def _kept(
 
 
 def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:
-    """The displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
+    """Return the displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
     inner = problem.stiffness_sizes @ abs(elastic)

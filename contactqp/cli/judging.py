@@ -195,7 +195,7 @@ STANDARD_INPUT = "standard input"
 
 @contextmanager
 def _answer_file(candidate: str) -> Iterator[str]:
-    """The file of an answer; one that holds what comes in on standard input where that is asked for."""
+    """Yield the file of an answer; what comes in on standard input is first written into one."""
     if candidate != "-":
         yield candidate
         return

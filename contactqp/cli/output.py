@@ -124,7 +124,7 @@ def whereabouts() -> Iterator[Callable[[str], None] | None]:
 
 
 def refuse_doubts(_: click.Context, __: click.Parameter, strict: bool) -> bool:
-    """With --strict a contact that starts where it hardly can is an error; a callback of click."""
+    """Make doubtful starts of contacts errors where --strict is set (a callback of click)."""
     if strict:
         warnings.simplefilter("error", StartWarning)
     return strict

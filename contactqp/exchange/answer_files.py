@@ -152,7 +152,7 @@ def _table(path: Path, text: str, separator: str, problem: LocalProblem, ledger:
 
 
 def _check_header(path: Path, columns: list[str], ledger: Ledger) -> None:
-    """Columns stand in the order (N, T1, T2) whatever they are called, but not where they say otherwise."""
+    """Refuse a header that states another order of columns than (N, T1, T2), in which they are taken."""
     said = ", ".join(columns)
     if any(NORMAL.fullmatch(column.lower()) for column in columns[1:]):
         raise wrong(path, "first line", "columns in the order N, T1, T2", f"{said!r:.60}")

@@ -171,7 +171,7 @@ def _as_called_here(path: Path, place: Mapping[str, int], names: Sequence[str], 
 
 
 def real_array(path: Path, part: str, values: Any) -> NDArray[np.float64]:
-    """Real numbers of one or two dimensions; None is NaN."""
+    """Return real numbers of one or two dimensions as an array; None becomes NaN."""
     try:
         if isinstance(values, list):
             values = [[_number(v) for v in row] if isinstance(row, list) else _number(row) for row in values]

@@ -37,7 +37,7 @@ class NodalField:
     values: NDArray[np.float64]  # (N, c)
 
     def component(self, name: str) -> NDArray[np.float64] | None:
-        """(N,) one component, None where the field has no such one."""
+        """Return one component (N,), or None where the field has no such one."""
         return self.values[:, self.components.index(name)] if name in self.components else None
 
 
@@ -230,7 +230,7 @@ def _node_width(path: Path, place: str, line: str) -> int:
 
 
 def _begin(path: Path, place: str, line: str, node_width: int) -> _Block:
-    """Columns 13 to 24 are the time, 25 to 36 the number of nodes."""
+    """Begin a block of results: columns 13 to 24 of its line are the time, 25 to 36 the number of nodes."""
     return _Block(_number(path, place, line[12:24]), _integer(path, place, line[24:36]), node_width)
 
 
@@ -343,7 +343,7 @@ def read_displacements(path: Path) -> tuple[NodalField, Ledger]:
 def answer_of(
     path: Path, problem: ContactProblem, fields: list[NodalField], ledger: Ledger, expected: str
 ) -> AnswerFile:
-    """Displacements and contact pressures of the last increment that has them.
+    """Return the displacements and contact pressures of the last increment that has them.
 
     Raises
     ------
@@ -418,7 +418,7 @@ def _displacement(path: Path, problem: ContactProblem, field: NodalField, ledger
 def _pressures(
     path: Path, problem: ContactProblem, field: NodalField, parts: dict[str, Values], ledger: Ledger
 ) -> None:
-    """Pressures of contacts that are called by their node, if they all are."""
+    """Add the pressures of the contacts to `parts` where all contacts are called by their slave node."""
     names = [CONTACT_NAME.fullmatch(problem.contact_name(i)) for i in range(problem.contacts)]
     if problem.contact_names is None or any(name is None for name in names):
         ledger.ignored.append("contact pressures: the problem's contacts are not called by their slave node")

@@ -22,7 +22,7 @@ EXACT = 2**53
 
 
 def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> NDArray[np.float64]:
-    """(rows, columns) the numbers of a text, apart by blanks.
+    """Return the numbers (rows, columns) of a text in which blanks separate them.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _rows(path: Path, comments: list[int]) -> Iterator[str]:
 
 
 def _labelled(path: Path, table: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[Integers, Integers, tuple[str, ...]]:
-    """Rows, columns and the names of the unknowns, by node and direction."""
+    """Return rows, columns and the names of the unknowns, which are made of node and direction."""
     if np.any(table[:, [0, 2]] < 0):
         line = int(np.argmax(np.any(table[:, [0, 2]] < 0, axis=1))) + 1
         raise Unsupported(f"{path}: line {line}: internal nodes (negative labels) are not supported")

@@ -57,7 +57,7 @@ def is_hdf5(data: bytes) -> bool:
 
 
 def h5py_module() -> Any:
-    """h5py, imported when it is first needed.
+    """Import h5py, which is done when a file is first read or written, and return it.
 
     Raises
     ------
@@ -132,7 +132,7 @@ class Hdf5File:
         return values.reshape(-1).astype(float)
 
     def vector(self, name: str, size: int, why: str, *, finite: bool = True) -> NDArray[np.float64]:
-        """(size,) numbers; `why` says where the size comes from."""
+        """Return (size,) numbers; `why` says in the message of an error where the size comes from."""
         values = self.numbers(name)
         if len(values) != size:
             raise wrong(self.path, name, f"{size} numbers ({why})", len(values))
@@ -141,7 +141,7 @@ class Hdf5File:
         return values
 
     def shape(self, name: str) -> tuple[int, int]:
-        """(m, n) of a matrix."""
+        """Return the shape (m, n) that a matrix states."""
         return self.integer(f"{name}/m"), self.integer(f"{name}/n")
 
     def matrix(self, name: str, shape: tuple[int, int], why: str) -> Any:
@@ -441,7 +441,7 @@ def _global_data(problem: GlobalProblem) -> tuple[dict[str, NDArray[np.float64]]
 def _answer_data(
     problem: LocalProblem | GlobalProblem, solution: LocalSolution | Solution
 ) -> dict[str, NDArray[np.float64]]:
-    """v, u, r, l as FCLIB names them, of a solution that belongs to this problem."""
+    """Return v, u, r and l, as FCLIB names them, of a solution that belongs to this problem."""
     if isinstance(solution, LocalSolution):
         r, u, joint, v = solution.force, solution.velocity, solution.joint_force, None
     elif isinstance(problem, LocalProblem) or solution.slip is None:

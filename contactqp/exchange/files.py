@@ -37,7 +37,7 @@ def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
 
 
 def check_dimension(path: Path, place: str, dimension: int) -> int:
-    """2 or 3.
+    """Return the dimension of contacts, 2 or 3.
 
     Raises
     ------
@@ -212,7 +212,7 @@ class Ledger:
             self.converted.append(f"stiffness: {digits}, so that rigid motions cost no energy")
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """Kind and line, in the order of `KINDS`."""
+        """Yield kind and line of every note, in the order of `KINDS`."""
         for kind in KINDS:
             for line in getattr(self, kind):
                 yield kind, line
@@ -287,7 +287,7 @@ def check_installed(package: str, purpose: str) -> None:
 
 
 def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: bool = False) -> None:
-    """Let `write` fill a file beside this one with the same suffix, then put it in place.
+    """Write a file as a whole or not at all: `write` fills another beside it, which then takes its place.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: b
 
 
 def _onto_disk(path: FilePath) -> None:
-    """Have what is in memory of a file or a folder written."""
+    """Force what the system still holds in memory of a file or a folder onto the disk."""
     place = os.open(path, os.O_RDONLY)
     try:
         os.fsync(place)
@@ -447,7 +447,7 @@ class MatrixFile(NamedTuple):
 
 
 def say_sums(ledger: Ledger, stored: int, different: int) -> None:
-    """Entries of a sparse matrix that are stored more than once add up, as in every assembly."""
+    """Note that entries of a sparse matrix that are stored more than once were added up, as in every assembly."""
     if stored > different:
         ledger.converted.append(f"{stored - different} entries are stored more than once: added up")
 

@@ -83,7 +83,7 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
 
 
 def body_motion(problem: GlobalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
-    """(n,) v = M^-1 (H r + f + G l).
+    """Return the velocities v = M^-1 (H r + f + G l) (n,) of the bodies.
 
     Raises
     ------
@@ -117,13 +117,13 @@ class _Inverse:
             raise self._singular(reciprocal)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """M^-1 right, (n,) or (n, q)."""
+        """Return M^-1 right, (n,) or (n, q)."""
         if not self._size:
             return np.zeros_like(right)
         return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
 
     def _reciprocal_condition(self, scaled: Any) -> float:
-        """1 / (|S|_1 |S^-1|_1), the latter by a few solutions with random signs (Hager's and Higham's lower bound)."""
+        """Estimate 1 / (|S|_1 |S^-1|_1) from above by a few solutions with random signs (Hager, Higham)."""
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(self._size, 4))
         inverse_size = 0.0
         for x in signs.T / self._size:
@@ -144,7 +144,7 @@ class _Inverse:
 
 
 def _congruence(inverse: _Inverse, left: Any, right: Any) -> Any:
-    """left' M^-1 right; bodies that are not connected leave exact zeros, which are not stored."""
+    """Return left' M^-1 right (CSR); bodies that are not connected leave exact zeros, which are not stored."""
     blocks = []
     columns = sp.csc_array(right)
     for first in range(0, columns.shape[1], COLUMNS_AT_A_TIME):

@@ -81,7 +81,7 @@ def read_numpy(path: Path) -> MatrixFile:
 
 
 def real(path: Path, place: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Numbers, or a refusal."""
+    """Return real numbers of at most two dimensions; refuse anything else."""
     if values.dtype.kind not in "fiu":
         raise wrong(path, place, "real numbers", f"{values.dtype} of shape {values.shape}")
     if values.ndim > 2:
@@ -96,7 +96,7 @@ def starts_with(path: Path, mark: bytes) -> bool:
 
 
 def read_npy(path: Path) -> NDArray[Any]:
-    """Real numbers of any shape, in this machine's order of bytes."""
+    """Return the real numbers of a .npy file, of any shape, in this machine's order of bytes."""
     size = file_size(path, NAME)
     with open(path, "rb") as file:
         return _array(path, "content", file, size)

@@ -180,7 +180,7 @@ def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
-    """Displacements along the axes, of unknowns that are called node.axis."""
+    """Return the displacements of a table with one column an axis, of unknowns that are called node.axis."""
     names: list[str] = []
     values: list[float] = []
     nodes = table.column("node")

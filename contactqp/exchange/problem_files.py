@@ -69,7 +69,7 @@ def _read_archive(path: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
-    """minimise 1/2 x'P x + q'x + r subject to l <= A x <= u; the last n rows of A are the identity."""
+    """Read min 1/2 x'P x + q'x + r over l <= A x <= u, where the last n rows of A are the identity."""
     found = _matrices(path, read_in_own_process(path, "mat", "a .mat file of qpbenchmark"))
     missing = [name for name in ("P", "q", "A", "l", "u") if name not in found]
     if missing:
@@ -90,7 +90,7 @@ def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
-    """By HiGHS, which turns the signs of an energy that is to be maximised."""
+    """Read a program by HiGHS, which turns the signs of one that is to be maximised."""
     if importlib.util.find_spec("highspy") is None:
         raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
     found = _matrices(path, read_in_own_process(path, "qps", "a quadratic program in QPS form"))

@@ -156,7 +156,7 @@ def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _stated(path: FilePath, ledger: Ledger | None = None) -> dict[str, Any]:
-    """problem.json, checked."""
+    """Return what problem.json states, checked."""
     data = load_json(path, "a problem in JSON")
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise wrong(path, "format", repr(FORMAT), repr(data.get("format") if isinstance(data, dict) else data)[:60])
@@ -276,7 +276,7 @@ def _unknown_names(
 
 
 def _tabled(part: str, file: FilePath, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str] | None]:
-    """Parts from a table, and what it calls the contacts or ties."""
+    """Return the parts that a table holds, and its names of the contacts or ties."""
     if part == "ties":
         return read_tie_rows(file, unknowns, ledger)
     if part == "load":

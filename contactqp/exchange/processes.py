@@ -71,7 +71,7 @@ def read_in_own_process(path: Path, kind: str, name: str) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> int:
-    """``KIND FILE OUTPUT BYTES``: read a file of so many bytes; what goes wrong is one line on stderr."""
+    """Read a file in this process, by the arguments ``KIND FILE OUTPUT BYTES``; an error becomes one line on stderr."""
     kind, source, output, size = arguments
     _limit_memory(MEMORY + TIMES * int(size))
     try:
@@ -87,7 +87,7 @@ def main(arguments: list[str]) -> int:
 
 
 def full(source: str) -> dict[str, Any]:
-    """Stiffness (as `scipy.sparse.save_npz` stores it), load, nodes and directions of the free unknowns."""
+    """Return stiffness (as `scipy.sparse.save_npz` stores it), load, nodes and directions of the free unknowns."""
     from ansys.mapdl.reader.full import FullFile
 
     file = FullFile(source)
@@ -109,7 +109,7 @@ def full(source: str) -> dict[str, Any]:
 
 
 def result(source: str) -> dict[str, Any]:
-    """Displacements of the last set, along the axes of the nodes."""
+    """Return the displacements of the last set, along the axes of the nodes."""
     from ansys.mapdl.reader.rst import Result
 
     file = Result(source, read_mesh=False)
@@ -134,7 +134,7 @@ def matlab(source: str) -> dict[str, Any]:
 
 
 def qps(source: str) -> dict[str, Any]:
-    """P, q, l <= C x <= u, lb <= x <= ub, the constant and the names of unknowns and rows, by HiGHS."""
+    """Return P, q, l <= C x <= u, lb <= x <= ub, the constant and the names of unknowns and rows, read by HiGHS."""
     import highspy
 
     reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]

@@ -46,7 +46,7 @@ class Words:
 
     @property
     def left(self) -> int:
-        """How many words there still are."""
+        """Return how many words have not been read."""
         return len(self._words) - self._next
 
     def peek(self) -> str | None:
@@ -85,12 +85,12 @@ class Words:
         return as_integers(self, self.words(count, what), what, first)
 
     def numbers(self, count: int, what: str) -> NDArray[np.float64]:
-        """(count,) finite numbers."""
+        """Return the next numbers (count,), which must be finite."""
         first = self._next
         return as_numbers(self, self.words(count, what), what, first)
 
     def literal(self, *expected: str, what: str) -> None:
-        """Step over these words."""
+        """Step over the next words, which must be these."""
         first = self._next
         taken = self.words(len(expected), what)
         for place, (want, got) in enumerate(zip(expected, taken, strict=True)):
@@ -116,7 +116,7 @@ class Words:
 
 
 def as_integers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.int64]:
-    """Words as integers; the k-th stands at the place first + k step."""
+    """Return words as integers; the k-th of them stands at the place first + k step of the file, which errors name."""
     try:
         return np.array([int(word) for word in taken], dtype=np.int64)
     except (ValueError, OverflowError):
@@ -125,7 +125,7 @@ def as_integers(words: Words, taken: list[str], what: str, first: int, step: int
 
 
 def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.float64]:
-    """Words as finite numbers; the k-th stands at the place first + k step."""
+    """Return words as finite numbers; the k-th of them stands at the place first + k step of the file."""
     try:
         values = np.array([float(word) for word in taken])
     except ValueError:
@@ -212,7 +212,7 @@ def _read_blocks(words: Words, name: str, size: tuple[int, int]) -> Any:
 
 
 def _ends(words: Words, what: str, count: int, size: int) -> NDArray[np.int64]:
-    """(count + 1,) where blocks begin and end."""
+    """Return the ends (count + 1,) of blocks, the first of which is zero."""
     last = words.integers(count, what)
     ends = np.concatenate([[0], last])
     if np.any(np.diff(ends) < 0) or ends[-1] != size:
@@ -268,7 +268,7 @@ def _is_size(word: str) -> bool:
 
 
 def _dump_header(words: Words, name: str, size: tuple[int, int]) -> int:
-    """``m-by-n, nzmax: N nnz: K`` and, for columns, ``, 1-norm: X``: the number of entries K."""
+    """Return K of the header ``m-by-n, nzmax: N nnz: K``; where entries stand by columns ``, 1-norm: X`` follows."""
     (stated,) = words.words(1, f"{name}, dump")
     if not _is_size(stated):
         raise words.unexpected(f"{name}, dump", "a size, like 3-by-3,")
@@ -290,7 +290,7 @@ Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 
 def _dumped_triplets(words: Words, name: str, count: int) -> Entries:
-    """``i j : x`` each."""
+    """Return the entries of a matrix that is dumped as ``i j : x`` each."""
     first = words.place
     taken = words.words(4 * count, f"{name}, {count} entries")
     _colons(words, taken[2::4], name, first + 2, 4)
@@ -300,7 +300,7 @@ def _dumped_triplets(words: Words, name: str, count: int) -> Entries:
 
 
 def _dumped_columns(words: Words, name: str, width: int, count: int) -> Entries:
-    """``col j : locations a to b`` and then ``i : x`` for each entry of the column."""
+    """Return the entries of a matrix dumped by columns: ``col j : locations a to b``, then ``i : x`` for each entry."""
     rows, columns, values = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
     read = 0
     for j in range(width):

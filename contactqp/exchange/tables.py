@@ -167,7 +167,7 @@ class Unknowns:
 
 
 def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str]]:
-    """normal, gap and, where their columns are there, tangent, friction, slip_origin; and the names of the contacts.
+    """Read contacts from a table; return the parts of the problem that it gives, and the names of the contacts.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[
 
 
 def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np.float64]:
-    """(n,) the load; unknowns that are not named carry none. Raises as `read_contact_rows`."""
+    """Return the load (n,), zero at unknowns that the table does not name; raises as `read_contact_rows`."""
     table = _table(path, "dof", ("load",), ())
     places = [unknowns.place(table, line, name) for line, name in zip(table.lines, table.column("dof"), strict=True)]
     _refuse_twice(table, places)

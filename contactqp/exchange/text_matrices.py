@@ -305,7 +305,7 @@ class Header:
 
     @property
     def length(self) -> int:
-        """How many lines it takes."""
+        """Return how many lines the header takes."""
         return 5 if self.lines[3] else 4
 
 

@@ -54,7 +54,8 @@ C = TypeVar("C", bound=type)
 
 
 def inverse_root(diagonal: Array) -> Array:
-    """1/sqrt of a diagonal, and 1 where it is zero; entries that lost digits below the floats count as the smallest.
+    """Return 1/sqrt of a diagonal, and 1 where it is zero; entries below the normal floats count as the smallest of
+    these.
 
     Products of two of these scales therefore stay in the range of floats.
     """
@@ -197,7 +198,7 @@ renew_in_child(_LIMIT.renew)
 
 @cache
 def _openblas() -> Any:
-    """The OpenBLAS libraries of NumPy and SciPy."""
+    """Return the controller of the OpenBLAS libraries of NumPy and SciPy."""
     import scipy.linalg  # noqa: F401  brings a library of its own
     from threadpoolctl import ThreadpoolController
 

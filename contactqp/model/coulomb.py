@@ -88,7 +88,7 @@ def onto_discs(vectors: Vectors, radius: Vector) -> Vectors:
 
 
 def de_saxce(velocity: Vectors, friction: Vector) -> Vectors:
-    """u + mu |u_T| e_N."""
+    """Return the velocities u + mu |u_T| e_N (m, d), with which Coulomb's law is a normality rule."""
     shifted = velocity.copy()
     shifted[:, 0] += friction * lengths(velocity[:, 1:])
     return shifted
@@ -111,7 +111,7 @@ SIDES = 32
 
 
 def resisting_rows(problem: ContactProblem) -> Any:
-    """Rows E in CSR such that no contact resists a motion z with E z <= 0: E_N, and E_N + mu t'E_T with friction.
+    """Return the rows E_N, and E_N + mu t'E_T with friction (CSR): no contact resists a motion z with E z <= 0.
 
     t are the two directions of the plane, in space the corners of a polygon around the unit circle.
     """

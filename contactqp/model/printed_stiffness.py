@@ -85,7 +85,7 @@ class Cleared:
 
 
 def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
-    """The matrix K (n, n; CSR, symmetric) without what lost digits make of rigid motions; None where nothing is to do.
+    """Return K (n, n; CSR) without what lost digits make of its rigid motions; None where there is nothing to change.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
 
 
 def _noisy(stiffness: Any, motions: Array) -> bool:
-    """Whether forces K z beyond the rounding of doubles act at many unknowns; they act at few where a body is held."""
+    """Return whether forces K z beyond rounding act at many unknowns, as lost digits make them; supports act at few."""
     root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))[:, None]
     forces = abs(stiffness @ motions) / root
     felt = forces > 8 * EXACT * np.max(root * abs(motions), axis=0)
@@ -134,7 +134,7 @@ def _noisy(stiffness: Any, motions: Array) -> bool:
 
 
 def _bodies(stiffness: Any) -> Iterator[NDArray[np.intp]]:
-    """The unknowns of each connected part of more than one."""
+    """Yield the unknowns of each connected part of K that has more than one."""
     from scipy.sparse.csgraph import connected_components
 
     count, label = connected_components(stiffness, directed=False)
@@ -151,7 +151,8 @@ def _scaled(matrix: Any, members: NDArray[np.intp], scale: Array) -> Any:
 
 
 def _rounding_of_digits(stiffness: Any) -> Any | None:
-    """Half a unit of the last printed digit of each entry, on the pattern of K; None where digits are few or all.
+    """Return half a unit of the last printed digit of each entry, on the pattern of K; None where digits are few or
+    all.
 
     Digits are counted from the first of each entry, or, where all have as many after the point, from there.
     """
@@ -174,13 +175,13 @@ def _rounding_of_digits(stiffness: Any) -> Any | None:
 
 
 def _has_digits(entries: Array, digits: int) -> bool:
-    """Whether a decimal of so many digits is the nearest to each of some positive numbers, to rounding."""
+    """Return whether positive numbers are decimals of so many digits, to rounding."""
     unit = 10.0 ** (np.floor(np.log10(entries)) - digits + 1)
     return bool(np.all(abs(np.round(entries / unit) * unit - entries) <= 4 * EPS * entries))
 
 
 def _places(entries: Array) -> int | None:
-    """The places after the point that all entries have at most, if these are some and few enough."""
+    """Return how many places after the point entries have at most; None where they have none or too many."""
     for places in range(1, MOST_DIGITS + 1):
         if np.max(entries) * 10.0**places > 1 / EPS:
             return None
@@ -190,7 +191,7 @@ def _places(entries: Array) -> int | None:
 
 
 def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
-    """Motions (p, q) of a body that lost digits alone resist, none where none is, and how many of the last are turns.
+    """Return motions (p, q) of a body that only lost digits resist, and how many of the last ones are rotations.
 
     Translations come first and are exact.
     """
@@ -216,7 +217,7 @@ def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
 
 
 def _translations(body: Any, weight: Any, scale: Array) -> Array:
-    """Translations (p, q) that lost digits alone resist, of unknowns node by node or direction by direction."""
+    """Return translations (p, q) that only lost digits resist, whether unknowns stand node by node or axis by axis."""
     size, found = body.shape[0], np.zeros((body.shape[0], 0))
     for directions in (1, 2, 3, 6):
         if size % directions:
@@ -231,7 +232,7 @@ def _translations(body: Any, weight: Any, scale: Array) -> Array:
 
 
 def _lowest(body: Any) -> Array:
-    """Motions (p, q) of next to no energy, of either sign."""
+    """Return the motions (p, q) whose energy is next to nothing, of either sign."""
     size = body.shape[0]
     if size <= DENSE:
         values, vectors = np.linalg.eigh(body.toarray())
@@ -247,7 +248,8 @@ def _lowest(body: Any) -> Array:
 
 
 def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Any | None:
-    """The change d (p, p) of a body's scaled stiffness that leaves rigid motions no force; None where there are none.
+    """Return the change d (p, p) of a scaled stiffness after which rigid motions take no force; None without such
+    motions.
 
     `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be. The last
     `turns` motions are known to the digits of K only, and corrected.
@@ -267,7 +269,7 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
 
 
 def _least_change(body: Any, weight: Any, rigid: Array, turns: int, most: float) -> tuple[Any, Array]:
-    """The least change (p, p), the last `turns` motions corrected with it, and the forces (p, r) that are left.
+    """Return the least change (p, p) and the forces (p, r) that are left; the last `turns` motions are corrected too.
 
     Given up where an entry changes by more than `most`, or where the pattern has no room for the motions as they are.
     """
@@ -291,14 +293,15 @@ def _least_change(body: Any, weight: Any, rigid: Array, turns: int, most: float)
 
 
 def _cost_nothing(body: Any, rigid: Array, forces: Array) -> bool:
-    """Whether no combination of motions (p, r) that meet these forces (p, r) has more than a rounding's energy."""
+    """Return whether no combination of motions (p, r) with these forces (p, r) has more than a rounding's energy."""
     energies, mix = np.linalg.eigh(rigid.T @ forces)
     size = abs(rigid @ mix)
     return bool(np.all(abs(energies) <= ROUNDED_ENERGY * np.sum(size * (abs(body) @ size), axis=0)))
 
 
 def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Array:
-    """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none.
+    """Return orthonormal motions (p, r) whose forces K z are those of lost digits; none where other forces are as
+    likely.
 
     The motions themselves, one after another, where all of them are. Where no digits are known, the forces may be those
     of motions that were stated roughly: these cost energy. The last `turns` motions are known to the digits of K only.
@@ -321,7 +324,7 @@ def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, 
 
 
 def _of_lost_digits(body: Any, motions: Array) -> bool:
-    """Whether the works z_j (K z)_j of motions (p, r) are at many unknowns and of signs that follow no rule."""
+    """Return whether the works z_j (K z)_j of motions (p, r) act at many unknowns with signs that follow no rule."""
     work = motions * _forces(body, motions)
     felt = abs(work) > abs(motions) * _of_doubles(body, motions)
     if np.mean(np.any(felt, axis=1)) < WIDESPREAD:
@@ -331,14 +334,14 @@ def _of_lost_digits(body: Any, motions: Array) -> bool:
 
 
 def _independent(motions: Array, most: int | None = None) -> Array:
-    """An orthonormal basis of the span, or of the part of it that is largest."""
+    """Return an orthonormal basis of the span of motions, of at most so many columns."""
     basis, values, _ = np.linalg.svd(motions, full_matrices=False)
     kept: Array = basis[:, values > 1e-12 * np.max(values, initial=0.0)]
     return kept[:, :most]
 
 
 def _forces(matrix: Any, motions: Array) -> Array:
-    """K z of every column, summed in the longest floats that there are."""
+    """Return K z for every column, summed in the longest floats of the machine."""
     rows = sp.csr_matrix(matrix)
     if not rows.nnz or not motions.shape[1]:
         return np.zeros_like(motions)
@@ -350,12 +353,12 @@ def _forces(matrix: Any, motions: Array) -> Array:
 
 
 def _of_doubles(matrix: Any, motions: Array) -> Array:
-    """Forces K z (p, q) that the rounding of doubles makes: of K z, and of entries of z that ought to be zero."""
+    """Bound the forces K z (p, q) that doubles make by rounding: the products, and entries of z that should be zero."""
     return np.asarray(EXACT * (abs(matrix) @ abs(motions)) + ROUNDED_MOTION * _reach(matrix, motions))
 
 
 def _reach(matrix: Any, motions: Array) -> Array:
-    """Forces (p, q) that every entry of a motion would make if it were as large as the largest."""
+    """Return the forces (p, q) that motions would make if all their entries were as large as the largest."""
     row: Array = np.asarray(abs(matrix).sum(axis=1), dtype=float).reshape(-1, 1)
     largest: Array = np.max(abs(motions), axis=0, initial=0.0)
     return row * largest
@@ -391,7 +394,7 @@ class _LeastChange:
         )
 
     def change(self, forces: Array, nothing: Array, damped: float) -> tuple[Any, Array]:
-        """d and corrections x (p, turns) with d Z + K x = forces (p, r), but for what is nothing (p, r).
+        """Return the least d and corrections x (p, turns) with d Z + K x = forces (p, r), up to what is nothing (p, r).
 
         By LSQR, what a rounding of the entries changes by less than `damped` of that of doubles is not asked for.
         """
@@ -414,14 +417,14 @@ class _LeastChange:
         return self._matrix(y), TURNED * x
 
     def _by_singular_values(self, right: Array) -> Array:
-        """The least unknowns for whitened forces (e,), where these are no noise and the pattern has room."""
+        """Return the least unknowns for whitened forces (e,), without noise and what the pattern cannot take."""
         left, values, unknowns = np.linalg.svd(self._dense(), full_matrices=False)
         asked = left.T @ right
         kept = (abs(asked) > NOISE) & (values > NO_ROOM * values[0])
         return np.asarray(unknowns.T[:, kept] @ (asked[kept] / values[kept]))
 
     def _dense(self) -> Array:
-        """Whitened forces of each unknown y, and then x, a column each."""
+        """Return the matrix that maps the unknowns y, then x, to whitened forces."""
         z, whiten = self._motions, self._whiten
         (size, count), each, beside = z.shape, np.arange(len(self._weight)), self._beside
         changed = np.zeros((size, count, len(each)))

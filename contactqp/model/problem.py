@@ -280,7 +280,7 @@ class ContactProblem:
         tie_value: Vector,
         named: bool = True,
     ) -> ContactProblem:
-        """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
+        """Return this frictionless problem in other unknowns (condensed, scaled); nothing is checked again.
 
         `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
         indefinite by a few digits of what it was before; it still is this problem. Rows that are others are not

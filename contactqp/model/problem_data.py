@@ -240,7 +240,7 @@ def _without_entries(kind: Any, shape: tuple[int, int]) -> Any:
 
 
 def read_gap(value: ArrayLike, size: int) -> Vector:
-    """Initial gaps; infinity is that of a contact that never closes."""
+    """Read initial gaps (m,); an infinite one is that of a contact that never closes."""
     gap = read_array("gap", value)
     gap = gap[None] if gap.ndim == 0 and size == 1 else gap
     if gap.shape == (size,) and (gap == np.inf).any():
@@ -250,7 +250,7 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
 
 
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
-    """A stiffness K with its asymmetry and the part of it that was rounding of digits along rigid motions."""
+    """Read a stiffness; return K, its asymmetry, and the part of it that was rounding of digits along rigid motions."""
     dense = not sp.issparse(value)
     if dense and (definite := _definite(value)) is not None:
         read_motions(motions, len(definite))

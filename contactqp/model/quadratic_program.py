@@ -108,7 +108,7 @@ def contact_data(
 
 
 def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int) -> tuple[Any, Vector]:
-    """Rows and their limits, none where neither came."""
+    """Return rows and their limits, without any row where neither was given."""
     if rows is None and limit is None:
         return sp.csr_matrix((0, n)), np.zeros(0)
     if rows is None or limit is None:

@@ -42,7 +42,7 @@ class Reference:
 
     @property
     def length(self) -> float:
-        """What displacements are relative to: the largest of them, or else of what they must reach; 0 if all vanish."""
+        """Return the length that displacements are compared with [length]; 0 where all lengths vanish."""
         problem = self.problem
         origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
         moved = largest_of(self.displacement)
@@ -50,7 +50,9 @@ class Reference:
 
     @property
     def force(self) -> float:
-        """What forces are relative to: the largest that a contact or tie puts on an unknown, or else of the load."""
+        """Return the force that forces are compared with: the largest that a contact or tie puts on an unknown, else
+        the load.
+        """
         parts = [weights(self.problem.normal) * abs(self.normal_force), weights(self.problem.tie) * abs(self.tie_force)]
         if self.friction_force is not None:
             parts.append(weights(self.problem.tangent) * abs(self.friction_force).ravel())
@@ -58,7 +60,7 @@ class Reference:
 
     @property
     def resultant(self) -> Vector:
-        """E_N'l_N + E_T'l_T + A'nu (n,): what all forces do to the bodies together."""
+        """Return E_N'l_N + E_T'l_T + A'nu (n,): what all forces together do to the bodies [force]."""
         problem = self.problem
         total = problem.normal.T @ self.normal_force + problem.tie.T @ self.tie_force
         if problem.tangent is not None and self.friction_force is not None:
@@ -143,7 +145,7 @@ class Deviation:
 
 
 def displacement_deviations(reference: Reference, displacement: Vector, rtol: float) -> list[Deviation]:
-    """Unknowns further than rtol times the largest displacement from the right ones; none where those have no size."""
+    """Return unknowns that are off by more than rtol times the largest displacement; none where that is zero."""
     if not reference.one_displacement or not reference.length > 0:
         return []
     problem = reference.problem

@@ -36,32 +36,32 @@ class ContactOracle:
     def problems(
         self, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
     ) -> list[GalleryProblem]:
-        """Problems of the gallery."""
+        """Return problems of the gallery, as `contactqp.testing.problems` does."""
         from contactqp.oracle.gallery.gallery import problems
 
         return problems(kind, difficulty, count, seed)
 
     def certify(self, problem: Any, *answer: Any, **options: Any) -> JudgedAnswer:
-        """`contactqp.certify`, of problems of the gallery too."""
+        """Certify an answer as `contactqp.certify` does, also to a problem of the gallery."""
         from contactqp.oracle.judged_answer import certify
 
         return certify(getattr(problem, "problem", problem), *answer, **options)
 
     def crosscheck(self, path: Any, results: Any = None, **options: Any) -> CrossCheck:
-        """`contactqp.crosscheck`: the contact of a deck in CalculiX, which an `assert` finds right or not."""
+        """Judge the contact of a CalculiX deck as `contactqp.crosscheck` does; `assert` fails where it is wrong."""
         from contactqp.oracle.foreign.crosscheck import crosscheck
 
         return crosscheck(path, results, **options)
 
     def assert_contact_solution(self, problem: Any, *answer: Any, **options: Any) -> None:
-        """`contactqp.testing.assert_contact_solution`."""
+        """Assert that an answer is right: `contactqp.testing.assert_contact_solution`."""
         __tracebackhide__ = True
         from contactqp.oracle.assertions import assert_contact_solution
 
         assert_contact_solution(problem, *answer, **options)
 
     def assert_multipliers(self, problem: Any, *forces: Any, **options: Any) -> None:
-        """`contactqp.testing.assert_multipliers`."""
+        """Assert that contact forces are right: `contactqp.testing.assert_multipliers`."""
         __tracebackhide__ = True
         from contactqp.oracle.assertions import assert_multipliers
 
@@ -70,7 +70,7 @@ class ContactOracle:
     def check_solver(
         self, solver: Callable[[Any], Any], problems: Iterable[GalleryProblem] | None = None, **options: Any
     ) -> SolverReport:
-        """`contactqp.testing.check_solver`."""
+        """Run a solver over the gallery: `contactqp.testing.check_solver`."""
         from contactqp.oracle.solver_check import check_solver
 
         return check_solver(solver, problems, **options)
@@ -82,7 +82,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def contact_oracle() -> ContactOracle:
-    """Problems with exact answers, and assertions that say what is wrong with an answer: see contactqp.testing."""
+    """Provide problems with exact answers, and assertions that say what is wrong with one: see contactqp.testing."""
     return ContactOracle()
 
 

@@ -44,7 +44,7 @@ class SolverReport:
 
     @property
     def wrong(self) -> tuple[SolverVerdict, ...]:
-        """The answers that claimed to be right and are not."""
+        """Return the verdicts on answers that claimed to be right and are not."""
         return tuple(one for one in self.verdicts if one.verdict == "wrong")
 
     def table(self) -> str:
@@ -115,7 +115,7 @@ def _verdict(
 
 
 def _parts(answer: Any) -> dict[str, Any]:
-    """Displacement and forces of what a solver returned."""
+    """Return displacement and forces, by their names, of what a solver returned."""
     if isinstance(answer, Mapping):
         unknown = sorted(set(map(str, answer)) - set(ANSWER_PARTS))
         if unknown:

@@ -214,7 +214,7 @@ class StepJudge:
         origin = np.array([np.zeros(len(friction)) if p.slip_origin is None else p.slip_origin for p in posed]).T
 
         def by_contact(rows: Block) -> Block:
-            """(m steps, d-1) from (m (d-1), steps)."""
+            """Return values (m (d-1), steps) in the shape (m steps, d-1)."""
             return np.moveaxis(rows.reshape(m, width, steps), 1, 2).reshape(-1, width)
 
         slip, force = by_contact(self._T @ x - origin), by_contact(friction)

@@ -193,7 +193,7 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
 
 
 def _without_contacts(evidence: Evidence) -> Iterator[Question]:
-    """No contact at all; all but those that are penetrated and do not push."""
+    """Yield questions: is it right without any contact, is it without those that penetrate and do not push?"""
     problem, found = evidence.problem, evidence.certificate.violations
     none = np.zeros(0, dtype=np.intp)
     if found is None or not problem.contacts:
@@ -214,7 +214,7 @@ def _without_contacts(evidence: Evidence) -> Iterator[Question]:
 
 
 def _unpressed(evidence: Evidence) -> NDArray[np.intp]:
-    """Contacts that should push and do not."""
+    """Return the contacts that carry no force although those of the right answer do."""
     if evidence.right is None:
         return np.zeros(0, dtype=np.intp)
     should = evidence.right.normal_force
@@ -223,7 +223,7 @@ def _unpressed(evidence: Evidence) -> NDArray[np.intp]:
 
 
 def _held(evidence: Evidence) -> Iterator[Question]:
-    """Contacts that hold both ways: those that the answer closes, all of them, those that pull."""
+    """Yield questions: is it right with contacts that pull too, all of them, those with a force, those that touch?"""
     problem, found = evidence.problem, evidence.certificate.violations
     if not problem.contacts or found is None or problem.frictional:
         return
@@ -273,10 +273,10 @@ def diagnose(
     right: Solution | None,
     operations: float | None = None,
 ) -> tuple[Finding, ...]:
-    """Causes that explain the answer, then what it violates, and what was left unasked after so many operations.
+    """Return the causes that explain a refused answer, then what it violates, then what was left unasked.
 
-    None are as many as the right answer takes, at least `BUDGET`. They are predicted, not timed: the findings do not
-    depend on the machine.
+    Other questions that it may be the right answer to may take so many `operations`; by default as many as the right
+    answer takes, at least `BUDGET`. They are predicted, not timed: the findings do not depend on the machine.
     """
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:

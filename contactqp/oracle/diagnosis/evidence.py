@@ -188,7 +188,7 @@ def _friction_of(problem: ContactProblem, answer: Answer, i: int) -> str:
 
 
 def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
-    """Friction beside mu l_N, and the angle that it has with the slip."""
+    """Return in words the friction force beside mu l_N, and the angle between it and the slip."""
     slip = slips(problem, answer.displacement)
     if slip is None or answer.friction_force is None:
         return ""
@@ -259,12 +259,13 @@ class Evidence:
 
     @cached_property
     def before(self) -> float:
-        """How far what was given is from right."""
+        """Return how far what was given is from the right answer, relative; infinity where no right answer is known."""
         return np.inf if self.right is None else self.apart(self.given, self.right)
 
     @cached_property
     def weights(self) -> dict[str, Any]:
-        """The scale of each part [root of energy per its unit], as a part of the largest of displacements or forces.
+        """Return the factors by which entries of each part compare in energy, over those of all displacements or all
+        forces.
 
         What is compared are ratios, and with weights of at most one no value that is a double becomes infinite.
         """
@@ -288,7 +289,7 @@ class Evidence:
 
     @cached_property
     def shared(self) -> bool:
-        """Whether dependent rows leave the forces open."""
+        """Return whether dependent rows leave the forces open, by what the certificates say."""
         words = [*self.certificate.reasons, *self.certificate.notes, *self.certificate.uniqueness]
         if self.right is not None:
             known = self.right.certificate
@@ -297,7 +298,7 @@ class Evidence:
 
     @cached_property
     def given_parts(self) -> tuple[str, ...]:
-        """The parts that were given and have entries."""
+        """Return the names of the parts of the answer that were given and have entries."""
         return tuple(name for name in ANSWER_PARTS if getattr(self.given, name) is not None and self.size_of(name))
 
     def size_of(self, name: str) -> int:
@@ -315,7 +316,9 @@ class Evidence:
         return worst
 
     def part_apart(self, name: str, mine: NDArray[np.float64], right: NDArray[np.float64]) -> float:
-        """max |w (x - x*)| / max |w x*|, of either size where the right part is nothing beside the other forces."""
+        """Return max |w (x - x*)| / max |w x*|, over the size of all forces where the right part is nothing beside
+        them.
+        """
         weight = self.weights[name]
         difference = weight * (mine - right)
         if name == "displacement":
@@ -323,7 +326,7 @@ class Evidence:
         return _relative(difference, weight * right, weight * mine, self._floor(name))
 
     def _floor(self, name: str) -> float:
-        """Friction and tie forces that are this part of all forces are none: they are measured against the others."""
+        """Return the size beneath which a part of the forces is compared with all forces instead of with itself."""
         if self.right is None or name == "displacement":
             return 0.0
         sizes = [
@@ -348,7 +351,7 @@ class Evidence:
         return _relative(mine - right, right, mine, 0.0)
 
     def resultant(self, answer: Solution | Answer) -> Vector:
-        """E_N'l_N + E_T'l_T + A'nu (n,) of the parts that were given, [force]."""
+        """Return E_N'l_N + E_T'l_T + A'nu (n,) of those parts of an answer that were given [force]."""
         total = self.problem.normal.T @ answer.normal_force
         if "friction_force" in self.given_parts and self.problem.tangent is not None:
             total = total + self.problem.tangent.T @ np.ravel(np.asarray(answer.friction_force))

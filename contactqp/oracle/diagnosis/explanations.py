@@ -51,7 +51,7 @@ def laws(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """l_i = beta_i p_i with the penetration p_i = -gap_i, also where it pulls."""
+    """Yield an explanation where every force is a spring's, l_i = beta_i p_i with the penetration p_i = -gap_i."""
     problem, force = evidence.problem, evidence.answer.normal_force
     limit = evidence.certificate.tolerance
     pushed = found.force_measure > limit
@@ -107,7 +107,7 @@ LATER = 0.9e-3
 
 
 def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """l_i gap_i one and the same for all contacts, none of them closed: an interior point."""
+    """Yield an explanation where l_i gap_i is the same at all contacts and none is closed, as in an interior point."""
     force, gap = evidence.answer.normal_force, found.gap
     if len(gap) < 2 or np.any(force <= 0) or np.any(gap <= 0) or evidence.problem.frictional:
         return
@@ -164,7 +164,7 @@ def _passes_with(evidence: Evidence, stiffness: Any) -> bool:
 
 
 def _multiple(vector: Vector, of: Vector) -> float | None:
-    """c with vector = c of, None if there is none."""
+    """Return the factor c with vector = c of, or None where there is none."""
     largest, scale = (float(np.max(abs(one), initial=0.0)) for one in (vector, of))
     if not (0 < largest < np.inf and 0 < scale < np.inf):
         return None
@@ -174,7 +174,7 @@ def _multiple(vector: Vector, of: Vector) -> float | None:
 
 
 def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """Friction of another coefficient, another direction, another cone."""
+    """Yield explanations where friction follows another law: sign, coefficient, direction or shape of the cone."""
     problem, answer, limit = evidence.problem, evidence.answer, evidence.certificate.tolerance
     slip = slips(problem, answer.displacement)
     if not problem.frictional or problem.friction is None or slip is None or answer.friction_force is None:
@@ -251,7 +251,7 @@ def duplicates(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _rows_twice(evidence: Evidence) -> Iterator[Explanation]:
-    """Rows of the problem that are one contact, each with all of its force (or half of what their sum should be)."""
+    """Yield an explanation where the problem has a contact row several times and each copy carries the whole force."""
     force, right, problem = evidence.given.normal_force, evidence.right, evidence.problem
     if force is None or right is None or problem.contacts < 2:
         return
@@ -273,7 +273,7 @@ def _rows_twice(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _same_rows(evidence: Evidence) -> list[np.ndarray]:
-    """Groups of contacts with the same row and gap."""
+    """Return the groups of contacts that have the same row and the same gap."""
     problem = evidence.problem
     rows = problem.normal
     keys: dict[bytes, list[int]] = {}
@@ -284,7 +284,7 @@ def _same_rows(evidence: Evidence) -> list[np.ndarray]:
 
 
 def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """Some contacts have half or twice their force, the others are right."""
+    """Yield an explanation where some contacts have half or twice the right force and the others the right one."""
     size = float(np.max(abs(right), initial=0.0))
     acting = right > LEFT * size
     if np.sum(acting) < 2:
@@ -432,7 +432,7 @@ NODES, CONTACTS, SOME = 3, 2, 50
 
 
 def shifted(evidence: Evidence) -> Iterator[Explanation]:
-    """Offsets of gaps and of displacements."""
+    """Yield explanations by one offset of all gaps, or by one displacement of all nodes."""
     yield from _gaps(evidence)
     yield from _displacements(evidence)
 

@@ -76,7 +76,7 @@ def _of_contacts(evidence: Evidence) -> Order | None:
 
 
 def _places(mine: Vector, right: Vector) -> NDArray[np.intp] | None:
-    """p with mine[p] = right, None if there is none but the order as it is."""
+    """Return the order p with mine[p] = right; None where there is none, or where the order is right as it is."""
     size = float(np.max(abs(right), initial=0.0))
     if size == 0 or np.max(abs(np.sort(mine) - np.sort(right))) > LEFT * size:
         return None
@@ -152,7 +152,7 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_components(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
-    """Normal and tangential forces that stand in each other's place."""
+    """Yield an explanation where normal and tangential forces stand in each other's place."""
     normal = evidence.given.normal_force
     if normal is None:
         return
@@ -177,7 +177,9 @@ def _of_components(evidence: Evidence, mine: NDArray[np.float64], right: Solutio
 
 
 def _of_angle(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
-    """Tangential directions turned by one angle, and perhaps mirrored, at all of several contacts (Procrustes)."""
+    """Yield an explanation where one rotation or reflection of the tangents turns all friction forces into the right
+    ones.
+    """
     should = right.friction_force
     if should is None or np.sum(np.linalg.norm(should, axis=1) > LEFT * np.max(np.linalg.norm(should, axis=1))) < 2:
         return

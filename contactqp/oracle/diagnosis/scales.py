@@ -139,7 +139,7 @@ def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
 
 
 def scales(evidence: Evidence) -> Iterator[Explanation]:
-    """Signs, units and other factors that have a name."""
+    """Yield explanations by signs, units and other factors that have a name."""
     if evidence.right is None:
         yield from _without_right(evidence)
         return
@@ -268,7 +268,7 @@ def printed(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def inexact(evidence: Evidence) -> Iterator[Explanation]:
-    """To how many digits an answer is right that nothing else explains."""
+    """Yield to how many digits an answer is right that nothing else explains."""
     if evidence.right is not None and evidence.before <= FEW_DIGITS:
         yield _told(evidence, "inexact", "single precision, a printed answer, or iterations that stopped early?")
 
@@ -289,7 +289,9 @@ def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:
 
 
 def _roundings(values: Vector) -> Iterator[tuple[str, str, float]]:
-    """Kind, words and relative size of the last digit of the roundings that leave the values as they are."""
+    """Yield each rounding that leaves the values as they are: its kind, in words, and the relative size of a last
+    digit.
+    """
     with np.errstate(over="ignore"):
         single = values.astype(np.float32).astype(float)
     if np.all(np.isclose(single, values, rtol=1e-15, atol=0.0)):

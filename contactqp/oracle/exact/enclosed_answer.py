@@ -100,7 +100,7 @@ def is_convex(problem: ContactProblem) -> bool:
 
 
 def enclose(refined: Refined) -> Enclosure:
-    """Radii of all components.
+    """Return proven radii around all components of a refined answer.
 
     Raises
     ------
@@ -128,14 +128,14 @@ def enclose(refined: Refined) -> Enclosure:
 
 
 def _scaled(problem: ContactProblem) -> tuple[Any, Floats]:
-    """D K D with about ones on the diagonal, and the diagonal of D (n,)."""
+    """Return D K D, whose diagonal is about one, and the diagonal (n,) of D; its entries are powers of two."""
     scale = _power_of_two(problem.diagonal)
     D = sp.diags(scale)
     return sp.csc_matrix(D @ sp.csc_matrix(problem.stiffness) @ D), scale
 
 
 def _rows(rows: Any, scale: Floats) -> tuple[Any, Floats]:
-    """Rows times D, made about one long, and what by."""
+    """Return rows times D, scaled to lengths of about one, and the factors by which they were scaled."""
     rows = sp.csr_matrix(rows)
     largest = _largest(rows, scale)
     length = _power_of_two(_squares(rows, scale, largest)) / largest
@@ -143,26 +143,26 @@ def _rows(rows: Any, scale: Floats) -> tuple[Any, Floats]:
 
 
 def _largest(rows: Any, scale: Floats) -> Floats:
-    """About the largest entry of each row times D, a power of two: squares of what is left are within doubles."""
+    """Return a power of two near the largest entry of each row times D, so that squares of what is left are doubles."""
     entries = sp.csr_matrix(abs(sp.csr_matrix(rows)) @ sp.diags(scale))
     most = entries.max(axis=1).toarray().ravel() if entries.shape[0] and entries.shape[1] else np.ones(rows.shape[0])
     return np.asarray(np.exp2(np.round(np.log2(np.where(most > 0, most, 1.0)))))
 
 
 def _squares(rows: Any, scale: Floats, largest: Floats) -> Floats:
-    """Sums of squares of the rows of diag(largest)^-1 E D."""
+    """Return the sums of squares of the rows of diag(largest)^-1 E D."""
     entries = sp.diags(1 / largest) @ sp.csr_matrix(rows) @ sp.diags(scale)
     return np.asarray(entries.multiply(entries).sum(axis=1)).ravel()
 
 
 def _terms(B: Any) -> float:
-    """Terms of the sums that make B'B and BB', and some for forming them."""
+    """Return how many terms are added up in an entry of B'B and BB', and some more for forming these."""
     down, across = np.diff(sp.csc_matrix(B).indptr), np.diff(B.indptr)
     return float(np.max(across, initial=0)) + float(np.max(down, initial=0)) + 4
 
 
 def _power_of_two(squares: Any) -> Floats:
-    """1 / sqrt of positive numbers to a power of two, which scales without rounding."""
+    """Return the powers of two nearest to 1/sqrt of positive numbers; scaling by them rounds nothing."""
     squares = np.asarray(squares, dtype=float)
     return np.exp2(-np.round(np.log2(np.where(squares > 0, squares, 1.0)) / 2))
 
@@ -224,7 +224,7 @@ def hold(problem: ContactProblem, solution: Solution) -> Held:
 
 
 def carried(held: Held, refined: Refined, radius: Floats) -> str:
-    """In words: what is held where, and the most that the holding carries.
+    """Say where free motions are held, and bound the force that holds them.
 
     Raises
     ------
@@ -262,7 +262,7 @@ FLOATS_THAT_FLOAT = (
 
 
 def prove_by_enclosure(asked: Asked) -> ExactSolution:
-    """Intervals of all displacements and forces.
+    """Return intervals that contain all displacements and forces of the equilibrium, proven.
 
     Raises
     ------

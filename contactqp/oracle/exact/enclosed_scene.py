@@ -78,14 +78,14 @@ class Ball:
         return Ball(abs(self.value))
 
     def __gt__(self, other: Any) -> bool:
-        """Proven; what cannot be decided is not."""
+        """Return whether the ball is proven to be greater; False where that cannot be decided."""
         return bool(self.value > to_arb(other))
 
     def __lt__(self, other: Any) -> bool:
         return bool(self.value < to_arb(other))
 
     def __bool__(self) -> bool:
-        """False if it is known to be zero."""
+        """Return False where the number is known to be zero, else True."""
         return not self.value.is_zero()
 
 
@@ -307,7 +307,7 @@ def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any
 
 
 def _is_sharp(value: arb) -> bool:
-    """Known well enough, or so small that it may be zero."""
+    """Return whether an interval is narrow relative to its number, or so small that the number may be zero."""
     size, off = abs(float(value.mid())), float(value.rad())
     return off <= ENOUGH * size or off < 1e-60
 

@@ -96,7 +96,8 @@ class PathEnd:
 
 
 def follow(data: RationalProblem, corners: Sequence[fmpq_mat], names: Sequence[str]) -> PathEnd:
-    """From rest without load straight to each corner (n, 1) in turn.
+    """Return the end of the path that loads take in straight lines from rest without load to each corner (n, 1) in
+    turn.
 
     Raises
     ------
@@ -289,7 +290,7 @@ class _Walk:
             self.events += [ExactEvent(kind, i, self.names[i], time) for kind in kinds]
 
     def words(self) -> tuple[str, ...]:
-        """(m,) the states of the last piece as a `Solution` calls them."""
+        """Return the states (m,) of the last piece in the words of `Solution.contact_status`."""
         gap, push = self.data.gap(self.answer.displacement).entries(), self.answer.normal_force.entries()
         return tuple(
             ("open" if gap[i] != 0 else "grazing") if push[i] == 0 else ("slip" if state in SLIPPING else WORDS[state])

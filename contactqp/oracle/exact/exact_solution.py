@@ -47,7 +47,7 @@ def rounded_up(x: Fraction) -> float:
 
 
 def ratio(x: Fraction) -> str:
-    """ "p/q", of any length; Python alone refuses to print more than 4300 digits.
+    """Return a fraction as the text "p/q", of any length; Python alone refuses to print more than 4300 digits.
 
     >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
     ('-7/3', '4')
@@ -84,7 +84,9 @@ def widened(x: Fraction, radius: float, digits: int) -> float:
 
 
 def number_data(x: Fraction, radius: float | None) -> dict[str, Any]:
-    """{"exact", "double"} of a rational number, {"mid", "radius", "double"} of an interval."""
+    """Return plain data of a number: "exact" and "double" of a rational one, "mid", "radius" and "double" of an
+    interval.
+    """
     double = nearest(x)
     known: dict[str, Any] = {"double": double if math.isfinite(double) else None}
     if radius is None:
@@ -163,7 +165,7 @@ class ExactSolution(ReadOnly):
 
     @property
     def doubles(self) -> Parts:
-        """The nearest floats of the exact values, or of the midpoints."""
+        """Return the doubles nearest to the exact values, or to the midpoints of intervals."""
         return Parts(
             _floats(self.displacement),
             _floats(self.normal_force),
@@ -294,7 +296,7 @@ def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> 
 
 
 def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], title: str) -> None:
-    """Tables of unknowns, contacts, ties and events."""
+    """Print the tables of unknowns, contacts, ties and events of an exact answer, and what was proven of it."""
     from rich.table import Table
 
     problem, length, force = answer.problem, answer.problem.units.length, answer.problem.units.force

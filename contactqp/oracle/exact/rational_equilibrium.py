@@ -97,7 +97,7 @@ class System:
         return stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
 
     def solve(self) -> tuple[fmpq_mat, fmpq_mat, bool] | None:
-        """u, the forces (k + c + b, 1), and whether both are the only ones; None, proven, where there is none."""
+        """Return u, the forces (k + c + b, 1) and whether both are unique; None, proven, where none exist."""
         n, rows = self.data.unknowns, self.held.nrows()
         found = solve_any(self.matrix, stack(self.data.f, self.limit))
         if found is None:
@@ -167,7 +167,7 @@ class Balance:
 
 
 def states(data: RationalProblem, u: fmpq_mat) -> Combination:
-    """Contacts without a gap, which of them stick, and along what the others slip."""
+    """Return the states at a displacement: contacts without a gap, which of these stick, along what the others slip."""
     closed = tuple(i for i, x in enumerate(data.gap(u).entries()) if x == 0)
     rubbing = [i for i in closed if data.friction[i] > 0]
     if not rubbing:
@@ -184,7 +184,7 @@ def states(data: RationalProblem, u: fmpq_mat) -> Combination:
 
 
 def unit(vector: list[fmpq]) -> Direction:
-    """v / |v|.
+    """Return the rational unit vector v / |v|.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def balance(data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] |
 
 
 def _conditions(system: System) -> Iterator[fmpq_mat]:
-    """Rows that are not negative on forces: l_N, and mu l_N -+ l_T where it sticks in the plane."""
+    """Yield the rows whose products with the forces may not be negative: l_N, and mu l_N -+ l_T where it sticks."""
     data, chosen = system.data, system.combination
     size, k = system.pushed.nrows(), data.ties
     for at, i in enumerate(chosen.closed):
@@ -353,7 +353,7 @@ def balanced(
 
 
 def _free_motions(data: RationalProblem, found: Balance) -> fmpq_mat:
-    """Motions (n, r) that neither K nor ties nor a contact that can carry a force resists."""
+    """Return the motions (n, r) that K, the ties and all contacts that can carry a force leave without resistance."""
     pushing = [i for i, (_, high) in enumerate(found.ranges) if high is None or high > 0]
     w = data.width
     rubbing = [w * i + axis for i in pushing if data.friction[i] > 0 for axis in range(w)]
@@ -392,7 +392,7 @@ class SettledWithFriction:
 
 
 def settle_with_friction(data: RationalProblem, proposal: Proposal) -> SettledWithFriction | None:
-    """None, proven, where no combination of open, stick and slip is an equilibrium.
+    """Return a proven equilibrium; None where it is proven that no combination of open, stick and slip is one.
 
     Raises
     ------
@@ -432,7 +432,7 @@ def _distance(state: ExactEquilibrium, solution: Solution | None) -> float:
 
 
 def _proposed(data: RationalProblem, solution: Solution | None) -> Iterator[fmpq_mat]:
-    """Displacements of the combination that floats are in, and of it with contacts that just touch held closed."""
+    """Yield the displacements of the combination that floats are in, and of it with grazing contacts held closed."""
     if solution is None:
         return
     states = solution.contact_status

@@ -77,7 +77,7 @@ class RationalProblem:
 
     @property
     def width(self) -> int:
-        """Tangential rows of a contact, d - 1."""
+        """Return the number of tangential rows of a contact, d - 1."""
         return int(self.T.nrows()) // self.contacts if self.contacts else 0
 
     def gap(self, u: fmpq_mat) -> fmpq_mat:
@@ -85,7 +85,7 @@ class RationalProblem:
         return self.g - self.E * u
 
     def slip(self, u: fmpq_mat) -> fmpq_mat:
-        """E_T u - slip_origin."""
+        """Return the slips E_T u - slip_origin ((d-1) m, 1) of a displacement [length]."""
         return self.T * u - self.slip_origin
 
 
@@ -225,7 +225,7 @@ def _wrong_friction(data: RationalProblem, answer: RationalAnswer) -> Iterator[W
 
 
 def status(data: RationalProblem, answer: RationalAnswer) -> tuple[str, ...]:
-    """(m,) of "open" | "closed" | "grazing" | "stick" | "slip"."""
+    """Return the contact states (m,) in the words "open", "closed", "grazing", "stick" and "slip"."""
     gap, forces = data.gap(answer.displacement).entries(), answer.normal_force.entries()
     width = data.width
     slip = (data.slip(answer.displacement) if width else zeros(0, 1)).entries()
@@ -246,7 +246,7 @@ def status(data: RationalProblem, answer: RationalAnswer) -> tuple[str, ...]:
 
 
 def lemke(M: fmpq_mat, p: fmpq_mat, max_pivots: int) -> tuple[list[fmpq], int]:
-    """z of w = p + M z, w >= 0, z >= 0, w'z = 0 for a positive semidefinite M, exactly, and the number of pivots.
+    """Solve w = p + M z, w >= 0, z >= 0, w'z = 0 exactly, M positive semidefinite; return z and the number of pivots.
 
     Raises NoSolution on a secondary ray, Undecided after `max_pivots`.
     """
@@ -315,7 +315,7 @@ class Family:
     slope: fmpq_mat  # (p, r) G
 
     def least(self) -> fmpq_mat:
-        """c (r, 1) of the x of least Euclidean norm:
+        """Return the coefficients c (r, 1) of the member x of least Euclidean norm, which satisfies
 
             N'(start + N c) = G's,    w = v + G c >= 0,  s >= 0,  w's = 0.
 
@@ -354,7 +354,7 @@ class Family:
 
 
 def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
-    """Columns that share no row with others, so that each block can be ranged over by itself."""
+    """Return the columns in blocks that share no row, so that each block can be ranged over by itself."""
     group = list(range(int(directions.ncols())))
     for row in [*directions.tolist(), *slope.tolist()]:
         touched = [j for j, x in enumerate(row) if x != 0]
@@ -385,7 +385,7 @@ class Reduced:
     drive: fmpq_mat  # Z'f
 
     def displaced(self, force: fmpq_mat, motion: fmpq_mat) -> fmpq_mat:
-        """u = u0 - R l + Z a."""
+        """Return the displacement u = u0 - R l + Z a of contact forces l and motions a."""
         return self.u0 - self.R * force + self.Z * motion
 
     def on_set(self, closed: Iterable[int], softness: Iterable[fmpq] = ()) -> tuple[fmpq_mat, fmpq_mat] | None:
@@ -410,7 +410,9 @@ class Reduced:
         return force, fmpq_mat(r, 1, values[count:])
 
     def lemke(self, max_pivots: int) -> tuple[fmpq_mat, fmpq_mat, int]:
-        """Forces, motions and the number of pivots; a = a+ - a-, and a ray proves that there is no solution."""
+        """Solve by Lemke's method with a = a+ - a-; return forces, motions and pivots. A ray proves that there is no
+        solution.
+        """
         m, r = self.W.nrows(), self.G.ncols()
         G, GT, none = self.G, self.G.transpose(), zeros(r, 2 * r)
         M = stack(beside(self.W, -1 * G, G), beside(GT, none), beside(-1 * GT, none))

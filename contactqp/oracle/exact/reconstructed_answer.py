@@ -41,7 +41,7 @@ class Column:
     denominator: int
 
     def times(self, rows: Any, less: Any) -> Column:
-        """rows x - less, both of them floats."""
+        """Return rows x - less of a matrix and a vector of floats."""
         product = FixedMatrix(sp.csr_matrix(rows)) @ Fixed(self.integers, 0)
         found = product - _times(fixed(less), self.denominator)
         return Column(found.integers << max(-found.bits, 0), self.denominator << max(found.bits, 0))
@@ -117,7 +117,7 @@ def simplest(low: Fraction, high: Fraction) -> Fraction:
 
 
 def solves(problem: ContactProblem, answer: Reconstructed) -> bool:
-    """Equilibrium, ties, gaps, forces and complementarity of a frictionless problem of floats, in integers."""
+    """Return whether an answer meets all conditions of a frictionless problem of floats, checked in integers."""
     u, push, tie = answer.displacement, answer.normal_force, answer.tie_force
     K = FixedMatrix(sp.csr_matrix(problem.stiffness))
     Et, At = (FixedMatrix(sp.csr_matrix(sp.csr_matrix(x).T)) for x in (problem.normal, problem.tie))
@@ -151,7 +151,7 @@ ONLY = "the rows of all contacts without gap are independent: these are the only
 
 
 def prove_by_reconstruction(asked: Asked, first: Solution) -> ExactSolution | None:
-    """Rational numbers with small denominators, proven; None where there are none, or others beside them."""
+    """Return the rational answer nearest to a refined one, proven; None where none is found or others lie beside it."""
     problem = asked.problem
     try:
         found = reconstruct(refine(problem, asked.method, DIGITS, first=first, **asked.options))

@@ -57,11 +57,11 @@ class Fixed:
         return self.integers << (bits - self.bits) if bits > self.bits else self.integers
 
     def rounded(self, bits: int) -> Fixed:
-        """To a multiple of 2^-bits, towards below."""
+        """Return the numbers rounded down to multiples of 2^-bits."""
         return self if bits >= self.bits else Fixed(self.integers >> (self.bits - bits), bits)
 
     def times_power(self, exponent: int) -> Fixed:
-        """Times 2^exponent."""
+        """Return the numbers times 2^exponent."""
         return Fixed(self.integers, self.bits - exponent)
 
     def floats(self) -> NDArray[np.float64]:
@@ -91,12 +91,12 @@ class Fixed:
 
     @property
     def exponent(self) -> int:
-        """The least e with all |x| < 2^e; very small if all are zero."""
+        """Return the least e with |x| < 2^e for all numbers; a very small one where all are zero."""
         return max((abs(x).bit_length() for x in self.integers.tolist()), default=0) - self.bits
 
 
 def fixed(values: Any) -> Fixed:
-    """Floats as they stand."""
+    """Return floats as the numbers in fixed point that they are, without rounding."""
     flat = np.asarray(values, dtype=float).ravel()
     mantissa, exponent = np.frexp(flat)
     used = exponent[mantissa != 0]
@@ -171,7 +171,7 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
 
 
 def _estimate(matrix: Any) -> float | None:
-    """About the least eigenvalue, by inverse iteration."""
+    """Estimate the least eigenvalue by inverse iteration; None where the matrix is singular."""
     factors = _dense_factors(matrix) if _is_dense(matrix) else _factors(matrix)
     if factors is None:
         return None
@@ -207,7 +207,7 @@ def _dense_factors(matrix: Any) -> _Cholesky | None:
 
 
 def _left_out_of_dense(shifted: Any) -> tuple[float, float] | None:
-    """|M - LL'|_inf as computed, and what rounding may have added to it; of sums in whatever order."""
+    """Return |M - LL'|_inf as computed, and a bound on what rounding may have added to it, sums in any order."""
     factors = _dense_factors(shifted)
     if factors is None or not np.all(np.isfinite(factors.L)):
         return None

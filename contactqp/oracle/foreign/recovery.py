@@ -384,7 +384,7 @@ def _completed(known: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) 
 def _held(
     problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: NDArray[np.intp] = NO_CONTACTS
 ) -> tuple[Vector, Vector]:
-    """u and the forces of rows that are held at values: K u + B'l = load, B u = values.
+    """Solve K u + B'l = load with rows held at values, B u = values; return u (n,) and the forces l of the rows.
 
     What floats all the same is shifted as little as it takes to close the contacts that push.
     """

@@ -86,7 +86,7 @@ def problem(name: str) -> GalleryProblem:
 def problems(
     kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
 ) -> list[GalleryProblem]:
-    """Problems of a kind, or of every kind, for `pytest.mark.parametrize`.
+    """Return problems of a kind, or of every kind, for `pytest.mark.parametrize`.
 
     Parameters
     ----------
@@ -365,7 +365,9 @@ def _row(known: GalleryProblem) -> str:
 
 
 def _arrays(known: GalleryProblem) -> dict[str, Any]:
-    """P, q, G, h, A, b, lb, ub; those that are none are objects, as `qpsolvers.Problem.save` writes them."""
+    """Return P, q, G, h, A, b, lb and ub; absent ones are None in object arrays, as `qpsolvers.Problem.save` writes
+    them.
+    """
     program = known.problem.to_qp()
     parts = {name: getattr(program, name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
     return {name: np.array(part.toarray() if hasattr(part, "toarray") else part) for name, part in parts.items()}

@@ -306,7 +306,7 @@ def _vector(values: Sequence[Fraction]) -> Vector:
 
 
 def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Problems are kept and shared by tests, none of which must change them for the others."""
+    """Return the array, made read-only: tests share a problem, and none must change it for the others."""
     values.setflags(write=False)
     return values
 
@@ -460,7 +460,7 @@ def with_uniqueness(
     one_displacement: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
-    """Contents, with what exact ranks prove of the uniqueness of the answer where nothing else is known."""
+    """Return contents with what exact ranks prove about the uniqueness of the answer, where nothing else is known."""
     displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
     forces = only_forces(data, answer, displacement)
     return Contents(data, answer, description, source, formula, displacement, forces, rounding, names)

@@ -45,14 +45,14 @@ class Draw:
         self._random = random.Random(name).random
 
     def integer(self, low: int, high: int) -> int:
-        """low ... high, both included."""
+        """Return a random integer from low to high, both included."""
         return low + int(self._random() * (high - low + 1))
 
     def among(self, values: Sequence[T]) -> T:
         return values[self.integer(0, len(values) - 1)]
 
     def some(self, values: Sequence[T], count: int) -> list[T]:
-        """`count` different ones, in the order in which they stand."""
+        """Return `count` different items at random, in the order in which they stand."""
         left = list(range(len(values)))
         taken = [left.pop(self.integer(0, len(left) - 1)) for _ in range(min(count, len(left)))]
         return [values[i] for i in sorted(taken)]
@@ -74,7 +74,7 @@ class Springs:
 
 
 def lattice(springs: Springs, columns: int, rows: int, stiffness: Callable[[], int | Fraction], first: int = 0) -> None:
-    """Springs between neighbours of a plane grid, along the diagonals too: only rigid motions strain none of them.
+    """Return springs between neighbours of a plane grid, also along diagonals, so that only rigid motions strain none.
 
     Node (i, j) has the unknowns 2 a and 2 a + 1, x and z, a = first + j columns + i.
     """
@@ -258,7 +258,7 @@ def tied(draw: Draw, difficulty: str) -> Contents:
 
 
 def floating(draw: Draw, difficulty: str) -> Contents:
-    """Two lattices that nothing holds but a floor, a wall and each other."""
+    """Return two lattices that nothing holds but a floor, a wall and each other."""
     columns, rows = {"easy": (2, 1), "moderate": (3, 2), "hard": (6, 3)}[difficulty]
     each = columns * rows
     springs = Springs(4 * each)
@@ -355,7 +355,7 @@ def _with_answer(
 
 
 def _states(draw: Draw, contacts: int, closed: int, grazing: int = 0) -> list[str]:
-    """`closed` contacts closed and `grazing` ones grazing, at random places; the others open."""
+    """Return the states of contacts, of which so many at random places are closed and so many graze."""
     touching = draw.some(range(contacts), closed + grazing)
     graze = draw.some(touching, grazing)
     return ["grazing" if i in graze else "closed" if i in touching else "open" for i in range(contacts)]

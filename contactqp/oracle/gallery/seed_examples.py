@@ -105,7 +105,7 @@ def truss_over_floor() -> Contents:
 
 
 def _slipping_truss(mu: Fraction) -> tuple[Fraction, Fraction]:
-    """u_x and l_N: the node slides to +x under a floor that pushes by l_N and rubs by mu l_N."""
+    """Return u_x and l_N where the node slides to +x on a floor that pushes with l_N and resists with mu l_N."""
     (k11, k12), (_, k22) = TRUSS
     u = (TRUSS_LOAD[0] + k12 - mu * (-TRUSS_LOAD[1] - k22)) / Fraction(k11 + mu * k12)
     return u, -TRUSS_LOAD[1] + k12 * u - k22
@@ -183,7 +183,9 @@ def string_just_touching() -> Contents:
 
 
 def _string(load: Fraction, u: list[Fraction], force: list[Fraction], description: str, formula: str) -> Contents:
-    """T = 1, L = 2, d = 1/8 and elements of 1/4: K = 4 tridiag(-1, 2, -1), consistent loads b / 4."""
+    """Return the string with T = 1, L = 2, d = 1/8 and elements of 1/4: K = 4 tridiag(-1, 2, -1), consistent loads b /
+    4.
+    """
     nodes = range(7)
     return stated(
         stiffness=[[{0: 8, 1: -4}.get(abs(i - j), 0) for j in nodes] for i in nodes],
