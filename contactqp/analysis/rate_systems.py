@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
 from contactqp.linalg.friction_states import StateSystem, condensed_frictional_rows, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
@@ -130,7 +131,9 @@ class RateSystem:
                 if size * min(contraction * CAUTION, 1.0) <= ENOUGH * whole_size or size > 0.5 * last:
                     break
             last = size
-        u, normal, tangent, tie = self._without_noise([part.double() for part in y], INVISIBLE * whole_size)
+        u, normal, tangent, tie = zero_beneath(
+            [part.double() for part in y], (1.0 / self._unit, *self._sizes), INVISIBLE * whole_size
+        )
         found = Parts(u, normal, tangent.reshape(right.tangent.shape), tie)
         contraction = max(contraction, EPS)
         settled = contraction < 0.5
@@ -156,14 +159,6 @@ class RateSystem:
         u, *forces = parts
         sizes = [abs(force) * size for force, size in zip(forces, self._sizes, strict=True) if force.size]
         return float(max([(abs(u) / self._unit).max(initial=0.0), *(size.max(initial=0.0) for size in sizes)]))
-
-    def _without_noise(self, parts: list[Vector], nothing: float) -> list[Vector]:
-        """Return parts with zeros for what is no more than that in the square root of energy."""
-        sizes = [1.0 / self._unit, *self._sizes]
-        return [
-            np.where(abs(part) * size <= nothing, 0.0, part) if part.size else part
-            for part, size in zip(parts, sizes, strict=True)
-        ]
 
     def _on_own_rows(self, right: Parts) -> Parts:
         """Return data with zeros for contacts that are open and tangents that do not stick."""

@@ -114,7 +114,7 @@ class Condensation:
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
     def _precaution(self, touched: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Unknowns that hold every body should it float, where that costs next to nothing; else none."""
+        """Return unknowns that hold every body should it float, where that costs next to nothing; else none."""
         if FAR_APART * connected_parts(self._sparse)[0] > max(FEW_MORE, PART_MORE * len(touched)):
             return touched[:0]
         apart = unknowns_far_apart(self._sparse)
@@ -122,7 +122,7 @@ class Condensation:
         return beside if len(beside) <= max(FEW_MORE, PART_MORE * len(touched)) else touched[:0]
 
     def _eliminate_if_regular(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
-        """Eliminate the interior; where it floats some nodes far apart are retained as well."""
+        """Eliminate the interior unknowns; where their block is singular some far apart are retained as well."""
         try:
             self._eliminate(retained, of_stiffness, singular=self._sparse.shape[0] <= SMALL)
         except NotPositive:
@@ -143,7 +143,7 @@ class Condensation:
         vars(self).pop("schur_factor", None)
 
     def _nested(self, retained: NDArray[np.intp]) -> NestedBlock | None:
-        """The elimination that goes on from a wider condensation, where that retains all of these unknowns."""
+        """Return the elimination that goes on from a wider condensation, where that retains all of these unknowns."""
         wider, self._wider = self._wider, None
         if wider is None or not np.all(np.isin(retained, wider.retained)):
             return None
@@ -158,7 +158,7 @@ class Condensation:
         return (self._spent + self._elimination.half_substitutions + 1) // 2
 
     def _scale(self, of_stiffness: Array) -> Array:
-        """1/sqrt(S_jj), or the scale of the stiffness where condensation left next to nothing of the diagonal."""
+        """Return 1/sqrt(S_jj), or the scale of K where condensation left next to nothing of the diagonal."""
         before = self._diagonal[self.retained]
         left = self.schur.diagonal()
         alive = left > NOTHING_LEFT * before
@@ -297,7 +297,7 @@ class Condensation:
         self._reduced = (load.copy(), reduced, inner)
 
     def _balanced(self, load: Vector, reduced: Vector) -> Vector:
-        """The condensed load, doing the load's own work on rigid motions, which rounding changes.
+        """Return the condensed load with the work on rigid motions that the load itself does, which rounding changes.
 
         A body that nothing loads keeps no load at all: the rounding of its neighbours' would be all that drives it.
         """
@@ -361,14 +361,13 @@ class Condensation:
         return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
     def _held_schur(self) -> Array:
-        """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
-        singular, or the problem unbounded by rounding, because of motions that do not matter."""
+        """Return S with springs on the idle motions; no load drives these, so that the springs carry nothing."""
         if not self.rigid.count or not (idle := self.idle_motions()).shape[1]:
             return self.schur
         return self.schur + idle @ idle.T / (self.scale[:, None] * self.scale)
 
     def _of_reduced(self, reduced: ContactProblem) -> Condensation:
-        """What condensing the condensed problem would give: itself, with nothing left to factorise."""
+        """Return what condensing the condensed problem would give: itself, with nothing left to factorise."""
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
@@ -408,7 +407,7 @@ class Condensation:
 
 
 def _orthonormal_by_body(motions: Array) -> Array:
-    """Coordinates (r, r) of orthonormal combinations of independent motions (p, r), each of one body to the last digit.
+    """Return coordinates (r, r) of orthonormal combinations of motions (p, r), each of one body to the last digit.
 
     Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -297,7 +298,11 @@ def balanced_exponents(entries: Any, exponent: Index, unknowns: Index, free: Mas
 
 
 def unknown_scale(problem: ContactProblem) -> Array:
-    """Return D (n,): 1/sqrt(K_jj), or without stiffness what makes the unknown's largest row entry like others'."""
+    """Return D (n,), positive everywhere: 1/sqrt(K_jj), or without stiffness what makes row entries like others'.
+
+    Systems are scaled by it, which takes some number for every unknown. What answers are measured by is
+    `measures.scale_through_rows`, which is zero where nothing stiff is reached.
+    """
     if problem._computed.unknown_scale is not None:
         return problem._computed.unknown_scale
     D = problem.own_scale.copy()
@@ -315,6 +320,18 @@ def unknown_scale(problem: ContactProblem) -> Array:
     return D
 
 
+def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
+    """Return arrays with zeros where |value| times its unit is at most `least`: the rounding that refinement leaves.
+
+    Units turn displacements and forces into square roots of energy, in which they compare: 1/D for displacements, the
+    scaled length of its row for a force.
+    """
+    return [
+        np.where(abs(value) * unit <= least, 0.0, value) if value.size else value
+        for value, unit in zip(values, units, strict=True)
+    ]
+
+
 def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
     """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
 
@@ -327,7 +344,7 @@ def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
 
 
 def _largest_entries(rows: Any) -> Array:
-    """The size (n,) of the largest entry of rows at each unknown."""
+    """Return the size (n,) of the largest entry of rows at each unknown."""
     return np.asarray(
         abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
     )
@@ -358,7 +375,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 
 def _without_idle_part(problem: ContactProblem) -> Array:
-    """The load, zero where it is the rounding of larger ones on an unknown without stiffness, which it would drive."""
+    """Return the load without rounding of larger ones on unknowns without stiffness, which it would drive."""
     rounding = 16 * np.finfo(float).eps * problem.load_size
     bare = problem.diagonal == 0
     return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)

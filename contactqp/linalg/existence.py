@@ -26,7 +26,7 @@ from contactqp.linalg.equilibration import Scaling, equilibrated, unknown_scale
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import RigidMotions, right_singular
-from contactqp.linalg.measures import scale_of_unknowns
+from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
 from contactqp.model.problem import ContactProblem
@@ -116,7 +116,7 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions) -> DrivenMotion 
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, rigid)) * (problem.load_size @ abs(Z))):
         return None
-    resisting, still = resisting_rows(problem), _still(Z, _own_scale(problem))
+    resisting, still = resisting_rows(problem), _still(Z, _positive_scale(problem))
     coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
@@ -158,7 +158,7 @@ def _uncertainty(problem: ContactProblem, rigid: RigidMotions) -> float:
 
 def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, z: Vector) -> DrivenMotion | None:
     """Return the motion z if K z, (E z)+ and A z are rounding and the work of the load is more than that; else None."""
-    uncertainty, scale = _uncertainty(problem, rigid), _own_scale(problem)
+    uncertainty, scale = _uncertainty(problem, rigid), _positive_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()
@@ -175,9 +175,9 @@ def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, 
     return DrivenMotion(z, work, rounding) if work > rounding else None
 
 
-def _own_scale(problem: ContactProblem) -> Vector:
-    """Return D (n,); unknowns without stiffness get theirs from rows that join them to stiff ones, in any unit."""
-    joined = scale_of_unknowns(problem)
+def _positive_scale(problem: ContactProblem) -> Vector:
+    """Return D (n,): that through rows, in any unit, and where these lead to nothing stiff what scales systems."""
+    joined = scale_through_rows(problem)
     return np.where(joined > 0, joined, unknown_scale(problem))
 
 

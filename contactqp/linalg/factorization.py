@@ -194,7 +194,7 @@ def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
 
 
 def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
-    """The same of K z (n, q) and |K||z| (n, q)."""
+    """Return which motions (n, q) are rigid to the rounding of K, by their forces K z and the sizes |K||z| of these."""
     largest = np.max(abs(motions), axis=0, initial=0.0)
     still = np.all(abs(forces) <= RIGID_FORCE * np.maximum(size, largest), axis=0)
     energy, scale = np.sum(motions * forces, axis=0), np.sum(abs(motions) * size, axis=0)
@@ -206,7 +206,7 @@ FEW = 16
 
 
 def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, NDArray[np.int32]]:
-    """`connected_parts` of a symmetric CSR matrix, row by row."""
+    """Return what `connected_parts` does, of a small symmetric CSR matrix, going from row to row."""
     label, count = [-1] * (len(indptr) - 1), 0
     for first in range(len(label)):
         if label[first] >= 0:
@@ -247,7 +247,7 @@ def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:
 
 
 def _soft_by_part(graph: Any, motions: Array) -> Array:
-    """Combinations (n, r) of motions (n, q), each of one component of a matrix and with next to no energy."""
+    """Return combinations (n, r) of motions (n, q) of next to no energy, each of one connected part of a matrix."""
     diagonal = graph.diagonal()
     root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     moving, forces = root[:, None] * motions, (graph @ motions) / root[:, None]
@@ -273,7 +273,7 @@ def _rigid_among(graph: Any, motions: Array, size: Array) -> RigidMotions:
 
 
 def _least_energetic(motions: Array, forces: Array) -> Array:
-    """Orthonormal combinations of motions (p, q) with next to no energy, K z being the forces (p, q)."""
+    """Return orthonormal combinations of motions (p, q) of next to no energy, by their forces K z (p, q)."""
     basis, values, rotation = np.linalg.svd(motions, full_matrices=False)
     kept = values > np.finfo(float).eps * max(motions.shape) * np.max(values, initial=0.0)
     if not np.any(kept):
@@ -340,7 +340,8 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
 
 
 def _spread(matrix: Any, motions: Array, gathered: Array, size: Array) -> Array:
-    """Rigid motions whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again.
+    """Return rigid motions whose forces K z are rounding at every unknown, not gathered at few as elimination leaves
+    them.
 
     Of motions z (n, r) are given the gathered forces (n, r) and their sizes |K||z| (n, r).
 
@@ -400,7 +401,7 @@ def _null_space_of_component(component: Any) -> RigidMotions:
 
 
 def _lowest_dense(scaled: Array) -> tuple[Array, float]:
-    """Soft motions, and the energy of the first that is not."""
+    """Return the soft motions of a dense matrix, and the energy of the first motion that is not."""
     from scipy.linalg import eigh
 
     values, vectors = eigh(scaled)
@@ -413,7 +414,7 @@ def _lowest_dense(scaled: Array) -> tuple[Array, float]:
 
 
 def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
-    """Soft motions by inverse subspace iteration, and the energy of the first that is not."""
+    """Return the soft motions by inverse subspace iteration, and the energy of the first motion that is not."""
     shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
     lowest, next_energy = _lowest(scaled, shifted)
     for _ in range(2):
@@ -423,7 +424,7 @@ def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
 
 
 def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
-    """Inverse subspace iteration on K + SOFT: the block doubles until it holds a vector that is not soft."""
+    """Iterate on subspaces by (K + SOFT)^-1, doubling the block until it holds a vector that is not soft."""
     random = np.random.default_rng(0)
     size = scaled.shape[0]
     width = min(8, size)

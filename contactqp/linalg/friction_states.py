@@ -29,7 +29,7 @@ import numpy as np
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import compliance_of
 from contactqp.linalg.dense import BALANCED, independent_rows, orthonormal_motions
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.equilibration import unknown_scale, zero_beneath
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -460,13 +460,9 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
     for one in (answer, start):
         sizes = (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force)
         far = max(far, *(INVISIBLE * float(abs(size).max(initial=0.0)) for size in sizes))
-    friction = _friction_of(answer, rows.width)
-    return Answer(
-        np.where(abs(answer.displacement) <= far * scale, 0.0, answer.displacement),
-        np.where(abs(answer.normal_force) * rows.normal_length <= far, 0.0, answer.normal_force),
-        np.where(abs(friction) * rows.tangent_length[:, None] <= far, 0.0, friction),
-        np.where(abs(answer.tie_force) * rows.tie_length <= far, 0.0, answer.tie_force),
-    )
+    values = (answer.displacement, answer.normal_force, _friction_of(answer, rows.width), answer.tie_force)
+    units = (1.0 / scale, rows.normal_length, rows.tangent_length[:, None], rows.tie_length)
+    return Answer(*zero_beneath(values, units, far))
 
 
 def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:

@@ -135,7 +135,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
 
     `elastic` (n,) is the displacement without its rigid part.
     """
-    D, part = scale_of_unknowns(problem), parts(problem)
+    D, part = scale_through_rows(problem), parts(problem)
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
@@ -174,7 +174,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     if not stiff and (mostly_bare(problem) or not (problem.frictional or problem.diagonal.any())):
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u = abs(answer.displacement)
-    D = scale_of_unknowns(problem)
+    D = scale_through_rows(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
     force = np.maximum(force, HELD_BY_DOUBLES * (problem.stiffness_sizes @ u))
     if elastic is not answer.displacement:
@@ -194,13 +194,13 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     """Return the length S |E_i D| of every row that belongs to an intrinsic size S (n,) of the unknowns.
 
-    Rows that touch nothing stiff move with what other rows join them to (`scale_of_unknowns`).
+    Rows that touch nothing stiff move with what other rows join them to (`scale_through_rows`).
     """
     of_row, beside = row_sizes(problem, rows), np.zeros(rows.shape[0])
     beside[of_row.touching] = size[of_row.first]
     felt = np.sqrt(of_row.compliance)
     if not felt.all() and not problem.diagonal.all():
-        felt = np.where(felt > 0, felt, np.sqrt(rows.power(2) @ scale_of_unknowns(problem) ** 2))
+        felt = np.where(felt > 0, felt, np.sqrt(rows.power(2) @ scale_through_rows(problem) ** 2))
     return np.asarray(beside * felt)
 
 
@@ -270,13 +270,14 @@ def in_energy(length: Vector, compliance: Vector) -> Vector:
     return np.divide(length, np.sqrt(compliance), out=np.zeros_like(length), where=compliance > 0)
 
 
-def scale_of_unknowns(problem: ContactProblem) -> Vector:
+def scale_through_rows(problem: ContactProblem) -> Vector:
     """Return D (n,): 1/sqrt(K_jj), or of an unknown without stiffness the scale that its rows give it, else 0.
 
+    Answers are measured by it. It is zero where rows lead to nothing stiff: there no length is nothing beside another.
     A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts, and what
     has been given is given on.
     """
-    if problem._computed.scale_of_unknowns is None:
+    if problem._computed.scale_through_rows is None:
         K = problem.diagonal
         D = reciprocal(np.sqrt(K))
         unknown = K == 0  # yet
@@ -286,8 +287,8 @@ def scale_of_unknowns(problem: ContactProblem) -> Vector:
             if not np.any(D[unknown] > 0):
                 break
             unknown &= D == 0
-        problem._computed.scale_of_unknowns = D
-    return problem._computed.scale_of_unknowns
+        problem._computed.scale_through_rows = D
+    return problem._computed.scale_through_rows
 
 
 def _given_by(rows: Any, D: Vector) -> Vector:
@@ -363,7 +364,7 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
     hidden = (acting > 0) & (meeting > HIDES * acting)
     if not hidden.any():
         return meeting
-    D, part = scale_of_unknowns(problem), parts(problem)
+    D, part = scale_through_rows(problem), parts(problem)
     shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
     counts = np.where((D > 0) & (size > 0), acting * D >= NOTABLE * size, ~shown)
     held = np.where(meeting > DROWNS * acting, acting, np.maximum(acting, ROUNDING_OF_SUMS * meeting))

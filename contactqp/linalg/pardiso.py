@@ -89,7 +89,7 @@ def _library() -> Any:
 
 
 def _installed() -> str | None:
-    """The library where the package mkl says that it has installed it, on Linux and macOS.
+    """Return the library where the package mkl has installed it (Linux and macOS), or None.
 
     pypardiso goes through every folder of the environment for it, which takes a second and more where these are many.
     """
@@ -354,7 +354,7 @@ class EliminationOrder:
         return found
 
     def _known(self, matrix: Any, unknowns: Indices) -> Indices | None:
-        """The order of the rows of a matrix, where that of its unknowns is known."""
+        """Return the order in which rows are eliminated, where that of the unknowns is known; else None."""
         place = self._place[unknowns]
         if np.any(np.isnan(place)) or (self._of_saddle and matrix.shape[0] == len(unknowns)):
             return None  # bodies that ties join are cut in other places than bodies one by one
@@ -387,7 +387,7 @@ def _pointer(array: Any) -> ctypes.c_void_p:
 
 
 def _entries_of(matrix: Any, kind: int) -> Any:
-    """The entries that PARDISO takes of a matrix, by rows and in the order of their columns."""
+    """Return the entries of a matrix that PARDISO takes, by rows and in the order of their columns."""
     entries = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
     entries.sort_indices()
     return entries

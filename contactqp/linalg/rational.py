@@ -178,7 +178,7 @@ def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
 
 
 def _profile(a: fmpq_mat, prime: int) -> tuple[list[int], list[int]]:
-    """Rows and columns of a regular part of the rank that the matrix has modulo the prime."""
+    """Return rows and columns of a regular part of the rank that the matrix has modulo the prime."""
     leading = independent_columns(a, prime)
     rows = independent_columns(take_columns(a, leading).transpose(), prime) if leading else []
     return rows, leading
@@ -246,7 +246,7 @@ def _cholesky_proves(K: fmpq_mat) -> bool:
 
 
 def _minors_prove(K: fmpq_mat) -> bool:
-    """Sylvester's criterion by elimination without fractions."""
+    """Return whether Sylvester's criterion holds, by elimination without fractions."""
     integers, _ = K.numer_denom()
     order, _, _, upper = integers.fflu()
     size = integers.nrows()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import BALANCED, SaddlePoint, orthonormal, saddle_point
+from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import (
     EPS,
     Extended,
@@ -400,14 +401,13 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
     """Return displacement, contact and tie forces in double precision, zero beneath the rounding of the refinement."""
-    u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
+    u, tie = answer.doubles.displacement, answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
     force, size = np.concatenate([push, tie]), np.sqrt(condensation.delassus.compliance)
     loads = abs(problem.load) / root
     largest = max([part.max(initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
-    u[root * abs(u) < INVISIBLE * largest] = 0.0
-    force[size * abs(force) <= INVISIBLE * largest] = 0.0
+    u, force = zero_beneath((u, force), (root, size), INVISIBLE * largest)
     return u, force[: len(push)], force[len(push) :]
 
 

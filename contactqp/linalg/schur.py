@@ -102,7 +102,7 @@ class TrailingBlock:
         return np.column_stack([self.expand(column, nothing) for column in retained.T])
 
     def _response(self, force: Vector) -> Vector:
-        """(K + T)^-1 of a force (p,) on the retained unknowns: once a few have been asked for, by its columns."""
+        """Return (K + T)^-1 of a force (p,) on the retained unknowns; after a few calls its columns are kept."""
         if 0 < len(force) <= FEW_TRAILING and self._responses > len(force):
             return np.asarray(self._columns @ force)
         self._responses += 1
@@ -118,11 +118,11 @@ class TrailingBlock:
         return np.column_stack([self._solve(column) for column in unit.T])
 
     def _force(self, displacement: Vector) -> Vector:
-        """(S + T) u_c."""
+        """Return the force (S + T) u_c of a displacement of the retained unknowns."""
         return np.asarray(self.schur @ displacement + self._springs * displacement)
 
     def _solve(self, right: Vector) -> Vector:
-        """(K + T)^-1 right."""
+        """Return (K + T)^-1 right."""
         self.half_substitutions += 2
         if (clock := RUNNING.get()) is not None:
             clock.half_substitutions += 2
@@ -132,7 +132,7 @@ class TrailingBlock:
 
 
 def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
-    """Factors of K + T in the order that it comes in, and whether K_ii had to be lifted off an exactly zero pivot."""
+    """Return the factors of K + T in the given order, and whether K_ii had to be lifted off an exactly zero pivot."""
     from scipy.sparse.linalg import splu
 
     for lift in (0.0, LIFT * matrix.shape[0]):
@@ -147,7 +147,7 @@ def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
 
 
 def _pivots_and_trailing_block(factor: Any, interior: int) -> tuple[Vector, Array]:
-    """The pivots (q,) of K_ii, and L_cc U_cc."""
+    """Return the pivots (q,) of K_ii, and the trailing block L_cc U_cc."""
     first, last = factor.perm_c[:interior], factor.perm_c[interior:]
     lower, upper = (triangle[:, last][last].toarray() for triangle in (factor.L, factor.U))
     pivots = factor.U.diagonal()[first]

@@ -217,7 +217,7 @@ class SparseStateSystem(StateSystem):
         return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
 
     def places(self) -> tuple[Indices, Indices]:
-        """The places in the system of normal and of sticking forces, (m,) each; -1 where a contact has none."""
+        """Return the places of normal and of sticking forces in the system, (m,) each; -1 where a contact has none."""
         pushing, sticking = np.full((2, len(self.status)), -1)
         pushing[self.closed] = len(self._rows.scale) + np.arange(len(self.closed))
         sticking[self.stuck] = len(self._rows.scale) + len(self.closed) + np.arange(len(self.stuck))

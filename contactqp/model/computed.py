@@ -63,7 +63,7 @@ class Computed:
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # certificate.coulomb_law: likewise
     parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
-    scale_of_unknowns: Vector | None = None  # linalg.measures
+    scale_through_rows: Vector | None = None  # linalg.measures
     untouched: NDArray[np.bool_] | None = None  # linalg.measures
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness

@@ -49,18 +49,18 @@ class JudgedAnswer(Certificate):
 
     @property
     def right(self) -> Solution | None:
-        """The right solution, None where there is none or none was found: `why_not` says why."""
+        """Return the right solution; None where there is none or none was found, and `why_not` says why."""
         return self._found[0]
 
     @property
     def why_not(self) -> str | None:
-        """Why there is no right solution to set beside the answer."""
+        """Return why there is no right solution to set beside the answer; None where there is one."""
         return self._found[1]
 
     @cached_property
     @own_floating_point
     def contacts(self) -> tuple[JudgedContact, ...]:
-        """The wrong contacts, worst first, with the right values beside; empty where the answer passed."""
+        """Return the wrong contacts, worst first, beside the right values; empty where the answer passed."""
         if self.passed:
             return ()
         return judged_contacts(self.problem, self.answer, self, self.right)
@@ -68,7 +68,7 @@ class JudgedAnswer(Certificate):
     @cached_property
     @own_floating_point
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong, causes first; empty where the answer passed.
+        """Return what is wrong with the answer, causes first; empty where it passed.
 
         Other questions that it may be the right answer to may take 1e9 operations, about a second, or as many as the
         right answer; a finding says which were left unasked.
@@ -91,7 +91,7 @@ class JudgedAnswer(Certificate):
 
     @property
     def diagnosis(self) -> str:
-        """What is wrong, in one paragraph."""
+        """Return in one paragraph what is wrong with the answer."""
         return paragraph(self, self.problem, self.findings, self.contacts, None if self.passed else self.why_not)
 
     @checked
@@ -182,7 +182,8 @@ def certify(
             "certify: expected a ContactProblem, got LocalProblem, which has no displacements; cq.certify_local judges "
             "forces of one"
         )
-    refuse_other("certify", problem, ContactProblem)
+    if type(problem) is not ContactProblem:
+        refuse_other("certify", problem, ContactProblem)
     parts = (displacement, normal_force, friction_force, tie_force)
     if isinstance(displacement, Solution):
         if any(part is not None for part in parts[1:]):

@@ -140,7 +140,7 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
     return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
 
 
-def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
+def without_negligible_forces(problem: ContactProblem, answer: Answer) -> Answer:
     """Return the answer without contact forces beneath the rounding of the stiffness, if it holds without them."""
     force = answer.normal_force
     heard = force_measure(problem.normal, force, forces_that_meet(problem, answer)) > NOISE
@@ -198,7 +198,7 @@ class FrictionRun(Run):
         """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         condensation = condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
-        answer = without_noise(self.problem, at_rest(self.problem, condensation, self._answer, free))
+        answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
         return Final(
             answer.displacement,
             answer.normal_force,

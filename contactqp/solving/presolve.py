@@ -114,7 +114,7 @@ def _factor(values: Vector, others: Vector) -> Fraction | None:
 
 
 def never_close(problem: ContactProblem) -> Indices:
-    """The contacts of several unknowns that cannot close, as far as bounds of single unknowns tell."""
+    """Return the contacts of several unknowns that cannot close, as far as bounds of single unknowns tell."""
     E = problem.normal
     lower, upper = bounds_of_unknowns(problem)
     with np.errstate(invalid="ignore"):  # 0 times infinity does not occur: entries of zero are not stored

@@ -24,7 +24,7 @@ from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsuppor
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.condensation import condense as condensation_of
 from contactqp.linalg.dense import DENSE_SIZE, saddle_point
-from contactqp.linalg.equilibration import nondimensional, unknown_scale
+from contactqp.linalg.equilibration import nondimensional, unknown_scale, zero_beneath
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.measures import lay_out, row_sizes
@@ -259,7 +259,7 @@ class CondensedRun(Run):
                 self._closed = closed_contacts(problem, compliance, u, force)
 
     def final(self) -> Final:
-        """The answer that is to be certified."""
+        """Return the answer that is to be certified: refined on its set where that is asked for, else as it came."""
         found = self._polished() if self.polish and self.method.polish else None
         return self._as_it_came() if found is None else found
 
@@ -331,8 +331,7 @@ def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
 
 
 def _condensed(problem: ContactProblem) -> Condensation:
-    """The condensation. Meanwhile, what refinement and certificate need of a large stiffness is laid out by another
-    thread: sparse solvers analyse a matrix on one core."""
+    """Condense a problem; of a large one another thread meanwhile lays out what refinement and certificate need."""
     if problem.dimension < LARGE:
         return condensation_of(problem)
     with ThreadPoolExecutor(1) as pool:
@@ -414,11 +413,9 @@ def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, V
     values = (found.displacement, found.normal_force, friction, found.tie_force)
     rows = (problem.normal, sp.csr_array(problem.tangent), problem.tie)
     units = (1.0 / D, *(np.sqrt(row.power(2) @ D**2) for row in rows))
-    sizes = [abs(value) * unit for value, unit in zip(values, units, strict=True)]
+    sizes = (abs(value) * unit for value, unit in zip(values, units, strict=True))
     largest = max(size.max(initial=0.0) for size in (*sizes, abs(problem.load) * D))
-    u, normal, friction, tie = (
-        np.where(size < INVISIBLE * largest, 0.0, value) for value, size in zip(values, sizes, strict=True)
-    )
+    u, normal, friction, tie = zero_beneath(values, units, INVISIBLE * largest)
     return u, normal, friction, tie
 
 

@@ -9,7 +9,7 @@ import scipy.sparse.linalg as sla
 
 import contactqp as cq
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.measures import intrinsic_size, nothing, scale_of_unknowns, without_rigid_part
+from contactqp.linalg.measures import intrinsic_size, nothing, scale_through_rows, without_rigid_part
 from contactqp.model.solution import Answer
 
 FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
@@ -212,7 +212,7 @@ def test_a_contact_without_stiffness_is_measured_by_what_ties_join_it_to() -> No
     """A pin joined by two rods to a spring, stopped where it stands: what a code rounds there is nothing."""
     K, tie = np.diag([4.0, 0.0, 0.0]), [[1.0, -2.0, 0.0], [0.0, 1.0, -1.0]]
     problem = cq.ContactProblem(K, [8.0, 0.0, 18.0], [[0.0, 0.0, 1.0]], [0.0], tie=tie, tie_value=[2.0, 1.0])
-    assert scale_of_unknowns(problem) == pytest.approx([0.5, 0.25, 0.25])
+    assert scale_through_rows(problem) == pytest.approx([0.5, 0.25, 0.25])
     right = cq.solve(problem)
     assert right.displacement == pytest.approx([4.0, 1.0, 0.0], abs=1e-15)
     for noise, passes in ((1e-17, True), (1e-6, False)):

@@ -62,7 +62,7 @@ def admm(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
 
 
 def _first_penalty(form: LocalForm) -> float:
-    """sqrt(largest eigenvalue) of W, whose diagonal is one, times the square root of 1e-3 of it."""
+    """Return a first penalty, 0.1 sqrt(largest eigenvalue of W), of which the largest sum of a row is a bound."""
     row_sums = np.asarray(abs(form.W).sum(axis=1)).ravel()
     largest = float(np.max(row_sums, initial=1.0))
     return float(np.sqrt(largest * 1e-2))

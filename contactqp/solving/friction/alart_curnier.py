@@ -62,7 +62,7 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
 
 
 def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | None:
-    """The best point along Newton's direction that has a smaller residual; None where there is no direction."""
+    """Return the best point that is tried along Newton's direction; None where the system has no solution."""
     refuse_late("the next step of Newton's method")
     direction = _direction(form, here, regularisation)
     if direction is None:
@@ -165,7 +165,7 @@ def proximal_points(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
 
 
 def _regular(form: LocalForm, centre: Iterate, weight: float) -> LocalForm:
-    """The problem of the proximal point of `centre`."""
+    """Return the form of the proximal point problem, W + weight I and q - weight r of the centre r."""
     size = form.m * form.d
     nearby = copy.copy(form)
     nearby.W = form.W + weight * (sp.identity(size, format="csr") if form.sparse else np.eye(size))

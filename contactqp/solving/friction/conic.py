@@ -169,7 +169,7 @@ def refuse_unbalanced(form: LocalForm) -> None:
 
 
 def _resisting(V: Array, mu: Vector) -> Array:
-    """Rows of which none is positive where V g (m, d) lies in all K*, (m, d, p) given."""
+    """Return rows whose products with g are not positive where V g, of V (m, d, p), lies in all dual cones K*."""
     parts = [
         -V[:, 0] + mu[:, None] * np.einsum("w,iwp->ip", direction, V[:, 1:]) for direction in around(V.shape[1] - 1)
     ]

@@ -138,14 +138,16 @@ def contact_operator(problem: ContactProblem, condensation: Condensation, rows: 
 
 
 def _resisted(rows: Array, motions: Array) -> Array:
-    """What of rows is no rigid motion; exactly nothing where it is rounding, so that its compliance is none."""
+    """Return rows without their rigid part, exactly zero where rounding is all that is left, so that they have no
+    compliance.
+    """
     left = rows - (rows @ motions) @ motions.T
     size = np.linalg.norm(rows, axis=1)
     return np.where((np.linalg.norm(left, axis=1) > UNRESISTED * size)[:, None], left, 0.0)
 
 
 def _whole_motions(condensation: Condensation, rows: FrictionalRows, motions: Array) -> tuple[Array, float]:
-    """Rigid motions (n, z) of the bodies whose retained unknowns are given, and how uncertain they are."""
+    """Return the rigid motions (n, z) that have these values at retained unknowns, and how uncertain they are."""
     rigid = condensation.rigid
     if not motions.shape[1]:
         return np.zeros((len(rigid.motions), 0)), 0.0
@@ -154,7 +156,7 @@ def _whole_motions(condensation: Condensation, rows: FrictionalRows, motions: Ar
 
 
 def _null_motions(rows: FrictionalRows, basis: Any) -> Array:
-    """An orthonormal basis of the rigid motions that the ties leave, in coordinates of `basis`."""
+    """Return an orthonormal basis of the rigid motions that the ties leave, in the coordinates of `basis`."""
     motions = rows.motions
     if not motions.shape[1]:
         return np.zeros((basis.shape[1], 0))
@@ -277,7 +279,7 @@ def solve_on_contacts(
 
 
 def _force_sizes(balanced: Array | None) -> tuple[float, ...]:
-    """Sizes to give to forces of the local form: their own first, where bodies move as if they were rigid."""
+    """Return the sizes that forces of the local form get in turn: their own first, where bodies move as if rigid."""
     size = 0.0 if balanced is None else float(np.max(abs(balanced), initial=0.0))
     return (size, 1.0) if 0 < size < SMALL_FORCES else (1.0,)
 
@@ -350,7 +352,7 @@ def _near(
 
 
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
-    """The forces of a warm start, or those that hold the bodies, or none."""
+    """Return where the iteration starts: the forces of a warm start, or those that hold the bodies, or none."""
     warm = settings.warm_start
     if warm is not None and warm.finite:
         balanced = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))

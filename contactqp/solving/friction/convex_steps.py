@@ -188,7 +188,7 @@ class ConvexSteps:
     def _candidate(
         self, load: Vector, rows: dict[str, sp.csr_array], gap: Vector, ties: Vector
     ) -> tuple[Vector, Vector]:
-        """The minimiser and the multipliers of the ties."""
+        """Solve one convex step by the method; return the minimiser and the multipliers of the ties."""
         stiffness = self._P if self._form.sparse else self._P.toarray()
         inner = ContactProblem(stiffness=np.zeros((1, 1)), load=[0.0], normal=np.zeros((0, 1)), gap=[]).transformed(
             stiffness, load, abs(load), rows["normal"], gap, rows["tie"], ties
@@ -257,6 +257,6 @@ def _shift(form: LocalForm, iterate: Iterate) -> Vector:
 
 
 def _in_cone(r: Array, mu: Vector) -> Array:
-    """Forces whose friction is cut off at their own bound."""
+    """Return forces (m, d) without tension, their friction cut off at its own bound."""
     normal = np.maximum(r[:, 0], 0.0)
     return np.column_stack([normal, onto_discs(r[:, 1:], mu * normal)])

@@ -114,7 +114,7 @@ class Combinations:
         return y if _hold(room, change, size, y) else None
 
     def _assembled(self, status: Status) -> tuple[Array, Array]:
-        """(b, q, q) and (b, q): one row a contact force, one a friction force, then what always holds."""
+        """Return the systems (b, q, q), (b, q): a row for each normal and friction force, then what always holds."""
         (count, m), q = status.shape, self.slope.shape[1]
         unit = np.eye(q)
         closed, stuck = status != OPEN, status == STICK
@@ -131,7 +131,7 @@ class Combinations:
         return matrix, right
 
     def _signs(self, status: Status) -> tuple[Vector, Array, Vector]:
-        """Room, its slope in y, and its size: the signs hold where room + slope y >= 0."""
+        """Return room, slope in y and size of the sign conditions, which hold where room + slope y >= 0."""
         m, unit = len(status), np.eye(self.slope.shape[1])
         off = self.base - self.target
         opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
@@ -178,7 +178,7 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
 
 
 def _filled(size: Vector, other: float) -> Vector:
-    """Sizes, those that are zero replaced by the median of the rest, or else by another size."""
+    """Return sizes with the median of the others in place of zeros; `other` where all are zero."""
     known = size[size > 0]
     return np.where(size > 0, size, float(np.median(known)) if len(known) else other or 1.0)
 
@@ -239,7 +239,7 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
 
 
 def _least_ties(rows: FrictionalRows, start: Answer) -> Answer:
-    """The start with the least forces of ties that depend on one another: refinement keeps how they share theirs."""
+    """Return the start with the least forces of dependent ties, since refinement keeps how these share theirs."""
     if len(rows.tie) < 2 or not np.all(np.isfinite(start.tie_force)):
         return start
     pulled = rows.tie.T @ (start.tie_force * rows.tie_length)

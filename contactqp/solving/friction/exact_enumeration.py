@@ -249,7 +249,9 @@ class _Bodies:
         self.slip = [self._length(row, limit) for row, limit in zip(data.tangent, data.slip_origin, strict=True)]
 
     def _unseen(self) -> list[Row]:
-        """Motions that neither stiffness, ties nor the law see: where nothing holds, the displacement has none."""
+        """Return the motions that stiffness, ties and contacts do not feel, along which the displacement is taken to be
+        zero.
+        """
         data = self.data
         seen = [*data.stiffness, *data.normal, *data.tie]
         seen += [row for row, mu in zip(data.tangent, data.friction, strict=True) if mu]
@@ -257,7 +259,7 @@ class _Bodies:
         return [] if found is None else found.free
 
     def _length(self, row: Row, limit: Fraction) -> Row:
-        """(row'u - limit) as its slope in y and its constant last."""
+        """Return row'u - limit as a form in y: its slope, and its constant last."""
         n = len(row)
         slope = [dot(row, [line[j] for line in self._slope[:n]]) for j in range(self.size)]
         return [*slope, dot(row, self._start[:n]) - limit]
@@ -334,7 +336,7 @@ class _Members:
             self.displacement = [value + dot(slope, self._at) for value, slope in self._moved]
 
     def _image(self, row: Row) -> tuple[Fraction, Row]:
-        """A form in y, its constant last, as its value at c = 0 and its slope in c."""
+        """Return a form in y, its constant last, as its value at c = 0 and its slope in c."""
         own = self._columns.of(row)
         value, slope = self._found.image(own[:-1])
         return value + own[-1], slope
@@ -399,7 +401,7 @@ def _signs_of_law(state: int, friction: Fraction, force: tuple[Row, Row], gap: R
 
 
 def _equation(form: Row) -> Row:
-    """form = 0 as (a, b) of a'x = b."""
+    """Return the equation form = 0 as a row (a, b) of a'x = b."""
     return [*form[:-1], -form[-1]]
 
 

@@ -143,7 +143,7 @@ class ForceSystem:
         return bool(np.all(abs(moved - rigid) <= tolerance) and np.all(abs(held) <= tolerance))
 
     def _held(self, contacts: Mask) -> Mask:
-        """(2m,) rows along which contacts hold: without friction, the normal alone."""
+        """Return flags (2m,) of the rows along which contacts hold; without friction only the normal one does."""
         return np.concatenate([contacts, contacts & (self.coefficient > 0)])
 
     def displacement(self, answer: CombinationAnswer, lengths: Lengths) -> Vector:
@@ -185,7 +185,7 @@ class ForceSystem:
         self._factor = _Factor(self, status)
 
     def _solved(self, status: Status, lengths: Lengths) -> tuple[Vector, float]:
-        """y and the largest residual, after one refinement where it is needed."""
+        """Return y and the largest residual, after one refinement where that is too large."""
         assert self._factor is not None
         right = self._right(status, lengths)
         y = self._factor.solve(status, right)

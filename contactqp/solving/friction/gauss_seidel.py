@@ -145,7 +145,7 @@ def colours(W: Array, m: int, d: int) -> list[NDArray[np.intp]]:
 
 
 def _own_blocks(W: Array, m: int, d: int) -> Array:
-    """(m, d, d) the diagonal blocks."""
+    """Return the diagonal blocks (m, d, d)."""
     entries = sp.coo_array(W)
     own = entries.row // d == entries.col // d
     blocks = np.zeros((m, d, d))

@@ -164,7 +164,7 @@ def search(
 def _not_drowned(
     system: ForceSystem, lengths: Lengths, found: CombinationAnswer, held_open: NDArray[np.bool_] | None
 ) -> CombinationAnswer:
-    """An answer whose signs fail by no more than rounding, unless that is as large as the answer."""
+    """Return an answer whose signs fail by rounding alone; refuse it where rounding is as large as the answer."""
     wrong = np.where(False if held_open is None else held_open, 0.0, found.worst(system.coefficient))
     fails = max(float(np.max(wrong, initial=0.0)), found.left)
     parts = (lengths.target, found.normal, found.friction, found.gap, found.slip)
@@ -195,7 +195,7 @@ def combination_of(problem: ContactProblem, candidate: Candidate | Solution) -> 
 
 
 def _one_changed(status: Status, following: Status, wrong: Vector) -> Status:
-    """Only the contact whose signs fail most changes."""
+    """Return the combination with the state changed of that contact alone whose signs fail most."""
     changes = status != following
     if not np.any(changes):
         return status
@@ -206,7 +206,7 @@ def _one_changed(status: Status, following: Status, wrong: Vector) -> Status:
 
 
 def _touching(system: ForceSystem, lengths: Lengths) -> Status:
-    """All contacts that overlap without forces stuck; where bodies float, all contacts."""
+    """Return the combination in which contacts that overlap without forces stick; all contacts where bodies float."""
     m = system.contacts
     overlap = lengths.free[:m] >= lengths.target[:m]
     floats = len(lengths.drive) > 0
@@ -278,7 +278,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
 
 
 def _first(problem: ContactProblem, settings: Settings) -> Status:
-    """The combination of a known answer, else what closes without friction, slipping on where it slips far."""
+    """Return the combination of a known answer, or of the answer without friction, slipping where that slips far."""
     if settings.warm_start is not None:
         return combination_of(problem, settings.warm_start)
     found = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
@@ -299,7 +299,7 @@ def _plain(rows: SparseFrictionalRows, status: Status) -> Status:
 
 
 def _suggested(problem: ContactProblem, rows: SparseFrictionalRows, found: RefinedState, status: Status) -> Status:
-    """The combination that the projections of Alart and Curnier make of the answer of another."""
+    """Return the combination that Alart's and Curnier's projections make of the answer of another combination."""
     answer = found.answer(1)
     assert problem.tangent is not None
     assert problem.slip_origin is not None
@@ -324,7 +324,7 @@ def _suggested(problem: ContactProblem, rows: SparseFrictionalRows, found: Refin
 
 
 def _next_unseen(status: Status, following: Status, seen: set[bytes]) -> Status | None:
-    """The combination with the first single change that leads to one which has not been tried."""
+    """Return the first combination that differs by one of the changes and has not been tried; None where all have."""
     for i in np.flatnonzero(status != following):
         one = status.copy()
         one[i] = following[i]
@@ -334,5 +334,5 @@ def _next_unseen(status: Status, following: Status, seen: set[bytes]) -> Status 
 
 
 def _way(status: Status) -> Vector:
-    """(m,) the direction of slip, zero where a contact does not slip."""
+    """Return the directions of slip (m,), +1 or -1, zero where a contact does not slip."""
     return np.where(abs(status) == 1, status, 0).astype(float)

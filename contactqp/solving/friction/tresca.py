@@ -191,7 +191,7 @@ class _Run:
         return _Step(u[:p], force[:m], friction, tie)
 
     def _stuck(self) -> _Step:
-        """The answer with every contact stuck, closed or not."""
+        """Return the answer in which every contact with friction sticks, closed or not."""
         rows, m = self._rows, self._problem.contacts
         stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
         ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
@@ -240,7 +240,7 @@ class _Run:
 
 
 def _bounded_rows(normal: Array, tangent: Array) -> Array:
-    """The rows N x, T x - w, -T x - w over x and w."""
+    """Return the rows N x, T x - w, -T x - w over x and w, which bound |T x| by w."""
     (m, p), count = normal.shape, len(tangent)
     rows = np.zeros((m + 2 * count, p + count))
     rows[:m, :p], rows[m : m + count, :p], rows[m + count :, :p] = normal, tangent, -tangent

@@ -95,7 +95,7 @@ def solve_condensed(
 
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
-    """Lemke's finite pivoting, which needs no anchors: for bodies whose stiffnesses lie too far apart for them."""
+    """Solve by Lemke's finite pivoting, which needs no anchors, where stiffnesses lie too far apart for them."""
     from contactqp.solving.methods.lemke import solve_lemke
 
     twin, scaling = nondimensional(problem)
@@ -139,7 +139,7 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
 
 
 def _furthest(drive: Vector, rows: Array, limit: Vector) -> Vector:
-    """max d'a over R a <= g, each row of which bounds one coordinate; zero where there is no such place."""
+    """Maximise d'a over R a <= g, each row bounding one coordinate; zero where that has no bounded solution."""
     bound = np.divide(limit[:, None], rows, out=np.full(rows.shape, np.nan), where=rows != 0)
     most = np.min(np.where(rows > 0, bound, np.inf), axis=0, initial=np.inf)
     least = np.max(np.where(rows < 0, bound, -np.inf), axis=0, initial=-np.inf)
@@ -177,7 +177,7 @@ def _primal_dual(
     force: Vector,
     limit: int,
 ) -> tuple[Vector, int, bool]:
-    """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
+    """Repeat l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0; return l, the steps, and whether B stayed."""
     seen: set[bytes] = set()
     for step in range(1, limit + 1):
         closed = tied | (force + (excess - W @ force) > tolerance)
@@ -206,7 +206,7 @@ def _equilibrium_on(
     size: Vector,
     closed: NDArray[np.intp],
 ) -> tuple[Vector, Vector, Vector] | None:
-    """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
+    """Return x, l_N and tie forces on a set without anchors; None where signs fail or a free motion is driven."""
     saddle = saddle_point(condensation, closed)
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
     carried = condensation.normal[closed].T @ on_set + condensation.tie.T @ tie_force
@@ -228,13 +228,13 @@ def _equilibrium_on(
 
 
 def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> NDArray[np.bool_]:
-    """(m,) contacts that a displacement of the contact unknowns penetrates by more than rounding."""
+    """Return flags (m,) of contacts that the contact unknowns x penetrate by more than rounding."""
     length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
     return np.asarray(condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length)
 
 
 def _moved(condensation: Condensation, operator: Delassus, free: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(m,) contacts that feel motions (p, q), orthonormal and scaled, which the set leaves free."""
+    """Return flags (m,) of contacts that feel the orthonormal, scaled motions (p, q) which the set leaves free."""
     rows = operator.rows[: len(condensation.normal)]
     felt = np.linalg.norm(rows @ free, axis=1)
     return np.asarray(felt > UNRESISTED * np.linalg.norm(rows, axis=1))

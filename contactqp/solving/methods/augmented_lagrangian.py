@@ -38,7 +38,7 @@ UZAWA_STIFFENING = 100.0
 
 
 def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Multipliers and penalty together.
+    """Enforce closed contacts by multipliers and penalty together.
 
     ``update="simultaneous"`` (the default) solves the chapter's eq. 2.32 for the closed contacts,
 
@@ -83,7 +83,7 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
 
 
 def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
-    """The update, and beta (m,) as it was given or by default."""
+    """Return which update is asked for, and beta (m,) as it was given or by default."""
     update = settings.options.get("update", "simultaneous")
     if not isinstance(update, str) or update not in ("simultaneous", "uzawa"):
         raise InvalidProblem(f"{NAME}: update: expected 'simultaneous' or 'uzawa', got {shown(update)}")
@@ -94,7 +94,7 @@ def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
 
 
 def default_penalty(problem: ContactProblem, rows: Matrix, stiffening: float) -> Vector:
-    """beta_i = stiffening / sum_j (E_ij^2 / K_jj) for the rows E (m, n), (m,) [force / length]; an empty row gets 1.
+    """Return beta_i = stiffening / sum_j (E_ij^2 / K_jj) of rows E (m, n), (m,) [force / length]; an empty row gets 1.
 
     An unknown without stiffness of its own counts with the largest stiffness of the problem; if nothing has any, every
     beta finds the answer in one iteration and 1 is taken.
@@ -167,7 +167,9 @@ def _relative_change(old: Vector, new: Vector) -> float:
 
 
 def _violation(problem: ContactProblem, displacement: Vector, force: Vector) -> float:
-    """Worst penetration, or gap under force, relative to the lengths that meet at the contact, |E_N||u| + |g|."""
+    """Return the worst penetration, or gap under force, relative to the lengths |E_N||u| + |g| that meet at the
+    contact.
+    """
     gap = problem.gap - problem.normal @ displacement
     wrong = np.where(force > 0, np.abs(gap), np.maximum(-gap, 0.0))
     return _worst(wrong, lengths_that_meet(problem, problem.normal, problem.gap, displacement))
@@ -178,7 +180,7 @@ def _worst(wrong: Vector, lengths: Vector) -> float:
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Multipliers and penalty with friction, E_s = E_N + s mu E_T where a contact slips.
+    """Enforce stick and slip by multipliers and penalty together, with E_s = E_N + s mu E_T where a contact slips.
 
     ``update="simultaneous"`` solves the systems of the Lagrange multiplier method with springs that its rows cancel,
 

@@ -196,7 +196,7 @@ BACKENDS = (
 
 
 def backend_options(backend: Backend, settings: Settings) -> dict[str, Any]:
-    """The keywords for one call, in the backend's own words."""
+    """Return the keyword arguments of one call, by the names that the backend has for them."""
     options = dict(backend.fixed)
     options.update(dict.fromkeys(backend.tolerances, max(settings.tolerance, backend.tightest)))
     limit = settings.max_iter or backend.default_limit
@@ -276,7 +276,7 @@ class _Bounds:
     of_upper: NDArray[np.intp]
 
     def forces(self, problem: ContactProblem, solution: Any) -> Vector:
-        """(m,) the contact forces of a solution with multipliers of rows and of bounds."""
+        """Return the contact forces (m,) of a solution with multipliers of rows and of bounds."""
         force = np.zeros(problem.contacts)
         if solution.z is not None and len(solution.z):
             force[np.setdiff1d(np.arange(problem.contacts), self.contacts)] = solution.z
@@ -324,7 +324,7 @@ def _program(backend: Backend, problem: ContactProblem, bounds: _Bounds | None =
 
 
 def _sparse(matrix: Any) -> Any:
-    """A copy: some backends want matrices that they could write to."""
+    """Return a copy in CSC form: some backends want matrices that they could write to."""
     return sp.csc_matrix(matrix, copy=True)
 
 
@@ -394,7 +394,7 @@ def _values(values: Any, size: int, status: str) -> Vector:
 
 
 def _found(extras: Any, path: tuple[str, ...]) -> Any:
-    """What lies at a path of keys and attributes, or None."""
+    """Return what lies at a path of keys and attributes, or None."""
     for name in path:
         extras = extras.get(name) if isinstance(extras, dict) else getattr(extras, name, None)
     return extras
@@ -416,7 +416,7 @@ def _note(backend: Backend) -> str:
 
 
 def method_of(backend: Backend) -> Method:
-    """The method that calls a backend, scaled before and polished after the call."""
+    """Return the method that calls a backend, scaled before and polished after the call."""
     return Method(
         name=backend.name,
         kind="quadratic program",

@@ -54,7 +54,7 @@ class Compliance:
 
 
 def compliance(name: str, problem: ContactProblem) -> Compliance:
-    """Eliminate displacements and ties.
+    """Eliminate displacements and ties; return what contact forces do to both.
 
     Raises
     ------
@@ -82,12 +82,12 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
 
 
 def _rigid_motions(problem: ContactProblem) -> Dense:
-    """Orthonormal basis (n, r) of the motions that neither stiffness nor ties feel: K Z = 0 and A Z = 0."""
+    """Return an orthonormal basis (n, r) of the motions with K Z = 0 and A Z = 0."""
     return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness).motions)[0])[1]
 
 
 def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
-    """Orthonormal motions, split into those that some row feels and those that none does."""
+    """Return orthonormal motions that some row feels, and those that none does."""
     if motions.shape[1] == 0 or rows.shape[0] == 0:
         return motions[:, :0], motions
     unit = rows.toarray() / np.sqrt(rows.power(2).sum(axis=1))[:, None]
@@ -97,7 +97,7 @@ def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
 
 
 def _resisted(name: str, problem: ContactProblem, rigid: Dense) -> Dense:
-    """The rigid motions that some contact feels; the others stay at rest, if no load drives them."""
+    """Return the rigid motions that some contact feels; refuse a load that drives the others, which stay at rest."""
     resisted, unresisted = _split(problem.normal, rigid)
     if np.any(np.abs(unresisted.T @ problem.load) > BALANCED * np.linalg.norm(problem.load)):
         raise NotConverged(f"{name}: the load drives a rigid motion that no contact and no tie resists")
@@ -119,7 +119,7 @@ class Complementarity:
 
 
 def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Complementarity:
-    """The linear complementarity problem of the contacts.
+    """Return the linear complementarity problem of the contacts, w = q + M z.
 
     Without rigid motions q = g - E_N u_free, M = E_N response. With them, w = q + W l - N a and N'l = Z'f (N = E_N Z):
     as many contacts B as there are motions, with N_B regular, give l_B and a from these equations.
@@ -169,7 +169,7 @@ def _without_rounding(values: Dense, sizes: Dense) -> Dense:
 def expand(
     problem: ContactProblem, reduced: Compliance, lcp: Complementarity, force: Vector, gap: Vector
 ) -> tuple[Vector, Vector]:
-    """Displacements and tie forces of given contact forces; the gaps of the exchanged contacts place rigid motions."""
+    """Return displacements and tie forces of contact forces; gaps of the exchanged contacts determine rigid motions."""
     displacement = reduced.free - reduced.response @ force
     B = lcp.exchanged
     if B.size:

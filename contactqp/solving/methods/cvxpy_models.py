@@ -66,7 +66,7 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
 
 
 def _cvxpy() -> Any:
-    """The module, untyped: half of its functions carry no annotations."""
+    """Return the module cvxpy, untyped since half of its functions carry no annotations."""
     return importlib.import_module("cvxpy")
 
 
@@ -82,7 +82,7 @@ def _solver(cp: Any, name: Any) -> str:
 
 
 def _options(solver: str, settings: Settings) -> dict[str, Any]:
-    """The solver's keywords, from the table of backends where it is there."""
+    """Return the solver's keyword arguments, as the table of backends has them; none of a solver that is not in it."""
     for backend in BACKENDS:
         if backend.name.upper() == solver:
             return backend_options(backend, settings)

@@ -71,7 +71,7 @@ def solve_by_iteration(
 def identified_by_iteration(
     problem: Limits, iteration: ContactIteration, settings: Settings, error: float = IDENTIFIED
 ) -> Candidate | None:
-    """The same for a method that goes on from its set: less accurate, and None where a hierarchy is of no use."""
+    """Return a less accurate candidate, from whose set a method goes on; None where the iteration takes too long."""
     search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None
     return found if search.steps_left() > 0 else None
@@ -105,7 +105,7 @@ class _Search:
         self.start(settings.warm_start)
 
     def start(self, known: Candidate | None) -> None:
-        """A displacement and a set, from a known solution or from the bodies without contact."""
+        """Choose the first displacement and set: those of a known solution, or of the bodies without contact."""
         if known is not None and self._loaded(known):
             self.x = known.displacement.copy()
             self.residual = self.problem.load - self.iteration.product(self.x)
@@ -171,7 +171,7 @@ class _Search:
         return self.closed & ~opened | self.penetrated
 
     def _candidate(self, sets: int, stopped: str) -> Candidate:
-        """What there is; an answer has no tension, not even within the tolerance."""
+        """Return the last iterate as a candidate; where the set was found, tension within the tolerance is removed."""
         force = self.force
         if stopped == FOUND:
             force = np.where(np.arange(len(force)) < self.m, np.maximum(force, 0.0), force)
@@ -245,7 +245,7 @@ class _Search:
         return np.asarray((self.iteration.lengths(self.x) - self.limit)[: self.m])
 
     def _look(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> None:
-        """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
+        """Form the forces, and find the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)
         m, allowed, strained = self.m, SIGN * self.tolerance, self.iteration.elastic(self.x)
@@ -297,7 +297,7 @@ class _Goal:
 
 
 def _size(search: _Search) -> float:
-    """A lower bound of |l|_W, of |x|_K where there are no forces."""
+    """Return a lower bound of |l|_W, or |x|_K where there are no forces."""
     iteration, force = search.iteration, search.force
     if not iteration.any(force != 0):
         return _strain(search)

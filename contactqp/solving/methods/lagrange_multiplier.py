@@ -18,7 +18,7 @@ NAME = "lagrange-multiplier"
 
 
 def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Closed contacts and ties as equations, their forces as unknowns:
+    """Enforce closed contacts and ties as equations whose forces are unknowns:
 
         [ K  C' ] {u     }   {f  }
         [ C  0  ] {lambda} = {q  }        C = [A; E_N], q = [b; g] over ties and closed contacts
@@ -42,7 +42,7 @@ def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Stick and slip as equations beside those of the ties (the course chapter, eqs 2.37 and 2.41, signs corrected):
+    """Enforce stick and slip as equations beside those of ties (course chapter, eqs 2.37 and 2.41, signs corrected):
 
         [ K  P' ] {u     }   {f}
         [ H  0  ] {lambda} = {q}        H = [A; E_N; E_T where it sticks], P the same with E_s = E_N + s mu E_T where

@@ -23,7 +23,7 @@ from contactqp.solving.methods.textbook_algebra import TEXTBOOK_ROUNDING
 
 
 def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Lemke's complementary pivoting (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
+    """Pivot by Lemke's method (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
 
     An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0
     leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that in exact arithmetic the
@@ -90,7 +90,7 @@ def _in_z(basic: Indices) -> Mask:
 
 
 def _leaving_row(tableau: Dense, basic: Indices, entering: int) -> int:
-    """The row that blocks the entering variable; z0's if it is among those that do; -1 if none does."""
+    """Return the row that blocks the entering variable, that of z0 if it is among them; -1 where no row blocks it."""
     m = len(basic)
     column = tableau[:, entering]
     # A pivot that is rounding against its column would be division by noise.
@@ -106,7 +106,7 @@ def _leaving_row(tableau: Dense, basic: Indices, entering: int) -> int:
 
 
 def _lexicographic_minimum(tableau: Dense, rows: Indices, column: Vector) -> int:
-    """The row whose (right-hand side, inverse basis) / column is lexicographically least."""
+    """Return the row whose (right-hand side, inverse basis) / column is lexicographically least."""
     m = len(tableau)
     for j in (-1, *range(m)):
         ratio = tableau[rows, j] / column[rows]
@@ -127,7 +127,7 @@ def _pivot(tableau: Dense, row: int, column: int) -> None:
 
 
 def basic_solution(lcp: Complementarity, basis: Mask) -> tuple[Vector, Vector]:
-    """w and z of a complementary basis, computed afresh: rounding of the pivots does not stay in the answer."""
+    """Return w and z of a complementary basis, computed afresh so that rounding of the pivots does not stay in them."""
     q, M = lcp.offset, lcp.matrix
     z = np.zeros(q.size)
     if np.any(basis):

@@ -21,7 +21,7 @@ NAME = "master-slave"
 
 
 def solve_master_slave(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Closed contacts and ties C u = q as multi-point constraints whose slave unknowns are eliminated:
+    """Eliminate the slave unknowns of closed contacts and ties, which are multi-point constraints C u = q:
 
         u_s = T u_m + c                                 T = -C_s^-1 C_m,  c = C_s^-1 q
         B'K B u_m = B'(f - K {0; c})                     B = [I; T]

@@ -44,7 +44,7 @@ NAME = "penalty"
 
 
 def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Closed contacts as springs of stiffness beta that resist penetration:
+    """Enforce closed contacts by springs of stiffness beta that resist penetration:
 
         (K + E_N' beta E_N) u = f + E_N' beta g        lambda = beta (E_N u - g)
 
@@ -73,7 +73,7 @@ def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
 def penalty_loop(
     name: str, problem: ContactProblem, settings: Settings, beta: Vector, *, refined: bool = False
 ) -> Candidate:
-    """The active-set loop around eq. 2.25, for methods that build on it."""
+    """Run the active-set loop with the springs of eq. 2.25, for this method and those that build on it."""
     return active_set_loop(name, problem, settings, partial(_enforce, name, problem, beta, refined), stiffness=beta)
 
 
@@ -93,7 +93,7 @@ def _enforce(
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Springs at the contacts, normal and tangential: with E_s = E_N + s mu E_T where a contact slips,
+    """Enforce contact by normal and tangential springs, with E_s = E_N + s mu E_T where a contact slips,
 
         stick  (K + E_N' beta E_N + E_T' beta_T E_T) u = f + E_N' beta g + E_T' beta_T o
         slip   (K + E_s' beta E_N) u = f + E_s' beta g
@@ -125,7 +125,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 def frictional_penalty_loop(
     name: str, problem: ContactProblem, settings: Settings, beta: tuple[Vector, Vector], *, refined: bool = False
 ) -> Candidate:
-    """The loop over statuses around these springs, normal and tangential, for methods that build on it."""
+    """Run the loop over statuses with normal and tangential springs, for this method and those that build on it."""
     enforce = partial(_enforce_friction, name, problem, beta, refined)
     return status_loop(name, problem, settings, enforce, compliance=1.0 / beta[1], stiffness=beta)
 
@@ -219,8 +219,7 @@ def with_contact_springs(
 
 
 def without_contact_springs(problem: ContactProblem, solution: Solution, name: str = "penalty") -> Solution:
-    """The solution of `with_contact_springs(problem, ...)` as the penalised solution of `problem`, by the
-    method of that name.
+    """Return the solution of `with_contact_springs(problem, ...)` as the penalised solution of `problem`.
 
     Its certificate is that of `problem`, whose contacts are rigid: it says how far off the springs are. Stick and slip
     are the sliders'.

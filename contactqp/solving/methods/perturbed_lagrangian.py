@@ -21,7 +21,7 @@ NAME = "perturbed-lagrangian"
 
 
 def solve_perturbed_lagrangian(problem: ContactProblem, settings: Settings) -> Candidate:
-    """The multiplier's energy is perturbed by lambda^2 / (2 kappa), which regularises the multiplier system:
+    """Perturb the multiplier's energy by lambda^2 / (2 kappa), which regularises the multiplier system:
 
         [ K    E_N'     ] {u     }   {f}
         [ E_N  -1/kappa ] {lambda} = {g}
@@ -58,7 +58,7 @@ def _enforce(problem: ContactProblem, kappa: Vector, closed: Mask, preference: I
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
-    """Stick (the course chapter's eq. 2.48, sign corrected) and slip, with E_s = E_N + s mu E_T:
+    """Enforce stick (course chapter, eq. 2.48, sign corrected) and slip, with E_s = E_N + s mu E_T:
 
         [ K    E_N'      E_T'     ] {u       }   {f}        [ K    E_s'     ] {u       }   {f}
         [ E_N  -1/kappa           ] {lambda_N} = {g}        [ E_N  -1/kappa ] {lambda_N} = {g}

@@ -147,7 +147,7 @@ class _Loop:
         return np.where(self._friction > 0, STICK, SLIP_ON).astype(np.int8)
 
     def _next_step(self, step: FrictionalStep, following: Status) -> FrictionalStep | None:
-        """The next system; None where all that could be next have been tried."""
+        """Return the step of the next system; None where all that could be next have been tried."""
         if self._together is None:
             # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
             found = self._untried(following, (step.status != OPEN) | (following == OPEN))
@@ -241,8 +241,7 @@ class _Loop:
 
 
 def _one_by_one(step: FrictionalStep, following: Status) -> Iterator[tuple[Status, Mask]]:
-    """Statuses where one wrong contact changes, and which it is: least index first, as it should by itself, then in
-    every other way."""
+    """Yield statuses in which one wrong contact changes, and which: first as its signs ask, then in other ways."""
     wrong = np.flatnonzero(following != step.status)
     pushed = np.where(step.friction_force < 0, SLIP_BACK, SLIP_ON)
     ways = [following, pushed, -pushed, np.full_like(following, STICK), np.full_like(following, OPEN)]

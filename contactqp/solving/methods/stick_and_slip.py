@@ -40,14 +40,14 @@ FrictionalEnforcement = Callable[[Status, Indices], FrictionalStep]
 
 
 def coefficients(problem: ContactProblem) -> Vector:
-    """(m,) mu, zero where every unknown of the tangential row is supported: such a contact cannot slide."""
+    """Return mu (m,), zero where all unknowns of the tangential row are supported and the contact cannot slide."""
     if problem.tangent is None or problem.friction is None:
         return np.zeros(problem.contacts)
     return np.where(np.diff(problem.tangent.indptr) > 0, problem.friction, 0.0)
 
 
 def origins(problem: ContactProblem) -> Vector:
-    """(m,) E_T u where the slip starts [length]."""
+    """Return E_T u (m,) where the slip starts [length]."""
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin[:, 0]
 
 
@@ -80,11 +80,11 @@ class StatusRows:
         return slice(self.ties.size, None)
 
     def per_row(self, normal: Vector, tangential: Vector) -> Vector:
-        """Values per contact (m,) for normal and for tangential rows, as values of the rows of contacts."""
+        """Return values of contacts, (m,) for normal and (m,) for tangential rows, in the order of these rows."""
         return np.concatenate([normal[self.closed], tangential[self.stuck]])
 
     def step(self, displacement: Vector, contact_force: Vector, tie_force: Vector) -> FrictionalStep:
-        """The answer whose rows of contacts and of ties carry these forces."""
+        """Return the step in which the rows of contacts and of ties carry these forces."""
         count, m = self.closed.size, self.problem.contacts
         normal = spread(contact_force[:count], self.closed, m)
         friction = spread(contact_force[count:], self.stuck, m)
@@ -97,7 +97,7 @@ class StatusRows:
 def status_rows(
     name: str, problem: ContactProblem, status: Status, preference: Indices, *, independent: bool
 ) -> StatusRows:
-    """The equations of a status; `independent` leaves out rows of contacts that follow from those before them.
+    """Return the equations of a status, with `independent` without contact rows that follow from those before them.
 
     Of dependent ties the first are kept always. A closed contact whose normal row is left out is open; one that sticks
     and whose tangential row is left out carries no friction.
@@ -132,7 +132,7 @@ def _stacked(*parts: Matrix) -> Matrix:
 
 
 def frictional_springs(rows: StatusRows, beta: Vector) -> tuple[Matrix, Vector]:
-    """K + P' beta H and f + P' beta q over the rows of contacts: held H u = q, pushed along P, springs beta (r,)."""
+    """Return K + P' beta H and f + P' beta q: rows H u = q hold, P are those along which they push, beta (r,)."""
     problem, contacts = rows.problem, rows.of_contacts
     weighted = rows.pushed[contacts].T @ sp.diags(beta)
     spring = sp.csr_array(weighted @ rows.held[contacts])

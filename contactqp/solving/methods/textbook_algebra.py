@@ -81,7 +81,7 @@ def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> N
 
 
 def independent_rows(rows: Matrix) -> Indices:
-    """Indices, increasing, of the rows that do not depend on the rows before them."""
+    """Return the increasing indices of the rows that do not depend on the rows before them."""
     count = rows.shape[0]
     if count < 2:
         return np.arange(count)
@@ -103,7 +103,7 @@ def independent_rows(rows: Matrix) -> Indices:
 
 
 def spread(values: Vector, where: Indices, size: int) -> Vector:
-    """An array of `size` zeros with `values` at the indices `where`."""
+    """Return an array of `size` zeros with `values` at the indices `where`."""
     full = np.zeros(size)
     full[where] = values
     return full
@@ -134,7 +134,7 @@ def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: b
 
 
 def springs(problem: ContactProblem, closed: Mask, beta: Vector) -> tuple[Matrix, Vector]:
-    """K + E' beta E and f + E' beta g over the closed contacts: the two sides of the course chapter's eq. 2.25."""
+    """Return K + E' beta E and f + E' beta g over the closed contacts, the two sides of eq. 2.25 of the chapter."""
     E = problem.normal[np.flatnonzero(closed)]
     spring = E.T @ sp.diags(beta[closed]) @ E
     K = problem.stiffness + (spring if sp.issparse(problem.stiffness) else spring.toarray())
@@ -265,7 +265,7 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
 
 
 def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
-    """max over j of r_i |M_ij| c_j for each row i."""
+    """Return max_j r_i |M_ij| c_j for each row i."""
     if sp.issparse(size):
         scaled = sp.diags(rows) @ size @ sp.diags(columns)
         return np.asarray(scaled.max(axis=1).toarray()).ravel()
@@ -307,7 +307,7 @@ class FloatingBodies:
         return unknown_scale(self.problem)
 
     def unit(self, rows: Any) -> NDArray[np.float64]:
-        """Rows of unit length in these unknowns; an empty row is left as it is."""
+        """Return rows scaled to unit length in these unknowns; an empty row is left as it is."""
         dense = np.asarray((rows @ sp.diags(self.scale)).toarray())
         length = np.linalg.norm(dense, axis=1, keepdims=True)
         return np.asarray(dense / np.where(length > 0, length, 1.0))

@@ -53,7 +53,7 @@ class Step:
     def on_rows(
         cls, problem: ContactProblem, displacement: Vector, force: Vector, ties: Indices, contacts: Indices
     ) -> Step:
-        """The answer whose rows, of these ties and then of these contacts, carry the forces (r,)."""
+        """Return the step in which the rows of these ties, then of these contacts, carry the forces (r,)."""
         bound = np.zeros(problem.contacts, dtype=bool)
         bound[contacts] = True
         return cls(
@@ -125,7 +125,7 @@ class Sets:
         return self.step(changed, preference)
 
     def _in_the_way(self, closed: Mask, entering: Mask) -> int:
-        """With E_i = c'[E_B; A], the least k in B with c_k > 0: unless one of them gives way, E_i u cannot decrease."""
+        """Return the least k in B with c_k > 0, E_i = c'[E_B; A]; unless one of these opens, E_i u cannot decrease."""
         rows = np.vstack([self.bodies.normal[closed], self.bodies.tie])
         weights = np.linalg.lstsq(rows.T, self.bodies.normal[entering][0], rcond=None)[0][: np.count_nonzero(closed)]
         blocking = np.flatnonzero(closed)[weights > NEGLIGIBLE]
@@ -134,7 +134,7 @@ class Sets:
         return int(blocking[0])
 
     def _next_stop(self, others: Mask, leaving: Mask) -> int:
-        """The open contact of least index that is approached by the rigid motion that leaves contact i alone."""
+        """Return the open contact of least index that the body runs into when contact i alone lets it go."""
         rows = np.vstack([self.bodies.normal[others], self.bodies.tie, self.bodies.normal[leaving]]) @ self.bodies.rigid
         opening = np.append(np.zeros(len(rows) - 1), -1.0)
         coordinates = np.linalg.lstsq(rows, opening, rcond=NEGLIGIBLE)[0]
@@ -252,15 +252,14 @@ class Noise:
     bodies: FloatingBodies
 
     def of_forces(self, rows: Any) -> Vector:
-        """(r,) of the forces of rows: a force is noise when it is at one of its unknowns j, min over j of the noise
-        there / |E_ij|; an empty row has none."""
+        """Return the noise (r,) of the forces of rows: the least noise at one of a row's unknowns j, over |E_ij|."""
         entries = abs(rows).tocoo()
         noise = np.full(rows.shape[0], np.inf)
         np.minimum.at(noise, entries.row, (TEXTBOOK_ROUNDING * self.forces + self.shaken)[entries.col] / entries.data)
         return np.where(np.isfinite(noise), noise, 0.0) + self.bodies.carried(rows, self.forces)
 
     def of_lengths(self, rows: Any, limits: Vector) -> Vector:
-        """(r,) of E u - g for rows and their limits."""
+        """Return the noise (r,) of E u - g for rows and their limits."""
         size = abs(rows)
         return np.asarray(TEXTBOOK_ROUNDING * (size @ self.size + np.abs(limits)) + size @ self.moved)
 
