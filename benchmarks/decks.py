@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from tests.decks import STACK
+from tests.decks import ASSEMBLED, STACK
 
 # Two squares with friction over a third, which a tie and an equation hold, and a spring and a bar beside them.
 PLANE = """\
@@ -120,7 +120,8 @@ def write_decks(folder: Path) -> None:
     (folder / "plane.inp").write_text(PLANE)
     (folder / "nodes.inp").write_text(NODES)
     (folder / "space.inp").write_text(STACK)
-    for name in ("plane", "space"):
+    (folder / "assembled.inp").write_text(ASSEMBLED)
+    for name in ("plane", "space", "assembled"):
         deck = cq.read_deck(folder / f"{name}.inp")
         labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
         three = np.pad(moved, ((0, 0), (0, 3 - moved.shape[1])))

@@ -72,7 +72,7 @@ def seeds(root: Path) -> list[Seed]:
     _add_local(add)
     _add_quadratic_programs(add)
     _add_ansys(add)
-    for name in ("plane", "space"):
+    for name in ("plane", "space", "assembled"):
         add(f"deck-{name}", _deck(f"{name}.inp"), partial(solve_deck, name=name))
         add(f"deck-{name}-results", _deck(f"{name}.dat"), partial(judge_deck, name=name))
     add("deck-included", _deck("nodes.inp"), partial(judge_deck, name="plane"))

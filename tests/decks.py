@@ -72,6 +72,82 @@ U
 *END STEP
 """
 
+# The two cubes of STACK as one part, the upper one turned about its middle and moved up.
+ASSEMBLED = """\
+*Heading
+** Job name: Job-1 Model name: Model-1
+*Preprint, echo=NO, model=NO, history=NO, contact=NO
+*Part, name=Cube
+*Node
+      1,           0.,           0.,           0.
+      2,           1.,           0.,           0.
+      3,           1.,           1.,           0.
+      4,           0.,           1.,           0.
+      5,           0.,           0.,           1.
+      6,           1.,           0.,           1.
+      7,           1.,           1.,           1.
+      8,           0.,           1.,           1.
+*Element, type=C3D8
+1, 1, 2, 3, 4, 5, 6, 7, 8
+*Nset, nset=Set-1, generate
+ 1,  8,  1
+*Elset, elset=Set-1
+ 1,
+*Surface, type=ELEMENT, name=Foot
+Set-1, S1
+** Section: Section-1
+*Solid Section, elset=Set-1, material=Steel
+,
+*End Part
+*Assembly, name=Assembly
+*Instance, name=Low, part=Cube
+*End Instance
+*Instance, name="Up-1", part=Cube
+0., 0., 1.01
+0.5, 0.5, 0., 0.5, 0.5, 1., 90.
+*End Instance
+*Nset, nset=Bottom, instance=Low, generate
+ 1,  4,  1
+*Nset, nset=Top, instance=Up-1
+ 5, 6, 7, 8
+*Nset, nset=Every, instance=Low
+Set-1
+*Nset, nset=Every, instance=Up-1
+Set-1
+*Elset, elset=_Roof_S2, internal, instance=Low
+ 1,
+*Surface, type=ELEMENT, name=Roof
+_Roof_S2, S2
+*End Assembly
+*Material, name=Steel
+*Density
+2.,
+*Elastic
+1000., 0.
+*Surface Interaction, name=IntProp-1
+1.,
+*Friction
+0.,
+*Surface Behavior, pressure-overclosure=HARD
+*Boundary
+Bottom, ENCASTRE
+*Boundary
+Every, 1, 1
+Every, 2, 2
+*Contact Pair, interaction=IntProp-1, type=SURFACE TO SURFACE
+Up-1.Foot, Roof
+*Step, name=Step-1, nlgeom=NO, inc=1000
+*Static
+1., 1., 1e-05, 1.
+*Boundary
+Top, 3, 3, -0.02
+*Cload
+Up-1.1, 3, -1.
+*Restart, write, frequency=0
+*Output, field, variable=PRESELECT
+*End Step
+"""
+
 
 def write(folder: pathlib.Path, text: str, name: str = "model.inp") -> pathlib.Path:
     """Write a deck and return its path."""

@@ -28,7 +28,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem
-from contactqp.exchange.deck.cards import PRINTED, Card, read_cards
+from contactqp.exchange.deck.card_readers import HELD
+from contactqp.exchange.deck.cards import PRINTED, Card, Line, read_cards
+from contactqp.exchange.deck.instances import flattened
 from contactqp.exchange.files import Path, file_size, one_line, wrong
 from contactqp.exchange.numpy_files import read_npz
 from contactqp.model.arrays import Index
@@ -261,7 +263,9 @@ def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) 
         folder.mkdir(parents=True, exist_ok=True)
         for old in folder.glob(f"{JOB}.*"):
             old.unlink()
-        (folder / f"{JOB}.inp").write_text("\n".join(_lines(read_cards(deck), nodes)) + "\n", encoding="latin-1")
+        (folder / f"{JOB}.inp").write_text(
+            "\n".join(_lines(flattened(read_cards(deck))[0], nodes)) + "\n", encoding="latin-1"
+        )
     except OSError as error:
         raise InvalidProblem(f"{folder}: cannot be written ({error.strerror or error})") from None
     log = folder / f"{JOB}.log"
@@ -339,8 +343,8 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
     steps = 0
     for card in cards:
         name = card.keyword.name
-        if card.keyword.why == PRINTED:
-            continue
+        if card.keyword.why == PRINTED or (name == "FRICTION" and not card.real(card.lines[0], 0, "a coefficient")):
+            continue  # CalculiX has no coefficient of zero
         if name == "STEP" and not steps:
             yield f"*NSET, NSET={NODES}"
             labels = nodes.tolist()
@@ -353,7 +357,16 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
         if name == "SPRING":
             yield ""  # which the stiffness of SPRINGA stands behind
         for line in card.lines:
-            yield line.text
+            yield from _data(name, line)
+
+
+def _data(keyword: str, line: Line) -> Iterator[str]:
+    """Yield a line of data; CalculiX has no words for supports."""
+    words = line.words
+    if keyword == "BOUNDARY" and len(words) == 2 and words[1] in HELD:
+        yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in HELD[words[1]])
+    else:
+        yield line.text
 
 
 def _folded(keyword: str) -> Iterator[str]:

@@ -204,7 +204,7 @@ def read_section(model: DeckModel, card: Card) -> None:
     if len(card.lines) > 1:
         raise card.wrong("at most one line of data, a thickness", f"{len(card.lines)} lines")
     size = None
-    for line in card.lines:
+    for line in (line for line in card.lines if line.words):  # Abaqus/CAE writes a comma where there is nothing
         size = card.real(line, 0, "a thickness, or the area of a truss")
         if not size > 0 or len(line.words) > 1:
             raise card.wrong("one thickness > 0", repr(line.text[:40]), line)
@@ -421,7 +421,8 @@ def read_interaction(model: DeckModel, card: Card) -> None:
     name = card.parameter("NAME")
     if name in model.interactions:
         raise card.refuse(f"there is an interaction {name} already, at {model.interactions[name].place}")
-    if card.lines and len(card.lines) == 1 and model.dimension == 2:
+    if len(card.lines) == 1 and len(card.lines[0].words) == 1:
+        card.real(card.lines[0], 0, "a thickness")
         model.ledger.ignored.append(f"{card.lines[0].place}: *SURFACE INTERACTION: a thickness; sections state it")
     else:
         card.refuse_lines()

@@ -376,14 +376,20 @@ def _read(name: str, where: str, *parameters: str, idle: str = "", refused: str 
 
 _SMALL = "displacements are small here; take it out to judge the small-displacement problem"
 _ELASTIC = "materials are linear elastic and isotropic here"
-_FLAT = "parts and instances are not followed; let Abaqus write a flat deck (noPartsInputFile=ON)"
+_GENERATED = "nodes and elements that are generated are not followed; write them out"
 _PROCEDURE = "the steps of a deck are *STATIC here"
 
 _READ = (
     _read("NODE", MODEL, "NSET", "SYSTEM=R", refused="INPUT"),
     _read("ELEMENT", MODEL, "TYPE", "ELSET"),
-    _read("NSET", MODEL, "NSET", "GENERATE", "ELSET", idle="UNSORTED, INTERNAL", refused="INSTANCE"),
-    _read("ELSET", MODEL, "ELSET", "GENERATE", idle="UNSORTED, INTERNAL", refused="INSTANCE"),
+    _read("NSET", MODEL, "NSET", "GENERATE", "ELSET", "INSTANCE", idle="UNSORTED, INTERNAL"),
+    _read("ELSET", MODEL, "ELSET", "GENERATE", "INSTANCE", idle="UNSORTED, INTERNAL"),
+    _read("PART", MODEL, "NAME"),
+    _read("END PART", MODEL),
+    _read("ASSEMBLY", MODEL, "NAME"),
+    _read("END ASSEMBLY", MODEL),
+    _read("INSTANCE", MODEL, "NAME", "PART", refused="INSTANCE, LIBRARY"),
+    _read("END INSTANCE", MODEL),
     _read("SURFACE", MODEL, "NAME", "TYPE=ELEMENT|NODE", idle="INTERNAL", refused="COMBINE, CROP"),
     _read("MATERIAL", MODEL, "NAME"),
     _read("ELASTIC", MODEL, "TYPE=ISO|ISOTROPIC", refused="MODULI, DEPENDENCIES", type=_ELASTIC),
@@ -444,9 +450,7 @@ _IDLE = {
 }  # fmt: skip
 
 _REFUSED = {
-    **dict.fromkeys(
-        ("PART", "END PART", "INSTANCE", "END INSTANCE", "ASSEMBLY", "END ASSEMBLY", "SYSTEM", "NGEN", "NFILL", "NCOPY",
-         "ELGEN", "ELCOPY"), _FLAT),
+    **dict.fromkeys(("SYSTEM", "NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY"), _GENERATED),
     **dict.fromkeys(
         ("PLASTIC", "HYPERELASTIC", "HYPERFOAM", "CREEP", "CYCLIC HARDENING", "DEFORMATION PLASTICITY",
          "USER MATERIAL", "MOHR COULOMB", "VISCOELASTIC", "DEPVAR", "RATE DEPENDENT", "NO COMPRESSION", "POTENTIAL",

@@ -9,6 +9,7 @@ import numpy as np
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck import card_readers
 from contactqp.exchange.deck.cards import CALCULIX_COLUMNS, MODEL, STEP, Card, Effect, read_cards
+from contactqp.exchange.deck.instances import flattened
 from contactqp.exchange.deck.model import DeckModel, Loading
 from contactqp.exchange.deck.steps import StepLoads
 from contactqp.exchange.files import Ledger, Path, is_number
@@ -64,8 +65,8 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
     InvalidProblem
         Anything that is not known, not offered or not as it should be, by file and line.
     """
-    cards = read_cards(path, columns)
-    model = DeckModel(str(path), Ledger(str(path)))
+    cards, labels = flattened(read_cards(path, columns))
+    model = DeckModel(str(path), Ledger(str(path), converted=labels))
     periods = _check_order(path, cards)
     model.end = sum(periods)
     for card in cards:
