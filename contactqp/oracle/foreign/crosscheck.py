@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -178,7 +178,9 @@ class _Judging:
     @cached_property
     def _truth(self) -> list[Forces]:
         """Return the forces of the reference: no overlap at slave nodes or, of quadratic faces, at Gauss points."""
-        if self.reference == "penalty" or not self._by_points:
+        if self.reference == "penalty":
+            return self._on_springs
+        if not self._by_points:
             return self._by_nodes
         return [
             points if one.of_quadratic_faces and one.alone else nodes
@@ -187,7 +189,15 @@ class _Judging:
 
     @cached_property
     def _by_nodes(self) -> list[Forces]:
-        return reference_forces(self.deck, self._nodes, self.reference, "node-to-segment")
+        return reference_forces(self.deck, self._nodes, "exact", "node-to-segment")
+
+    @cached_property
+    def _on_springs(self) -> list[Forces]:
+        """Return the forces on the springs of the deck: at slave nodes or, from face to face, at integration points."""
+        nodes = reference_forces(self.deck, self._nodes, "penalty", "node-to-segment")
+        faces = [one.contact.pair.type == "SURFACE TO SURFACE" and one.alone for one in self._nodes]
+        points = self._by("penalty", "points") if any(faces) else []
+        return [points[at] if points and face else nodes[at] for at, face in enumerate(faces)]
 
     @cached_property
     def _by_points(self) -> list[Forces]:
@@ -197,7 +207,7 @@ class _Judging:
         """
         if self.reference == "penalty" or self._types <= {"NODE TO SURFACE"}:
             return []
-        return self._if_any("exact", "points")
+        return self._by("exact", "points")
 
     @cached_property
     def _by_mortar(self) -> list[Forces]:
@@ -205,11 +215,11 @@ class _Judging:
         curved = any(one.contact.pair.type == "MORTAR" and not is_plane(one.contact.master) for one in self._nodes)
         if self.reference == "penalty" or not curved:
             return []
-        return self._if_any("exact", "mortar")
+        return self._by("exact", "mortar")
 
     @cached_property
     def _springs(self) -> list[Forces]:
-        return self._truth if self.reference == "penalty" else self._if_any("penalty", "node-to-segment")
+        return self._truth if self.reference == "penalty" else self._if_any("penalty answer", lambda: self._on_springs)
 
     def _others(self, number: int) -> list[Forces]:
         """Return the exact forces of a pair of faces in other discretisations of the same mesh."""
@@ -219,11 +229,16 @@ class _Judging:
         every = (self._by_nodes if judged.of_quadratic_faces else self._by_points, self._by_mortar)
         return [one[number] for one in every if one]
 
-    def _if_any(self, enforcement: Enforcement, discretisation: Discretisation) -> list[Forces]:
+    def _by(self, enforcement: Enforcement, discretisation: Discretisation) -> list[Forces]:
+        """Return the forces of the answer in one discretisation; [] and a note in the ledger where there is none."""
+        told = f"{enforcement} answer by {discretisation}"
+        return self._if_any(told, lambda: reference_forces(self.deck, self._nodes, enforcement, discretisation))
+
+    def _if_any(self, told: str, answer: Callable[[], list[Forces]]) -> list[Forces]:
         try:
-            return reference_forces(self.deck, self._nodes, enforcement, discretisation)
+            return answer()
         except ContactQPError as error:
-            note(self.deck.ledger.assumed, f"no {enforcement} answer by {discretisation} is set beside ({error})")
+            note(self.deck.ledger.assumed, f"no {told} is set beside ({error})")
             return []
 
     @cached_property
