@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from math import ceil, sqrt
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -85,9 +85,9 @@ def _positive(stiffness: Any) -> bool:
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# Costs of cells, relative to one answer to a problem of a few unknowns: the unknowns that double it, beyond which the
-# cost is as their square root, and the pictures of a record.
-DOUBLING, PICTURES = 150, 30
+# Seconds of an answer to a problem of a few unknowns, and how many unknowns take a second; of a record, whose pictures
+# take most of it; of a footprint, which starts a process. They are for the estimate of the time left alone.
+ANSWER, A_SECOND, PICTURES, FOOTPRINT = 0.01, 1.2e5, 0.7, 2.5
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def truth_cell(study: CaseStudy) -> Cell:
 def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
     """Return the cell that makes the record of a case."""
     cell = _cell(study, "record", make_record, (ticket_of(study), truth), CaseRecord)
-    return replace(cell, cost=PICTURES + 2 * cell.cost)
+    return replace(cell, cost=PICTURES + 4 * cell.cost)
 
 
 def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[Cell]:
@@ -163,7 +163,8 @@ def answer_key(study: CaseStudy, setting: Setting) -> str:
 
 def footprint_cell(study: CaseStudy) -> Cell:
     """Return the cell that measures the footprint of a case."""
-    return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
+    cell = _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
+    return replace(cell, cost=FOOTPRINT + cell.cost)
 
 
 def timing_cell(study: CaseStudy, setting: Setting, first: float, round_: int, cost: float) -> Cell:
@@ -200,8 +201,13 @@ def limit_cell(study: CaseStudy, round_: int, cost: float) -> Cell:
 
 
 def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...], result: type) -> Cell:
-    cost = 1 + sqrt(study.problem.dimension / DOUBLING)
+    cost = _answer_seconds(study)
     return Cell(f"{study.name}/{name}", function, arguments, result, study.digest, cost)
+
+
+def _answer_seconds(study: CaseStudy) -> float:
+    """Return about the seconds of one answer to a case."""
+    return ANSWER + study.problem.dimension / A_SECOND
 
 
 def _name(setting: Setting) -> str:
@@ -260,8 +266,8 @@ def _study(ticket: Ticket) -> CaseStudy:
 
 
 # Least seconds of a call; seconds that a cell takes in addition to its calls, and the time of these over that which is
-# measured: a certificate and a fresh problem are not.
-OVERHEAD, AROUND, BESIDE = 1e-3, 2e-2, 1.5
+# measured: making a fresh problem is not.
+OVERHEAD, AROUND, BESIDE = 1e-3, 1.2e-2, 1.1
 
 
 class Collector:
@@ -404,7 +410,7 @@ class Collector:
 
     def _run(self, what: str, cells: Sequence[Cell], pool: Pool, later: Callable[[], float] | None) -> None:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
-        self._progress.part(what, later)
+        self._progress.part(what, later, pool.size)
         run_cells(cells, pool, self._journal, watcher=self, time_limit=self._time_limit)
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
@@ -435,13 +441,21 @@ class Collector:
         self.answered += cell.result is Row
         self.timed += cell.result is Timing and cell.key.endswith("/time 0")
         if isinstance(result, Row):
-            seconds = 0.0 if result.seconds is None else self._rounds.of(result.seconds) * _cost(result.seconds)
+            seconds = 0.0 if result.seconds is None else self._timing(result.seconds)
             self._expected[cell.key.partition("/")[0]].append(seconds)
 
     def _timing_left(self) -> float:
         """Return the seconds that timing is expected to take: those of unanswered rows are as others of their case."""
-        means = {name: sum(seconds) / len(seconds) for name, seconds in self._expected.items() if seconds}
-        return sum(means.get(study.name, AROUND) * len(study.settings) for study in self._studies)
+        return sum(self._timing_of_one(study) * len(study.settings) for study in self._studies)
+
+    def _timing_of_one(self, study: CaseStudy) -> float:
+        """Return the seconds that timing one setting of a case is expected to take, by its size if none is answered."""
+        seconds = self._expected[study.name]
+        return statistics.mean(seconds) if seconds else self._timing(_answer_seconds(study))
+
+    def _timing(self, seconds: float) -> float:
+        """Return the seconds that timing a setting takes whose call takes so many."""
+        return self._rounds.of(seconds) * _cost(seconds)
 
 
 @dataclass(frozen=True)

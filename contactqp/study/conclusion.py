@@ -57,6 +57,7 @@ class MethodLine:
     linear_solves: float | None  # shifted geometric mean of its time over that of one linear solve
     spread: float | None  # mean distance of the quartiles of these times over their median, where they were repeated
     force_error: float | None  # the largest relative error of the contact forces
+    off_at_worst: float | None = None  # the same over all settings, as `solve` runs them
     settings: int = 1  # tried on one case, at most
 
     def cells(self) -> tuple[str, ...]:
@@ -71,10 +72,15 @@ class MethodLine:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """The sentence of a report and the lines of its methods: those that are right most often first, then by time."""
+    """What a report answers, and the lines of its methods: those that are right most often first, then by time."""
 
-    sentence: str
+    answers: tuple[tuple[str, str], ...]  # questions with their answers, in a sentence or two
     lines: tuple[MethodLine, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Return the answers without their questions."""
+        return " ".join(answer for _, answer in self.answers)
 
     def cells(self) -> list[tuple[str, ...]]:
         """Return the table, headings first."""
@@ -102,7 +108,9 @@ def conclude(all_rows: Sequence[Row]) -> Conclusion:
     names = dict.fromkeys(row.method for row in tried)
     lines = [_line([row for row in tried if row.method == name], timed) for name in names]
     lines.sort(key=lambda line: (-line.right / line.cases, line.linear_solves or math.inf))
-    return Conclusion(_sentence(lines, len({row.case for row in tried}), _smallest(tried, timed)), tuple(lines))
+    passed_wrong = sum(row.verdict == rows.WRONG for row in tried)
+    answers = _answers(lines, len({row.case for row in tried}), _smallest(tried, timed), passed_wrong)
+    return Conclusion(answers, tuple(lines))
 
 
 def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
@@ -116,6 +124,12 @@ def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
     ratios = [row.seconds / row.linear_solve_seconds for row in counted if row.seconds and row.linear_solve_seconds]
     spreads = [row.seconds_spread for row in counted if row.seconds_spread is not None]
     errors = [row.error_force for row in best if row.error_force is not None and row.error_measure == "relative"]
+    all_errors = [
+        row.error_force
+        for of_case in by_case
+        for row in _as_solve_runs_it(of_case)
+        if row.error_force is not None and row.error_measure == "relative"
+    ]
     own = own_answers(mine)
     return MethodLine(
         method=mine[0].method,
@@ -129,6 +143,7 @@ def _line(mine: Sequence[Row], timed: set[str]) -> MethodLine:
         else None,
         spread=float(np.mean(spreads)) if spreads else None,
         force_error=max(errors, default=None),
+        off_at_worst=max(all_errors, default=None),
         settings=max(len(_as_solve_runs_it(of_case)) for of_case in by_case),
     )
 
@@ -151,9 +166,30 @@ def _smallest(tried: Sequence[Row], timed: set[str]) -> int:
     return min((row.unknowns or 0 for row in tried if row.case in timed), default=0)
 
 
-def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
+# What people ask of a report.
+WHICH, PENALTY, WRONG = "Which method?", "What does a penalty cost?", "Who is wrong without saying so?"
+
+
+def _answers(lines: Sequence[MethodLine], cases: int, smallest: int, passed_wrong: int) -> tuple[tuple[str, str], ...]:
+    """Return the questions of a report with their answers.
+
+    Parameters
+    ----------
+    lines : sequence of MethodLine
+    cases : int
+        The number of cases with a known answer.
+    smallest : int
+        The unknowns of the smallest case whose times count.
+    passed_wrong : int
+        How many wrong answers the certificate has passed.
+    """
     if not lines:
-        return "No answer is known yet that others could be held against."
+        return (("", "No answer is known yet that others could be held against."),)
+    answers = {WHICH: _which(lines, cases, smallest), PENALTY: _penalties(lines), WRONG: _flags(lines, passed_wrong)}
+    return tuple((question, answer) for question, answer in answers.items() if answer)
+
+
+def _which(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     default = next((line for line in lines if line.method == "active-set"), None)
     parts = []
     if default is not None:
@@ -167,14 +203,24 @@ def _sentence(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     if others:
         named = ", ".join(line.method for line in others)
         parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default)}.")
-    if off := [
-        f"{line.method} is at most {_off(line.force_error)} off{_time(line)}"
-        for line in lines
-        if not line.exact and line.force_error is not None
-    ]:
-        parts.append(f"By the best setting in each case, which nobody knows before the answer, {', '.join(off)}.")
-    parts.append(_flags(lines))
-    return f"On {cases} case{'' if cases == 1 else 's'} with a known answer: {' '.join(filter(None, parts))}"
+    known = f"On {cases} case{'' if cases == 1 else 's'} with a known answer"
+    return f"{known}: {' '.join(parts)}" if parts else f"{known} no method that promises the exact one is right in all."
+
+
+def _penalties(lines: Sequence[MethodLine]) -> str:
+    """Return how far off the methods are that are approximate by design, and in which time; empty without them."""
+    off = [line for line in lines if not line.exact and line.force_error is not None]
+    found = "; ".join(f"{line.method} is off by {_off_by(line)}{_time(line)}" for line in off)
+    if not found:
+        return ""
+    after = " (smaller error and time by the best value, known only after the answer)"
+    return f"{found[:1].upper()}{found[1:]}{after if any(line.settings > 1 for line in off) else ''}."
+
+
+def _off_by(line: MethodLine) -> str:
+    """Return the errors of a method from its worst value to its best one."""
+    best = _off(line.force_error)
+    return best if line.settings == 1 else f"{_off(line.off_at_worst)} to {best} depending on its value"
 
 
 def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str:
@@ -185,8 +231,9 @@ def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str
     fastest = min(timed, key=lambda line: line.linear_solves or math.inf)
     if default is None or default.linear_solves is None or default.right < default.cases:
         return f"; the fastest is {fastest.method}{_time(fastest)}"
-    if default.linear_solves <= AS_FAST * (fastest.linear_solves or math.inf):
-        return "; none of them is faster by a tenth"
+    scatter = (default.spread or 0.0) + (fastest.spread or 0.0)
+    if default.linear_solves <= max(AS_FAST, 1 + scatter) * (fastest.linear_solves or math.inf):
+        return f"; none of them is faster by {'a tenth' if 1 + scatter <= AS_FAST else 'more than times scatter here'}"
     return f"; {fastest.method} is faster{_time(fastest)}"
 
 
@@ -211,18 +258,25 @@ AS_FAST = 1.1
 BY_FAR = "more than 100 times the tolerance asked"
 
 
-def _flags(lines: Sequence[MethodLine]) -> str:
-    """Return how often methods called wrong raw answers solved."""
+def _flags(lines: Sequence[MethodLine], passed_wrong: int) -> str:
+    """Return how often methods called wrong raw answers solved, and how often the certificate passed a wrong one."""
     claimed, wrong = sum(line.claimed for line in lines), sum(line.wrong for line in lines)
+    passed = f"{passed_wrong or 'no'} answer{'s' if passed_wrong > 1 else ''} that the certificate passed"
+    certified = f"{passed} {'is' if passed_wrong < 2 else 'are'} wrong"
     if not claimed:
-        return ""
+        return f"{certified[:1].upper()}{certified[1:]}."
     if not wrong:
-        return f"None of the {claimed} raw answers that methods called solved is wrong by {BY_FAR}."
+        none = f"one of the {claimed} raw answers that methods called solved is wrong by {BY_FAR}; {certified}."
+        return f"N{none}" if passed_wrong else f"Nobody: n{none}"
     named = ", ".join(f"{line.method} {line.wrong} of {line.claimed}" for line in lines if line.wrong)
-    return f"Of {claimed} raw answers that methods called solved, {wrong} are wrong by {BY_FAR}: {named}."
+    return f"Of {claimed} raw answers that methods called solved, {wrong} are wrong by {BY_FAR}: {named}; {certified}."
 
 
-def _off(error: float) -> str:
+def _off(error: float | None) -> str:
+    if error is None:
+        return ""
+    if error >= 0.1:
+        return f"{100 * error:.0f} %"
     return f"{100 * error:.1g} %" if error >= 1e-4 else f"{error:.0e}"
 
 
@@ -281,8 +335,8 @@ def busy(before: float | None) -> str:
     if before is None or before <= BUSY * cores:
         return ""
     return (
-        f"the machine was busy with something else, a load of {before:.1f} on {cores} cores, before the report began: "
-        "run times are not to be trusted; errors and verdicts are, and methods of one case, which took turns, compare"
+        f"the machine was busy (a load of {before:.1f} on {cores} cores): run times are not to be trusted, errors and "
+        "verdicts are; methods of one case took turns, and compare"
     )
 
 

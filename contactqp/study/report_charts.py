@@ -114,8 +114,13 @@ def case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Cha
     )
 
 
+# How errors near zero are drawn.
+_READING = (
+    "Lower is more exact, further left is faster. Errors in the grey band are rounding in double precision; zero is "
+    f"drawn at {FLOOR:g}."
+)
 _CAPTION = (
-    "Lower is more exact, further left is faster. Each curve is one method over the values of its knob (tolerance, "
+    f"{_READING} Each curve is one method over the values of its knob (tolerance, "
     "penalty, iterations); where longer times are not more exact, a line joins the points that no faster one excels. "
     "Run times are those to the answer, without its certificate. "
     "All numbers stand in the table of the case's answers."
@@ -165,30 +170,25 @@ def work_precision(
     times = [1e3 * (row.seconds or 0.0) for row in points] + ([1e3 * limit] if limit else [])
     errors = [FLOOR, 1.0, *(getattr(row, quantity.column) for row in points)]
     shape, label = vertical_line(1e3 * limit, f"one linear solve: {milliseconds(limit)} ms") if limit else ({}, {})
-    band, floor = _rounding(unit)
     arranged = layout(
         log_axis(TIME_AXIS, times),
         log_axis(f"true error in {quantity.name}, {unit}", errors),
         HEIGHT,
         template=TEMPLATE,
-        shapes=[found for found in (band, shape) if found],
-        annotations=[found for found in (floor, label) if found],
+        shapes=[*_rounding(unit), *([shape] if shape else [])],
+        annotations=[label] if label else [],
         legend=legend("Methods"),
         legend2=legend("Lines and marks", y=1.02, yanchor="bottom", itemclick=False, itemdoubleclick=False),
     )
     return dict(data=traces(drawn, quantity.column, stiffness) + key_traces(drawn), layout=arranged)
 
 
-def _rounding(unit: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the band of errors of rounding to double precision, which only relative errors have, and its label."""
-    relative = unit.startswith("relative")
-    text = f"zero is drawn at {FLOOR:g}"
-    place = dict(x=1, y=-17, xref="paper", yref="y", xanchor="right", yanchor="bottom", showarrow=False)
-    if not relative:
-        return {}, dict(**place, text=text)
+def _rounding(unit: str) -> list[dict[str, Any]]:
+    """Return the band of errors of rounding to double precision, which only relative errors have."""
+    if not unit.startswith("relative"):
+        return []
     band = dict(type="rect", xref="paper", yref="y", x0=0, x1=1, y0=FLOOR / 10, y1=ROUNDING, layer="below")
-    filled = dict(**band, fillcolor=GREY, opacity=0.15, line=dict(width=0))
-    return filled, dict(**place, text=f"no error in double precision; {text}")
+    return [dict(**band, fillcolor=GREY, opacity=0.15, line=dict(width=0))]
 
 
 def _without_points(mine: Sequence[Row], quantity: Quantity) -> str:
@@ -485,7 +485,7 @@ def _median_chart(cases: Sequence[str], middle: Sequence[Row], quantity: Quantit
     return Chart(
         name=f"median-error-{'u' if quantity.name == 'u' else 'force'}",
         title=f"{quantity.title.capitalize()} against run time, median over {plural(len(cases), 'case')}",
-        caption="Lower is more exact, further left is faster. Of each value of a knob, the median time and the median "
+        caption=f"{_READING} Of each value of a knob, the median time and the median "
         f"error over the {len(cases)} cases that every installed method was put to and whose errors are relative. An "
         "answer that failed has infinite errors and takes infinitely long; what fails in more than half of the cases "
         "has no point. Penalties are multiples of the contact stiffness of each case. One linear solve is the "

@@ -92,7 +92,9 @@ def report(
     print(folded(found.cells(), NAMES))
     if found.note:
         print(f"\n{textwrap.fill(found.note, WIDTH)}")
-    print(f"\n{textwrap.fill(found.sentence, WIDTH)}\n")
+    for question, answer in found.answers:
+        print(f"\n{textwrap.fill(f'{question} {answer}'.strip(), WIDTH)}")
+    print()
     for text in result.summary.unmet_lines():
         print(textwrap.fill(f"not met: {text}", WIDTH, subsequent_indent="  "))
     print(f"{len(result.rows)} rows; {result.summary}")
@@ -159,7 +161,7 @@ def write_report(
     rounds = BRIEF_ROUNDS if brief else Rounds(repeats, ENOUGH)
     folder = report_folder(output)
     before = load()
-    with stopped_by_signals(), workers_of(running) as workers:
+    with stopped_by_signals(), workers_of(running, one_thread=bool(busy(before))) as workers:
         facts: dict[str, Any] = dict(
             machine=workers.ask(machine),
             versions=workers.ask(partial(versions, chosen)),
@@ -169,13 +171,13 @@ def write_report(
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
-            facts |= dict(command=_command(cases, brief), load=dict(at_start=before))
+            facts |= dict(command=_command(cases, brief), load=dict(at_start=before, threads_for_times=workers.threads))
             facts |= dict(linear_algebra=workers.ask(linear_algebra))
             page = _GrowingPage(folder, facts)
             collector = Collector(studies, workers, journal, bar, rounds, running.time_limit, brief, page)
             with stopped_after(lambda: str(collector)):
                 collector.collect()
-                facts |= dict(load=dict(at_start=before, at_end=load()))
+                facts["load"] |= dict(at_end=load())
                 data = _report_data(collector, facts)
                 notes = (
                     *filter(None, [busy(before)]),

@@ -18,7 +18,7 @@ import numpy as np
 from contactqp.errors import SceneError
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study import rows
-from contactqp.study.curves import FLOOR, MARKS, Chart, Curve, curves, legend, method_style, rounded
+from contactqp.study.curves import FLOOR, MARKS, Chart, curves, legend, method_style, rounded
 from contactqp.study.report_charts import QUANTITIES, case_chart, median_chart
 from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
@@ -91,11 +91,11 @@ def _hertz(folder: Path, size: int) -> Path:
     return file
 
 
-COMPACT_HEIGHT, COMPACT_MARGIN = 520, dict(l=70, r=20, t=10, b=50)
+# A chart beside a table: its height and margins [px], so that both end on a screen of 800.
+COMPACT_HEIGHT, COMPACT_MARGIN = 425, dict(l=64, r=12, t=4, b=46)
 COMPACT_CAPTION = (
     "Filled: the answer as solve returns it; hollow: the method's raw answer; with a dot: Uzawa's iteration. "
-    f"{MARKS[rows.REFUSED]} was refused by the certificate, {MARKS[rows.NOT_CONVERGED]} gave up. "
-    f"In the grey band there is no error in double precision; zero is drawn at {FLOOR:g}."
+    f"{MARKS[rows.REFUSED]} was refused by the certificate, {MARKS[rows.NOT_CONVERGED]} gave up."
 )
 # The case of the first screen has at least this part of the methods, and of the points, of the case with the most.
 NEARLY_ALL = 0.75
@@ -140,55 +140,122 @@ def _compact(chart: Chart, mine: Sequence[Row]) -> Chart:
     """Return a chart of forces that fits beside a table: names at the curves, and the explanation of marks in words."""
     drawn = [trace for trace in chart.figure["data"] if trace["meta"]["method"]]
     arranged = {name: value for name, value in chart.figure["layout"].items() if name != "legend2"}
+    found = curves(mine, "error_force")
     limit = [note for note in arranged["annotations"] if note.get("yref") == "paper"]
-    notes = [*limit, *_labels(curves(mine, "error_force"), arranged)]
-    arranged |= dict(annotations=notes, height=COMPACT_HEIGHT, legend=legend("", y=-0.2), margin=COMPACT_MARGIN)
+    lines = [10 ** note["x"] for note in limit]
+    times = [*lines, *(1e3 * (row.seconds or FLOOR) for curve in found for row in curve.points)]
+    errors = [FLOOR, *(max(row.error_force or 0.0, FLOOR) for curve in found for row in curve.points)]
+    for axis, values in (("xaxis", times), ("yaxis", errors)):
+        arranged[axis] = dict(arranged[axis], range=_close_around(values))
+    spots = [(curve.route.method, *_spot(row)) for curve in found for row in curve.points]
+    names = _labels(spots, arranged, [note["x"] for note in limit])
+    crowded = len(names) < len({name for name, *_ in spots})
+    arranged |= dict(annotations=[*limit, *names], height=COMPACT_HEIGHT, margin=COMPACT_MARGIN)
+    arranged |= dict(legend=legend("", y=-0.14), showlegend=crowded)
     return replace(
         chart, name="telling", caption=f"{COMPACT_CAPTION} {chart.caption}", figure=dict(data=drawn, layout=arranged)
     )
 
 
-# A chart beside a table, about so wide and high [px], and its letters.
-LABELLED, LETTER = (400.0, 400.0), (6.5, 14.0)
+def _close_around(values: Sequence[float]) -> list[float]:
+    """Return the range of a logarithmic axis that ends close to its values, without empty decades."""
+    low, high = (math.log10(end(values)) for end in (min, max))
+    room = max(0.04 * (high - low), 0.04)
+    return [rounded(low - room), rounded(high + room)]
 
 
-def _labels(drawn: Sequence[Curve], arranged: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the names of methods at their curves, those that have room: one for each method, none over another.
+def _spot(row: Row) -> tuple[float, float]:
+    """Return where the point of a row is drawn, on logarithmic axes."""
+    return math.log10(1e3 * (row.seconds or FLOOR)), math.log10(max(row.error_force or 0.0, FLOOR))
+
+
+# The area that a chart beside a table has between its axes, a letter, and half a mark, with air around them [px].
+AREA, LETTER, MARK = (530.0, 375.0), (6.3, 13.0), 6.5
+# The label of a vertical line runs down beside it, from the top [px].
+LINE_LABEL = (18.0, 190.0)
+# How far above or below its mark the middle of a name may stand that has a line to it [px].
+FAR = (24.0, 38.0, 54.0, 72.0, 92.0, 116.0)
+# Methods that people look for, named before the others.
+NAMED_FIRST = ("active-set", "penalty", "perturbed-lagrangian", "augmented-lagrangian")
+
+# What the page knows such a name by, which it leaves out where a chart is narrow.
+LABEL = "method"
+
+Box = tuple[float, float, float, float]  # left, bottom, right, top [px]
+
+
+def _labels(
+    spots: Sequence[tuple[str, float, float]], arranged: Mapping[str, Any], lines: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Return the name of each method at one of its points, where it lies over no mark and no other name.
 
     Parameters
     ----------
-    drawn : sequence of Curve
-        Curves of the contact forces.
+    spots : sequence of (str, float, float)
+        The method of each point, and where the point is, on logarithmic axes.
     arranged : mapping
         The layout, whose axes have ranges.
+    lines : sequence of float
+        Where vertical lines with a label are.
     """
-    low = [arranged[axis]["range"][0] for axis in ("xaxis", "yaxis")]
-    scale = [
-        size / (arranged[axis]["range"][1] - start)
-        for axis, start, size in zip(("xaxis", "yaxis"), low, LABELLED, strict=True)
-    ]
-    taken: list[tuple[float, float, float]] = []
-    found: dict[str, dict[str, Any]] = {}
-    for curve in drawn:
-        name, row = curve.route.method, curve.points[0]
-        x, y = math.log10(1e3 * (row.seconds or FLOOR)), math.log10(max(row.error_force or 0.0, FLOOR))
-        left, middle, width = scale[0] * (x - low[0]), scale[1] * (y - low[1]), LETTER[0] * len(name)
-        apart = all(
-            abs(middle - other) > LETTER[1] or left > end or left + width < begin for begin, end, other in taken
-        )
-        if name not in found and apart and left + width < LABELLED[0]:
-            taken.append((left, left + width, middle))
-            colour = method_style(name).colour
-            found[name] = dict(
-                x=rounded(x),
-                y=rounded(y),
-                text=name,
-                showarrow=False,
-                xanchor="left",
-                xshift=7,
-                font=dict(size=11, color=colour),
-            )
-    return list(found.values())
+    (left, right), (low, high) = (arranged[axis]["range"] for axis in ("xaxis", "yaxis"))
+    scale = AREA[0] / (right - left), AREA[1] / (high - low)
+    places = [(name, scale[0] * (x - left), scale[1] * (y - low)) for name, x, y in spots]
+    taken: list[Box] = [(x - MARK, y - MARK, x + MARK, y + MARK) for _, x, y in places]
+    for line in lines:
+        x = scale[0] * (line - left)
+        taken.append((x - 2, AREA[1] - LINE_LABEL[1], x + LINE_LABEL[0], AREA[1]))
+    first = {name: i for i, name in enumerate(NAMED_FIRST)}
+    names = sorted(dict.fromkeys(name for name, *_ in places), key=lambda name: first.get(name, len(first)))
+    notes = []
+    for name in names:
+        width = LETTER[0] * len(name)
+        mine = [(x, y, dx, dy) for other, x, y in places if other == name for dx, dy in _offsets(width)]
+        mine.sort(key=lambda place: math.hypot(max(abs(place[2]) - width / 2, 0.0), place[3]))
+        for x, y, dx, dy in mine:
+            box = (x + dx - width / 2, y + dy - LETTER[1] / 2, x + dx + width / 2, y + dy + LETTER[1] / 2)
+            if _inside(box) and not any(_overlap(box, other) for other in taken):
+                taken.append(box)
+                notes.append(_note(name, left + x / scale[0], low + y / scale[1], dx, dy))
+                break
+    return notes
+
+
+def _offsets(width: float) -> Iterator[tuple[float, float]]:
+    """Yield where the middle of a name of some width may stand from its mark [px]."""
+    beside = MARK + 3 + width / 2
+    yield from ((beside, 0.0), (-beside, 0.0), (0.0, 14.0), (0.0, -14.0))
+    for away in FAR:
+        for share in (0.0, -0.5, 0.5, -1.0, 1.0):
+            for side in (away, -away):
+                yield share * (beside + away / 2), side
+
+
+def _inside(box: Box) -> bool:
+    return box[0] >= 0 and box[1] >= 0 and box[2] <= AREA[0] and box[3] <= AREA[1]
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _note(name: str, x: float, y: float, dx: float, dy: float) -> dict[str, Any]:
+    """Return a name at a point of logarithmic axes, its middle so many pixels away; from afar with a line."""
+    colour = method_style(name).colour
+    far = abs(dy) > FAR[0] - 1
+    return dict(
+        name=LABEL,
+        x=rounded(x),
+        y=rounded(y),
+        text=name,
+        font=dict(size=11, color=colour),
+        showarrow=far,
+        **(
+            dict(ax=round(dx), ay=round(-dy), arrowhead=0, arrowwidth=1, arrowcolor=colour, standoff=5, borderpad=0)
+            if far
+            else dict(xshift=round(dx), yshift=round(dy))
+        ),
+    )
 
 
 def left_out_lines(case: CaseRecord, all_rows: Sequence[Row], titles: Mapping[str, str]) -> Iterator[str]:

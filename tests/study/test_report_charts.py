@@ -62,8 +62,7 @@ def test_zero_is_drawn_at_the_floor_and_hover_says_zero() -> None:
     final = _case_trace(_case_charts(report())[0], "osqp", "final")
     assert final["y"] == [FLOOR, FLOOR]
     assert final["customdata"][0] == ["tolerance = 1", "0", "0", "right"]
-    notes = [note["text"] for note in _case_charts(report())[0].figure["layout"]["annotations"]]
-    assert any("zero is drawn at 1e-17" in note for note in notes)
+    assert "zero is drawn at 1e-17" in _case_charts(report())[0].caption
 
 
 def test_answers_that_nobody_should_use_are_marked() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from dataclasses import replace
+from math import log10
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.case_study import load_studies
 from contactqp.study.conclusion import busy
+from contactqp.study.curves import STYLES, Chart
 from contactqp.study.footprint import Footprint
 from contactqp.study.report_data import Sizes
 from contactqp.study.running.runner import Running, Stopped
 from contactqp.study.settings import DEFAULT_TOLERANCE, brief_settings, chosen_methods
-from contactqp.study.telling import LABELLED, LETTER, examples_chart, left_out_lines, telling_chart
+from contactqp.study.telling import AREA, LABEL, LETTER, Box, examples_chart, left_out_lines, telling_chart
 from tests.study.charts_examples import report as charted
 from tests.study.statistics_examples import right, wrong
 
@@ -120,30 +122,83 @@ def test_what_condensation_saves_is_that_of_the_same_answers() -> None:
     assert [text for text in left_out_lines(replace(case, sizes=Sizes(3, 3, 0, 0, 7)), rows[:1], {})] == []
 
 
-def test_no_name_in_the_first_chart_lies_over_another() -> None:
-    chart = telling_chart(charted())
+def _crowd() -> tuple[Chart, list[str]]:
+    """The first chart of all methods, whose final answers take about as long and are all exact."""
+    data = charted()
+    (case, *_) = data.cases
+    names = [name for name in STYLES if name not in ("pyqpmad", "sip", "qtqp", "gurobi")]
+    rows = []
+    for i, name in enumerate(names):
+        rows.append(right(case.name, name, 0.15 * 1.06**i, error_force=0.0, variant="polished"))
+        for j, error in enumerate((1e-3, 1e-5, 1e-9)):
+            rows.append(right(case.name, name, 0.1 * 1.04 ** (i + 3 * j), error_force=error * 1.7**i, variant="raw"))
+    chart = telling_chart(replace(data, cases=(replace(case, linear_solve=0.07),), rows=tuple(rows)))
     assert chart is not None
+    return chart, names
+
+
+def _boxes(chart: Chart) -> tuple[dict[str, Box], list[Box]]:
+    """Where the names of a first chart and its marks are [px]."""
     layout = chart.figure["layout"]
     (left, right), (low, high) = layout["xaxis"]["range"], layout["yaxis"]["range"]
-    named = [note for note in layout["annotations"] if note.get("yref") != "paper"]
-    assert named
-    boxes = [
-        (
-            LABELLED[0] * (note["x"] - left) / (right - left),
-            LABELLED[1] * (note["y"] - low) / (high - low),
-            LETTER[0] * len(note["text"]),
-        )
-        for note in named
-    ]
-    for i, (x, y, width) in enumerate(boxes):
-        for x2, y2, width2 in boxes[:i]:
-            assert abs(y - y2) > LETTER[1] - 0.1 or x > x2 + width2 - 0.1 or x2 > x + width - 0.1
+
+    def pixel(x: float, y: float) -> tuple[float, float]:
+        return AREA[0] * (x - left) / (right - left), AREA[1] * (y - low) / (high - low)
+
+    names = {}
+    for note in layout["annotations"]:
+        if note.get("name") != LABEL:
+            continue
+        x, y = pixel(note["x"], note["y"])
+        x, y = (x + note["ax"], y - note["ay"]) if note["showarrow"] else (x + note["xshift"], y + note["yshift"])
+        width, height = LETTER[0] * len(note["text"]), LETTER[1]
+        names[note["text"]] = (x - width / 2, y - height / 2, x + width / 2, y + height / 2)
+    marks = []
+    for trace in chart.figure["data"]:
+        for x, y in zip(trace["x"], trace["y"], strict=True) if "markers" in trace["mode"] else ():
+            x, y = pixel(log10(x), log10(y))
+            marks.append((x - 4.5, y - 4.5, x + 4.5, y + 4.5))
+    return names, marks
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_every_name_in_the_first_chart_stands_free_of_marks_and_names(crowded: bool) -> None:
+    chart, methods = _crowd() if crowded else (telling_chart(charted()), ["active-set", "osqp", "penalty"])
+    assert chart is not None
+    names, marks = _boxes(chart)
+    assert set(names) == set(methods)
+    assert not chart.figure["layout"]["showlegend"]
+    assert len(marks) == sum(len(trace["x"]) for trace in chart.figure["data"] if "markers" in trace["mode"])
+    for i, box in enumerate(names.values()):
+        assert min(box[:2]) > -2
+        assert box[2] < AREA[0] + 2
+        assert box[3] < AREA[1] + 2
+        for other in [*marks, *list(names.values())[:i]]:
+            assert not (
+                min(box[2], other[2]) - max(box[0], other[0]) > 1 and min(box[3], other[3]) - max(box[1], other[1]) > 1
+            )
+
+
+def test_where_names_find_no_room_the_chart_has_a_legend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(telling, "AREA", (60.0, 40.0))
+    chart, methods = _crowd()
+    assert len([note for note in chart.figure["layout"]["annotations"] if note.get("name") == LABEL]) < len(methods)
+    assert chart.figure["layout"]["showlegend"]
+
+
+def test_the_axes_of_the_first_chart_end_close_to_what_they_show() -> None:
+    chart, _ = _crowd()
+    layout = chart.figure["layout"]
+    times = [log10(70.0), *(log10(x) for trace in chart.figure["data"] for x in trace["x"])]
+    (left, right) = layout["xaxis"]["range"]
+    assert right - left < 1.15 * (max(times) - min(times))
+    assert left < min(times) < max(times) < right
 
 
 def test_a_busy_machine_is_told() -> None:
     assert busy(0.0) == ""
     assert busy(None) == ""
-    assert busy(1000.0).startswith("the machine was busy with something else, a load of 1000.0 on ")
+    assert busy(1000.0).startswith("the machine was busy (a load of 1000.0 on ")
 
 
 class _Pages:
@@ -217,9 +272,9 @@ def test_an_unfinished_page_says_so_and_a_finished_one_does_not() -> None:
     facts = dict(data.facts) | dict(command="contactqp report", load=dict(at_start=1000.0))
     running = render(replace(data, facts=facts), running="times: 3 of 9")
     assert "<strong>Still running:</strong> times: 3 of 9" in running
-    assert "Times are not to be trusted" in running
+    assert "run times are not to be trusted" in running
     finished = render(replace(data, facts=facts | dict(load=dict(at_start=0.0))), opened="two")
     assert re.findall(r'<details class="case" id="case-(\w+)"[^>]* open', finished) == ["two"]
     assert re.findall(r'<details class="case" id="case-(\w+)"[^>]* open', running) == ["one"]
     assert "Still running" not in finished
-    assert "Times are not to be trusted" not in finished
+    assert "run times are not to be trusted" not in finished

@@ -1,7 +1,8 @@
 "use strict";
 (() => {
-  // CSS pixels: below this a legend stands under its chart; width and height of a chart on paper; a line and a letter of a legend.
-  const NARROW = 720, PAPER = 960, PAPER_HEIGHT = 530, LINE = 20, LETTER = 6.5;
+  // CSS pixels: below these a legend stands under its chart, and in place of the names at the points; width and height
+  // of a chart on paper; a line and a letter of a legend.
+  const NARROW = 720, NO_NAMES = 500, PAPER = 960, PAPER_HEIGHT = 530, LINE = 20, LETTER = 6.5;
   const LINES = "tbody tr:not(.note-of-row)";  // without what stands below one
   const CONFIG = { responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   const hidden = { method: new Set(), variant: new Set(), verdict: new Set() };
@@ -14,6 +15,7 @@
   // Whether something with these values of the facets is filtered out.
   const isOff = (values) => Object.entries(hidden).some(([facet, off]) => off.has(values?.[facet]));
 
+  const isName = (note) => note.name === "method";
   const figureOf = (plot) => figures[plot.dataset.figure];
 
   async function unpacked(id) {
@@ -35,8 +37,15 @@
     });
   }
 
+  // The layout as it is given; of a chart too narrow for the names at its points, with a legend in their place.
+  function givenFor(plot, width) {
+    const given = figureOf(plot).layout ?? {};
+    if (width >= NO_NAMES || !given.annotations?.some(isName)) return given;
+    return { ...given, showlegend: true, annotations: given.annotations.filter((note) => !isName(note)) };
+  }
+
   function layout(plot, width) {
-    const given = figureOf(plot).layout ?? {}, clear = "rgba(0,0,0,0)";
+    const given = givenFor(plot, width), clear = "rgba(0,0,0,0)";
     const made = { ...given, width, paper_bgcolor: clear, plot_bgcolor: clear, hoverlabel: { align: "left", namelength: -1, ...given.hoverlabel } };
     made.font = { family: "system-ui, sans-serif", size: 13, ...given.font };
     made.margin = { t: 40, b: 60, l: 80, r: 20, ...given.margin };
@@ -66,7 +75,7 @@
     const left = made.yaxis?.automargin || made.yaxis?.type === "category" ? -0.6 : -0.15;  // below the names of its ticks
     for (const name of ["legend", "legend2"].filter((name) => made[name])) made[name] = { ...made[name], x: left, font: { size: 10 } };
     made.margin = { ...made.margin, r: Math.max(made.margin.r, 34) };
-    made.annotations = made.annotations?.map((text) => ({ ...text, font: { size: 9 } }));
+    made.annotations = made.annotations?.map((note) => (isName(note) ? note : { ...note, font: { size: 9 } }));
   }
 
   function wrapped(text, most) {

@@ -151,7 +151,7 @@ def render(
         "page.html",
         [*first, *second, *shared, *(item for _, charts in views for item in charts)],
         data=data,
-        sentence=found.sentence,
+        answers=found.answers,
         note=found.note,
         lines=plain_table("methods, the most right first", headings, lines),
         first=first,

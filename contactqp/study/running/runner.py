@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 LINES = 10.0
 # Redraws of a bar per second; more would disturb timings.
 REDRAWS = 2.0
+# For so many seconds of work costs in seconds are believed: the first cells of a part may be the least ones, whose time
+# is that of calling a process and says nothing of the large ones after them.
+BELIEVED = 10.0
 
 
 # Shows the name of a part, the number of finished cells, the number of all, and the time left in words.
@@ -37,20 +40,30 @@ class Progress:
     """Watches a study of several parts and estimates the time left.
 
     It is the time per cost of this part so far, times the cost of its remaining cells, and what later parts are
-    expected to take.
+    expected to take. Where costs are seconds, they are believed before anything is known, and less and less then.
     """
 
     def __init__(self, display: Display) -> None:
         self._display = display
         self._what = ""
         self._later: Callable[[], float] | None = None
+        self._side_by_side = 0
         self._done = self._total = 0
         self._left = self._spent = 0.0
         self._started = time.monotonic()
 
-    def part(self, what: str, later: Callable[[], float] | None = None) -> None:
-        """Name the part that begins, and what the parts after it are expected to take [s], where that is known."""
-        self._what, self._later = what, later
+    def part(self, what: str, later: Callable[[], float] | None = None, side_by_side: int = 0) -> None:
+        """Name the part that begins.
+
+        Parameters
+        ----------
+        what : str
+        later : callable, optional
+            Returns what the parts after it are expected to take [s], where that is known.
+        side_by_side : int
+            How many cells of it run at a time, where their costs are seconds; 0 where these are relative.
+        """
+        self._what, self._later, self._side_by_side = what, later, side_by_side
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
         """Start a part: `found` holds the results of the cells that are finished already."""
@@ -77,10 +90,13 @@ class Progress:
         return f"{self._what}: {self._done} of {self._total}{', ' if left else ''}{left}"
 
     def _time_left(self) -> str:
-        elapsed = time.monotonic() - self._started
-        if self._later is None or (self._left > 0 and not self._spent):
+        elapsed, left = time.monotonic() - self._started, max(self._left, 0.0)
+        believed = BELIEVED if self._side_by_side else 0.0
+        width = self._side_by_side or 1
+        known = believed + self._spent / width  # of these seconds, as the costs have it
+        if self._later is None or (left > 0 and not known):
             return ""
-        here = elapsed / self._spent * max(self._left, 0.0) if self._spent else 0.0
+        here = (believed + elapsed) / known * left / width if left else 0.0
         return f"about {in_words(here + self._later())} left"
 
 
@@ -328,10 +344,10 @@ class Running:
 
 
 @contextmanager
-def workers_of(running: Running) -> Iterator[Workers]:
-    """Yield the workers that `running` asks for."""
+def workers_of(running: Running, one_thread: bool = False) -> Iterator[Workers]:
+    """Yield the workers that `running` asks for; processes here take times on one thread, if told so."""
     if running.dask is None:
-        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or cores())
+        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or cores(), one_thread)
         return
     from contactqp.study.running.workers import cluster
 

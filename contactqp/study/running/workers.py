@@ -19,6 +19,8 @@ from contactqp.study.running.journal import source_digest
 # Of processes that run side by side: more than one thread each would only wait for the others.
 ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
+# On which threads times are taken, in words.
+AS_EVER = "as many as linear algebra takes by itself"
 
 # Maps a function, its arguments and a time limit [s] to what the function returns, or to Raised, Death or Late.
 Ask = Callable[[Callable[..., Any], tuple[Any, ...], float], Any]
@@ -43,6 +45,7 @@ class Workers(Protocol):
 
     notes: tuple[str, ...]  # for the user
     how: str  # in words, as far as results depend on it
+    threads: str  # of linear algebra, on which times are taken, in words
 
     def side_by_side(self) -> AbstractContextManager[Pool]:
         """Yield the pool for answers; it leaves no process behind."""
@@ -59,6 +62,7 @@ class ThisProcess:
 
     notes: tuple[str, ...] = ()
     how = "in one process"
+    threads = AS_EVER
 
     @contextmanager
     def side_by_side(self) -> Iterator[Pool]:
@@ -84,13 +88,18 @@ class _AtOnce(Executor):
 
 
 class Processes:
-    """Runs cells in `jobs` processes of this machine side by side, and in one for timings."""
+    """Runs cells in `jobs` processes of this machine side by side, and in one for timings.
+
+    That one has the threads that the environment gives it, or one: beside other work two threads wait for each other
+    most of the time, and times come out several times too long.
+    """
 
     notes: tuple[str, ...] = ()
     how = "in processes of one thread each"
 
-    def __init__(self, jobs: int) -> None:
-        self.jobs = jobs
+    def __init__(self, jobs: int, one_thread: bool = False) -> None:
+        self.jobs, self._timing = jobs, ONE_THREAD if one_thread else {}
+        self.threads = "one, as the machine is busy" if one_thread else AS_EVER
 
     @contextmanager
     def side_by_side(self) -> Iterator[Pool]:
@@ -100,8 +109,8 @@ class Processes:
 
     @contextmanager
     def alone(self) -> Iterator[Pool]:
-        """Yield a pool of one process with the threads that the environment gives it."""
-        with _process_pool(1, {}) as pool:
+        """Yield a pool of one process for timings."""
+        with _process_pool(1, self._timing) as pool:
             yield pool
 
     def ask(self, function: Callable[[], Any]) -> Any:
@@ -225,6 +234,7 @@ class Cluster:
     """
 
     how = "by the workers of a Dask cluster, in processes of one thread each"
+    threads = AS_EVER
 
     def __init__(self, client: Any, threads: Mapping[str, int]) -> None:
         self._client = client

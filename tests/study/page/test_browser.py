@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from contactqp.study.conclusion import PENALTY, WHICH, WRONG
 from contactqp.study.page import render as pages
 from contactqp.study.page.render import render_study
 from contactqp.study.telling import telling_chart
@@ -70,14 +71,14 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 @pytest.fixture
 def browser(session: Any, address: str) -> Any:
-    """The page as it opens, 1280 by 900 pixels, light."""
+    """The page as it opens, 1280 by 1000 pixels, light."""
     _look(session, 1280, "light")
     session.get(address)
     return session
 
 
 def _look(browser: Any, width: int, scheme: str) -> None:
-    size = dict(width=width, height=900, deviceScaleFactor=1, mobile=False)
+    size = dict(width=width, height=1000, deviceScaleFactor=1, mobile=False)
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     media = dict(features=[dict(name="prefers-color-scheme", value=scheme)])
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
@@ -369,7 +370,8 @@ const boxes = (selector) => [...document.querySelectorAll(selector)].filter((e) 
 });
 return {
   sentence: boxes('.conclusion .sentence'), table: boxes('.conclusion tbody tr'), axis: boxes('.conclusion .xtitle'),
-  names: boxes('.conclusion .annotation-text'), plot: boxes('.conclusion .plot'),
+  names: boxes('.conclusion .annotation-text'), marks: boxes('.conclusion .points path'),
+  plot: boxes('.conclusion .plot'),
 };
 """
 
@@ -391,15 +393,21 @@ def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width:
     session.get(file.as_uri())
     _wait(session, "document.querySelector('.conclusion .xtitle')")
     found = session.execute_script(FIRST_SCREEN)
-    assert found["sentence"][0][0].startswith("On 2 cases with a known answer: active-set, the default")
+    assert found["sentence"][0][0].startswith("Which method? On 2 cases with a known answer: active-set, the default")
+    assert [text.partition("?")[0] for text, *_ in found["sentence"]] == [
+        q.rstrip("?") for q in (WHICH, PENALTY, WRONG)
+    ]
     assert len(found["table"]) == 4
-    assert len(found["names"]) > 1
+    assert len(found["names"]) == (
+        4 if width == 1280 else 1
+    )  # of the methods and of the line; on a telephone in a legend
     shown = [*found["sentence"], *found["table"], *found["axis"]]
     if width == 1280:
-        assert max(box[4] for box in shown) <= 900
+        assert max(box[4] for box in shown) <= 800
     assert all(box[3] <= width for box in (*found["sentence"], *found["plot"]))
     for i, box in enumerate(found["names"]):
         assert all(_apart(box, other) for other in found["names"][:i]), found["names"]
+        assert all(_apart(box, other) for other in found["marks"]), found["names"]
 
 
 # Every line of text that can be seen, as far as the boxes that it is scrolled in show it; drawings label themselves.

@@ -18,7 +18,7 @@ from contactqp.errors import SceneError
 from contactqp.study.running import runner
 from contactqp.study.running.child import Child
 from contactqp.study.running.journal import Cell, Crash, Journal
-from contactqp.study.running.runner import Progress
+from contactqp.study.running.runner import Progress, Running, workers_of
 from contactqp.study.running.workers import Processes, ThisProcess, Workers
 from tests.study.running import cell_functions as do
 from tests.study.running.cell_functions import Number
@@ -104,6 +104,14 @@ def test_side_by_side_each_has_one_thread_and_alone_all(monkeypatch: pytest.Monk
     cell = _cell("threads", do.threads)
     assert run_cells([cell], Processes(2))["threads"].value == 1
     assert math.isnan(run_cells([cell], Processes(2), alone=True)["threads"].value)
+
+
+def test_on_a_busy_machine_what_is_timed_has_one_thread_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside two busy processes two threads took 340 ms where one takes 67: Hertz's contact with 8 000 unknowns."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with workers_of(Running(jobs=2), one_thread=True) as workers:
+        assert run_cells([_cell("threads", do.threads)], workers, alone=True)["threads"].value == 1
+        assert workers.threads == "one, as the machine is busy"
 
 
 def test_two_cells_of_one_name_are_refused() -> None:
@@ -205,6 +213,25 @@ def test_progress_tells_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -
     clock.now = 60.0
     progress.done(cells[2], Number(1.0))
     assert shown[2:] == ["times 2/3 ", "times 3/3 about 10 s left"]
+
+
+def test_the_least_cells_do_not_tell_the_time_of_the_large_ones_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred cells take a fifth of what was expected, as calls do; the last one is expected to take a minute."""
+    clock = _Clock()
+    monkeypatch.setattr("contactqp.study.running.runner.time.monotonic", clock)
+    shown: list[str] = []
+    progress = Progress(lambda *told: shown.append(told[3]))
+    least = [Cell(str(i), do.half, (1.0,), Number, cost=0.02) for i in range(100)]
+    progress.part("times", later=lambda: 0.0, side_by_side=1)
+    progress.begin([*least, Cell("large", do.half, (1.0,), Number, cost=60.0)], {})
+    assert shown == ["about 1 min 0 s left"]
+    for cell in least:
+        clock.now += 0.004
+        progress.done(cell, Number(1.0))
+    assert shown[-1] == "about 50 s left"
+    progress.part("answers", later=lambda: 0.0, side_by_side=2)
+    progress.begin([Cell(str(i), do.half, (1.0,), Number, cost=10.0) for i in range(4)], {})
+    assert shown[-1] == "about 20 s left"
 
 
 def _environment() -> dict[str, str]:
