@@ -31,15 +31,13 @@ PERIODS = [1.0, 2.0, 4.0]
 
 
 def in_steps(steps: list[str], before: str = "", stack: str = STACK) -> str:
-    head = stack.partition("*STEP")[0].replace(
-        "*SURFACE INTERACTION", "*SURFACE, NAME=UPPER\n2, S2\n*SURFACE INTERACTION"
-    )
+    """Return a deck of these steps, with a surface UPPER and an amplitude A."""
+    head = stack.partition("*STEP")[0]
+    head = head.replace("*SURFACE INTERACTION", "*SURFACE, NAME=UPPER\n2, S2\n*SURFACE INTERACTION", 1)
     head += "*AMPLITUDE, NAME=A\n0., 0., 1., 3., 2., 5.\n" + before
-    periods = [f"*STEP\n*STATIC\n{period}, {period}\n" for period in PERIODS]
-    return head + "".join(
-        f"{head_of_step}{step}\n*NODE PRINT, NSET=ALL\nU\n*END STEP\n"
-        for head_of_step, step in zip(periods, steps, strict=False)
-    ).replace("\n\n", "\n")  # fmt: skip
+    for period, step in zip(PERIODS, steps, strict=False):
+        head += f"*STEP\n*STATIC\n{period}, {period}\n{step}\n*NODE PRINT, NSET=ALL\nU\n*END STEP\n"
+    return head.replace("\n\n", "\n")
 
 
 @needs_calculix
@@ -126,3 +124,13 @@ def test_a_deck_of_steps_is_judged_at_its_end(tmp_path: pathlib.Path) -> None:
     assert verdict.pairs[0].reference_resultant > 0
     assert any("friction is followed step by step" in line for line in verdict.ledger.assumed)
     assert len(set(verdict.ledger)) == len(list(verdict.ledger))  # each line once, although three steps are solved
+
+
+def test_a_pair_that_nothing_reaches_changes_no_slip(tmp_path: pathlib.Path) -> None:
+    faces = "*SURFACE, NAME=SIDE\n2, S3\n*SURFACE, NAME=FAR\n1, S5\n"
+    pair = "*SURFACE INTERACTION, NAME=OTHER\n*CONTACT PAIR, INTERACTION=OTHER, TYPE=NODE TO SURFACE\nSIDE, FAR\n"
+    stack = RUBBING.replace("*SURFACE INTERACTION, NAME=TOUCH", f"{faces}{pair}*SURFACE INTERACTION, NAME=TOUCH", 1)
+    deck = cq.read_deck(write(tmp_path, in_steps(BACK_AND_FORTH, stack=stack)))
+    assert [len(one.labels) for one in deck.by_nodes.pairs] == [0, 4]
+    friction = solved(tmp_path, BACK_AND_FORTH).friction_force
+    assert np.allclose(cq.solve(deck.problem()).friction_force, friction, rtol=1e-9)

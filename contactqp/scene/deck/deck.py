@@ -305,7 +305,7 @@ class DeckContacts:
     @property
     def tangent_rows(self) -> Index:
         """Return the places of the tangential rows of the contacts of the problem among those of all pairs."""
-        along = self.pairs[0].pairing.tangent.shape[0] // len(self.pairs[0].labels)
+        along = self.tangent.shape[0] // max(sum(len(one.labels) for one in self.pairs), 1)
         return np.asarray((self.free.kept[:, None] * along + np.arange(along)).ravel())
 
     def of_pair(self, number: int) -> tuple[Index, Index]:
