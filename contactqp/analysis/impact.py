@@ -135,12 +135,7 @@ def impact(
     settings = _settings(entry, theta, restitution, penalty)
     method = registered_name(method)
     _refuse_unknown(method, options)
-    refuse_not_positive("duration", duration)
-    refuse_not_positive("time_step", time_step)
-    if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
-        raise InvalidProblem(f"time_step: expected a step whose square is a number, got {shown(time_step)}")
-    if not is_number(start_time) or not np.isfinite(start_time):
-        raise InvalidProblem(f"start_time: expected a finite number, got {shown(start_time)}")
+    _refuse_times(duration, time_step, start_time)
     refuse_far_from_one("impact", problem)
     if (rows := acting_rows(problem)) is not None:
         given: dict[str, Any] = dict(scheme=scheme, load=load, theta=theta, restitution=restitution, penalty=penalty)
@@ -174,6 +169,16 @@ def impact(
             run.check_critical_step(penalty)
         run.start(u, v)
         return run.lasting(duration)
+
+
+def _refuse_times(duration: Any, time_step: Any, start_time: Any) -> None:
+    """Raise InvalidProblem for times that no motion has, or a step whose square is no double."""
+    refuse_not_positive("duration", duration)
+    refuse_not_positive("time_step", time_step)
+    if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
+        raise InvalidProblem(f"time_step: expected a step whose square is a number, got {shown(time_step)}")
+    if not is_number(start_time) or not np.isfinite(start_time):
+        raise InvalidProblem(f"start_time: expected a finite number, got {shown(start_time)}")
 
 
 def _refuse_unknown(method: str, options: dict[str, Any]) -> None:

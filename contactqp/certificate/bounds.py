@@ -281,8 +281,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
             uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
-    # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
-    # nothing.
+    # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
     known = Bounds(
         energy_scale=energy_scale,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactqp.certificate import messages
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
@@ -20,19 +21,6 @@ from contactqp.certificate.bounds import (
 )
 from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.failures import (
-    FORCES_NOT_UNIQUE,
-    MOST_NAMED,
-    failed_figures,
-    failed_law,
-    not_finite_parts,
-    said_of_absurd_part,
-    said_of_dependent_ties,
-    said_of_estimates,
-    said_of_force_bound,
-    said_of_grazing,
-    said_of_printing,
-)
 from contactqp.certificate.figures import balance, kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
@@ -136,7 +124,7 @@ def certificate_of(
 ) -> Certificate:
     """Return the certificate of an answer whose shapes are those of the problem; arguments of `compute_certificate`."""
     if not answer.finite():
-        failures = list(not_finite_parts(problem, answer))
+        failures = list(messages.not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
@@ -175,7 +163,7 @@ def _judged(
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(_absurd_parts(seen)):
-        failures = [said_of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
+        failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
         return not_finite(problem.frictional, failures, tolerance, error_tolerance, ABSURD_ANSWER)
     if near is None:
         measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
@@ -263,17 +251,17 @@ def _worded(
     figures["balance"] = measured.balance
     failures: list[str] = []
     if not all(figure <= tolerance for figure in figures.values()):
-        failures += failed_figures(problem, answer, found, figures, tolerance)
+        failures += messages.failed_figures(problem, answer, found, figures, tolerance)
     if law is not None:
-        failures += failed_law(problem, law, IMPLIED * tolerance)
+        failures += messages.failed_law(problem, law, IMPLIED * tolerance)
     failures += measured.errors
     if measured.fails_force_bound and known.relative_force_bound is not None:
         worst = int(np.argmax(known.relative_force_bound))
-        failures.append(said_of_force_bound(problem, answer, known, worst, error_tolerance))
+        failures.append(messages.of_force_bound(problem, answer, known, worst, error_tolerance))
     failures += measured.state.failures
     said = _notes(problem, measured.grazing, known)
     if measured.dependent:
-        said += said_of_dependent_ties(problem, measured.dependent)
+        said += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),
@@ -304,9 +292,13 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
     """Return the notes of a certificate besides its verdict."""
     said: list[str] = []
     if grazing.any():
-        said += said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]])
+        said += messages.of_grazing(
+            [problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[: messages.MOST_NAMED]]
+        )
     if known.redundant and not problem.frictional:
-        said.append(FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else ""))
+        said.append(
+            messages.FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else "")
+        )
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if known.cleared > WORTH_SAYING:
@@ -321,8 +313,8 @@ def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -
             "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
         )
     if problem.rigid_change > 0:
-        said.append(said_of_printing(problem))
-    return (*said, *said_of_estimates(known)) if known.estimated else tuple(said)
+        said.append(messages.of_printing(problem))
+    return (*said, *messages.of_estimates(known)) if known.estimated else tuple(said)
 
 
 def _residuals_and_bounds(

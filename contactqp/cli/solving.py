@@ -119,30 +119,18 @@ def run_command(
     speakers.start(engine)
     named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
     with speakers.together():
-        if checkpoint is not None and engine == SERIAL:
-            raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
+        _refuse_on_engine(engine, checkpoint, csv)
         knobs = read_knobs(penalty, perturbation, options, bare=not named)
-        if csv is not None and engine != SERIAL:
-            raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
         if loads is not None:
             one = not foreign and len(named) == 1 and len(methods) <= 1
             if not one or engine != SERIAL or any((checkpoint, plot, vtu)):
                 raise InvalidProblem("--loads: expected one case file, one method and one process, to print or --csv")
             sys.exit(_run_loads(named[0], loads, methods, knobs, csv, time_limit, as_json, quiet))
         scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
-        if foreign and vtu is not None:
-            raise InvalidProblem(f"{foreign[0]}: --vtu needs a case file, this file has no geometry")
-        if knobs and scenes and not methods and engine == SERIAL:
-            raise InvalidProblem(f"run: {', '.join(knobs)} belong to a method; state it by --method")
-        if time_limit is not None and not time_limit > 0:
-            raise InvalidProblem(f"--time-limit: expected a positive number of seconds, got {time_limit:g}")
-        if time_limit is not None and engine != SERIAL:
-            raise Unsupported("--time-limit: in one process alone; on ranks --option time_limit=SECONDS")
-        if checkpoint is not None and len(scenes) != 1:
-            raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
-    asked = _Asked(
-        methods, knobs, time_limit, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose
-    )
+        asked = _Asked(
+            methods, knobs, time_limit, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose
+        )
+        _refuse_combinations(asked, len(scenes), foreign, vtu)
     alone = engine != SERIAL or files is not None
     answered = [told.print() for told in _answers(scenes, files, asked, 1 if alone else jobs)]
     data = [outcome for told in answered for outcome in told.data]
@@ -165,6 +153,28 @@ def run_command(
     if as_json and speakers.speaks:
         print_json(data)
     sys.exit(0 if met else NOT_MET)
+
+
+def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None) -> None:
+    """Raise Unsupported for options that this engine does not have."""
+    if checkpoint is not None and engine == SERIAL:
+        raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
+    if csv is not None and engine != SERIAL:
+        raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
+
+
+def _refuse_combinations(asked: _Asked, cases: int, foreign: Sequence[str], vtu: str | None) -> None:
+    """Raise an error for options that contradict each other or the files that they are for."""
+    if foreign and vtu is not None:
+        raise InvalidProblem(f"{foreign[0]}: --vtu needs a case file, this file has no geometry")
+    if asked.knobs and cases and not asked.methods and asked.engine == SERIAL:
+        raise InvalidProblem(f"run: {', '.join(asked.knobs)} belong to a method; state it by --method")
+    if asked.time_limit is not None and not asked.time_limit > 0:
+        raise InvalidProblem(f"--time-limit: expected a positive number of seconds, got {asked.time_limit:g}")
+    if asked.time_limit is not None and asked.engine != SERIAL:
+        raise Unsupported("--time-limit: in one process alone; on ranks --option time_limit=SECONDS")
+    if asked.checkpoint is not None and cases != 1:
+        raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {cases}")
 
 
 def _run_loads(

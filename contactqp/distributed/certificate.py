@@ -8,19 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.certificate import messages
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
 from contactqp.certificate.coulomb_law import IMPLIED
-from contactqp.certificate.failures import (
-    MOST_NAMED,
-    said_of_balance,
-    said_of_estimates,
-    said_of_figure,
-    said_of_force_bound,
-    said_of_grazing,
-    said_of_law,
-    said_of_part,
-)
 from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.problem import (
@@ -298,7 +289,7 @@ def certify_distributed(
         reasons=error_bounds.reasons,
         grazing=grazing,
         failures=tuple(failures),
-        notes=(*said_of_grazing(names), *said_of_estimates(error_bounds), *not_examined),
+        notes=(*messages.of_grazing(names), *messages.of_estimates(error_bounds), *not_examined),
         uniqueness=(UNKNOWN,) if frictional else (),
         contraction=None,
         tolerance=tolerance,
@@ -331,37 +322,37 @@ def _refuse_shapes(problem: DistributedProblem, answer: Answer) -> None:
 def _not_finite(problem: DistributedProblem, answer: Answer) -> list[str]:
     """Return a message for each part of the answer that is not finite, of its first such unknown, contact or tie."""
     numbers = problem.dof_number, problem.contact_number, problem.contact_number, problem.tie_number
-    messages = []
+    texts = []
     for name, number in zip(ANSWER_PARTS, numbers, strict=True):
         values = getattr(answer, name)
         values = np.zeros(len(number)) if values is None else values
         flags = ~np.all(np.isfinite(values), axis=tuple(range(1, values.ndim)))
-        message = partial(said_of_part, problem, name, values)
-        messages.append(message_of_first(problem.ranks, flags, number, message))
-    return [text for text in messages if text is not None]
+        message = partial(messages.of_part, problem, name, values)
+        texts.append(message_of_first(problem.ranks, flags, number, message))
+    return [text for text in texts if text is not None]
 
 
 def _failed_figures(
     problem: DistributedProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
 ) -> list[str]:
     numbers = {"equilibrium": problem.dof_number, "tie": problem.tie_number}
-    messages = []
+    texts = []
     for name in FIGURES:
         if figures[name] <= tolerance:
             continue
         if name == "balance":
-            messages.append(said_of_balance(figures[name], tolerance))
+            texts.append(messages.of_balance(figures[name], tolerance))
             continue
         number = numbers.get(name, problem.contact_number)
-        message = partial(said_of_figure, problem, answer, found, name, tolerance=tolerance)
-        messages.append(message_of_largest(problem.ranks, getattr(found, name), number, message))
-    return messages
+        message = partial(messages.of_figure, problem, answer, found, name, tolerance=tolerance)
+        texts.append(message_of_largest(problem.ranks, getattr(found, name), number, message))
+    return texts
 
 
 def _failed_law(problem: DistributedProblem, law: Vector | None, largest: float | None, limit: float) -> list[str]:
     if law is None or largest is None or largest <= limit:
         return []
-    message = partial(said_of_law, problem, law, limit=limit)
+    message = partial(messages.of_law, problem, law, limit=limit)
     return [message_of_largest(problem.ranks, law, problem.contact_number, message)]
 
 
@@ -371,7 +362,7 @@ def _failed_force_bound(
     relative = bounds.relative_force_bound
     if not problem.ranks.any(fails_force_bound(bounds, error_tolerance, 0.0)) or relative is None:
         return []
-    message = partial(said_of_force_bound, problem, answer, bounds, tolerance=error_tolerance)
+    message = partial(messages.of_force_bound, problem, answer, bounds, tolerance=error_tolerance)
     return [message_of_largest(problem.ranks, relative, problem.contact_number, message)]
 
 
@@ -383,6 +374,6 @@ def _grazing(
     here = np.flatnonzero(grazes(answer, found, compliance, bounds, tolerance))
     numbers: Index = problem.contact_number[here]
     here = here[np.argsort(numbers)]
-    first = [(int(problem.contact_number[i]), problem.contact_name(int(i))) for i in here[:MOST_NAMED]]
+    first = [(int(problem.contact_number[i]), problem.contact_name(int(i))) for i in here[: messages.MOST_NAMED]]
     every = sorted(name for part in problem.ranks.comm.allgather(first) for name in part)
-    return tuple(np.sort(problem.ranks.gathered(numbers)).tolist()), [name for _, name in every[:MOST_NAMED]]
+    return tuple(np.sort(problem.ranks.gathered(numbers)).tolist()), [name for _, name in every[: messages.MOST_NAMED]]

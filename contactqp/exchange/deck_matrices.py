@@ -61,6 +61,17 @@ def whole_numbers(path: Path, place: str, values: Vector) -> Integers:
 def symmetric_matrix(path: Path, row: Integers, column: Integers, value: Vector, size: int, ledger: Ledger) -> Any:
     """Return the matrix (size, size) of a list of entries, indices from 0; one triangle is mirrored.
 
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    row, column, value : (e,) arrays
+        The entries, with indices from 0.
+    size : int
+        The number of unknowns.
+    ledger : Ledger
+        Where it is noted what was read and mirrored.
+
     Raises
     ------
     InvalidProblem

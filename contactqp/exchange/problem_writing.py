@@ -60,6 +60,19 @@ def problem_of(
 ) -> ContactProblem:
     """Return the problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
 
+    Parameters
+    ----------
+    path
+        The file or folder, for messages.
+    parts : mapping
+        Matrices and vectors by the names of `SYMBOLS`; one coefficient of friction serves all contacts.
+    ledger : Ledger
+        Where it is noted what was assumed.
+    dof_names, contact_names, tie_names, units : optional
+        As a ContactProblem takes them.
+    ties : optional
+        How many ties are stated.
+
     Raises
     ------
     InvalidProblem

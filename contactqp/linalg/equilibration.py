@@ -226,6 +226,17 @@ def nothing_in_rows(
     """Return what counts as none where K gives no scale: a fraction of the largest force and length, equilibrated.
 
     Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    part : float
+        The fraction that counts as none.
+    connected : (n,) array of int
+        The number of the part that each unknown belongs to.
+    beside : float
+        The least force of a part that counts, relative to the largest of all.
     """
     twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)

@@ -139,17 +139,8 @@ def _refined(
     """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
     saddle, compliance = saddle_point(condensation, closed), condensation.delassus.compliance
     size_of = _CorrectionSize(problem, condensation, compliance, closed)
-    rows = extended_rows(problem)
-    if cleared:
-        rows = condensation.cleared_rows(rows)
-    if start is None:
-        answer, left = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
-    else:
-        kept = np.zeros(problem.contacts, dtype=bool)
-        kept[closed] = True
-        left = None if start.normal_force[~kept].any() else left
-        force = np.where(kept, start.normal_force, 0.0)
-        answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
+    rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
+    answer, left = _start(problem, closed, start, left)
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:
@@ -188,6 +179,19 @@ def _refined(
         remainder=remainder,
         nothing=nothing,
     )
+
+
+def _start(
+    problem: ContactProblem, closed: NDArray[np.intp], start: Answer | None, left: Residuals | None
+) -> tuple[ExtendedAnswer, Residuals | None]:
+    """Return a start without forces on open contacts, at rest where none is given, and its residuals if known."""
+    if start is None:
+        return ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
+    kept = np.zeros(problem.contacts, dtype=bool)
+    kept[closed] = True
+    force = np.where(kept, start.normal_force, 0.0)
+    answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
+    return answer, None if start.normal_force[~kept].any() else left
 
 
 def _lengths(problem: ContactProblem, answer: Answer) -> Vector:

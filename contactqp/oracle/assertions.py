@@ -163,6 +163,15 @@ def force_deviations(
 
     A multiplier is measured by the largest force that it puts on an unknown, max_j |E_ij| |l_i|: scaling a row changes
     nothing. Where forces are not unique, what they do together is compared instead: `resultant_deviations`.
+
+    Parameters
+    ----------
+    reference : Reference
+        The right answer.
+    normal_force, friction_force, tie_force : (m,), (m, d-1) and (k,) arrays
+        The forces to be compared, the last two None where they were not given.
+    rtol : float
+        The largest relative deviation that is right.
     """
     if not reference.one_force:
         return resultant_deviations(reference, normal_force, friction_force, tie_force, rtol)
@@ -193,6 +202,15 @@ def resultant_deviations(
 
     Right are all that do the same together, E_N'l_N + E_T'l_T + A'nu, that pull nowhere and push at no open contact,
     and that obey Coulomb's law. Tie forces that were not given may be any.
+
+    Parameters
+    ----------
+    reference : Reference
+        A right answer.
+    normal_force, friction_force, tie_force : (m,), (m, d-1) and (k,) arrays
+        The forces to be judged, the last two None where they were not given.
+    rtol : float
+        The largest relative deviation that is right.
     """
     problem = reference.problem
     right = reference.resultant

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.study import rows
+from contactqp.study import rows, statistics
 from contactqp.study.curves import (
     BLUE,
     FLOOR,
@@ -46,21 +46,6 @@ from contactqp.study.curves import (
 )
 from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
-from contactqp.study.statistics import (
-    LIMIT,
-    SHIFT,
-    Overview,
-    Rates,
-    Route,
-    RouteTimes,
-    median_cases,
-    median_limit,
-    median_rows,
-    method_rates,
-    overview,
-    profile,
-    ratios,
-)
 from contactqp.study.truth import ABSOLUTE_ENERGY, ABSOLUTE_FORCE
 
 # Half the distance from 1 to the next double: smaller relative errors are rounding of the answer itself.
@@ -212,7 +197,7 @@ _BARS = {
 }
 
 
-def rates_chart(found: Overview) -> Chart:
+def rates_chart(found: statistics.Overview) -> Chart:
     """Return the chart of answers that were claimed, that were right, and that passed the certificate."""
     shown = [rates for rates in found.rates if rates.own or rates.certifiable]
     data = [_bar(shown, column, *words) for column, words in _BARS.items()]
@@ -232,11 +217,11 @@ def rates_chart(found: Overview) -> Chart:
     )
 
 
-def _parts(rates: Rates, column: str) -> tuple[int, int]:
+def _parts(rates: statistics.Rates, column: str) -> tuple[int, int]:
     return getattr(rates, column), rates.certifiable if column == "certified" else rates.own
 
 
-def _bar(shown: Sequence[Rates], column: str, colour: str, pattern: str, words: str) -> dict[str, Any]:
+def _bar(shown: Sequence[statistics.Rates], column: str, colour: str, pattern: str, words: str) -> dict[str, Any]:
     parts = [_parts(rates, column) for rates in shown]
     return dict(
         type="bar",
@@ -260,7 +245,7 @@ def _bars_layout(shown: Sequence[Any], title: str, xaxis: Mapping[str, Any]) -> 
     return layout(across, ordered, BAR_HEIGHT * len(shown) + AROUND_BARS, barmode="group", legend=above)
 
 
-def _rate_cells(rates: Rates) -> tuple[str, ...]:
+def _rate_cells(rates: statistics.Rates) -> tuple[str, ...]:
     if not rates.installed:
         return rates.method, "not installed", "", "", "", "", ""
     own = (str(rates.claimed), str(rates.right), str(rates.unsupported)) if rates.own else ("", "", "")
@@ -269,7 +254,7 @@ def _rate_cells(rates: Rates) -> tuple[str, ...]:
 
 def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
     """Return the chart of wrong answers that methods called solved or that passed the certificate; words if none is."""
-    found = [rates for rates in method_rates(all_rows) if rates.installed]
+    found = [rates for rates in statistics.method_rates(all_rows) if rates.installed]
     total, ours = sum(rates.silently_wrong for rates in found), sum(rates.wrong_but_passed for rates in found)
     name, title = "silently-wrong", "Wrong answers that were called right"
     if not total and not ours:
@@ -329,7 +314,7 @@ POINT_HEIGHT, AROUND = 26, 170  # pixels for each method of a chart of means, an
 FACTORS = (1.0, 2.0, 10.0)  # of the fastest time, in the tables
 
 
-def profile_charts(found: Overview) -> Iterator[Chart]:
+def profile_charts(found: statistics.Overview) -> Iterator[Chart]:
     """Yield the performance profiles of methods as solve runs them, and of their raw answers on all unknowns."""
     usual = [times for times in found.times if not times.route.variant and not times.route.whole]
     yield _profile(
@@ -347,16 +332,16 @@ def profile_charts(found: Overview) -> Iterator[Chart]:
     )
 
 
-def _by_themselves(all_times: Sequence[RouteTimes]) -> Iterator[RouteTimes]:
+def _by_themselves(all_times: Sequence[statistics.RouteTimes]) -> Iterator[statistics.RouteTimes]:
     """Yield one route for each method: before polish where it is polished, on all unknowns where there is a choice."""
     by_route = {times.route: times for times in all_times}
     for name in dict.fromkeys(route.method for route in by_route):
-        routes = (Route(name, variant, whole) for variant in ("raw", "") for whole in (True, False))
+        routes = (statistics.Route(name, variant, whole) for variant in ("raw", "") for whole in (True, False))
         yield next(by_route[route] for route in routes if route in by_route)
 
 
-def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> Chart:
-    compared = ratios({times.route: times.seconds for times in shown})
+def _profile(name: str, title: str, about: str, shown: Sequence[statistics.RouteTimes]) -> Chart:
+    compared = statistics.ratios({times.route: times.seconds for times in shown})
     finite = np.concatenate([values[np.isfinite(values)] for values in compared.values()])
     last = 1.5 * float(np.max(finite, initial=2.0))
     data = [_steps(times, compared[times.route], last) for times in shown]
@@ -383,7 +368,7 @@ def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> 
         lines=tuple(
             (
                 str(times.route),
-                *(f"{100 * part:.0f}" for part in profile(compared[times.route], np.array(FACTORS))),
+                *(f"{100 * part:.0f}" for part in statistics.profile(compared[times.route], np.array(FACTORS))),
                 *map(str, (times.solved, times.failed, times.unsupported)),
             )
             for times in shown
@@ -391,10 +376,10 @@ def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> 
     )
 
 
-def _steps(times: RouteTimes, compared: np.ndarray, last: float) -> dict[str, Any]:
+def _steps(times: statistics.RouteTimes, compared: np.ndarray, last: float) -> dict[str, Any]:
     """Return the profile as steps, with symbols where it rises."""
     factors = np.unique(np.concatenate([[1.0], compared[np.isfinite(compared)], [last]]))
-    parts = 100 * profile(compared, factors)
+    parts = 100 * statistics.profile(compared, factors)
     name = times.route.method
     hint = f"<b>{name}</b><br>right on %{{y}} % of {len(compared)} cases within %{{x}} times the fastest<extra></extra>"
     xs, ys = [rounded(x) for x in factors], [rounded(float(y)) for y in parts]
@@ -403,7 +388,7 @@ def _steps(times: RouteTimes, compared: np.ndarray, last: float) -> dict[str, An
     return drawn
 
 
-def means_chart(found: Overview) -> Chart:
+def means_chart(found: statistics.Overview) -> Chart:
     """Return the chart of shifted geometric means of every route, the fastest method on top."""
     order = _order(found)
     shown = list(zip(found.times, found.means, strict=True))
@@ -416,10 +401,10 @@ def means_chart(found: Overview) -> Chart:
         name="mean-times",
         title="Mean run times, failures included",
         caption=f"{on_cases(found.cases)} The shifted geometric mean over these cases of the run time to the fastest "
-        f"right answer: {1e3 * SHIFT:g} ms are added to each time and taken off the mean, so that tiny cases do not "
-        f"decide. Further left is better; methods are in the order of their best "
-        f"mean. {SOLVED} A case without a right answer counts as {LIMIT:g} s, and there the clock stops for answers "
-        "that take longer.",
+        f"right answer: {1e3 * statistics.SHIFT:g} ms are added to each time and taken off the mean, so that tiny "
+        "cases do not decide. Further left is better; methods are in the order of their best "
+        f"mean. {SOLVED} A case without a right answer counts as {statistics.LIMIT:g} s, and there the clock stops for "
+        "answers that take longer.",
         figure=dict(
             data=data + legend_keys,
             layout=layout(
@@ -437,7 +422,7 @@ def means_chart(found: Overview) -> Chart:
     )
 
 
-def _order(found: Overview) -> list[str]:
+def _order(found: statistics.Overview) -> list[str]:
     """Return the methods in the order of their best mean."""
     best: dict[str, float] = {}
     for times, mean in zip(found.times, found.means, strict=True):
@@ -445,7 +430,7 @@ def _order(found: Overview) -> list[str]:
     return sorted(best, key=lambda name: best[name])
 
 
-def _mean_point(times: RouteTimes, mean: float) -> dict[str, Any]:
+def _mean_point(times: statistics.RouteTimes, mean: float) -> dict[str, Any]:
     route, style = times.route, method_style(times.route.method)
     solved = f"{times.solved} of {len(times.cases)} solved"
     return dict(
@@ -463,7 +448,7 @@ def _mean_point(times: RouteTimes, mean: float) -> dict[str, Any]:
 
 def overview_charts(data: ReportData) -> tuple[Chart, ...]:
     """Return the charts over all cases; comparisons are left out where no case was put to all methods."""
-    found, wrong = overview(data.rows), silently_wrong_chart(data.rows)
+    found, wrong = statistics.overview(data.rows), silently_wrong_chart(data.rows)
     if not found.cases:
         return (wrong,)
     return *_medians(data.rows), *profile_charts(found), means_chart(found), rates_chart(found), wrong
@@ -476,8 +461,8 @@ def _medians(all_rows: Sequence[Row]) -> Iterator[Chart]:
 
 def median_chart(all_rows: Sequence[Row], quantity: Quantity) -> Chart | None:
     """Return the chart of median errors against median times; None where fewer than two cases can be laid together."""
-    cases, middle = median_cases(all_rows), median_rows(all_rows)
-    figure = work_precision(middle, quantity, f"{quantity.measure} [1]", "", median_limit(all_rows))
+    cases, middle = statistics.median_cases(all_rows), statistics.median_rows(all_rows)
+    figure = work_precision(middle, quantity, f"{quantity.measure} [1]", "", statistics.median_limit(all_rows))
     return None if len(cases) < 2 or figure is None else _median_chart(cases, middle, quantity, figure)
 
 

@@ -171,7 +171,23 @@ class LoadedBody:
         length_rounding: Vector,
         tolerance: float,
     ) -> Imbalance:
-        """Measure how far from balance the body is; `lengths` (any number,) are the errors of gaps, slips and ties."""
+        """Measure how far from balance the body is; `lengths` (any number,) are the errors of gaps, slips and ties.
+
+        Parameters
+        ----------
+        now : Instant
+            The configuration, its internal forces and contacts.
+        K : matrix (n, n)
+            The tangent stiffness, which tells the rounding of internal forces.
+        load : (n,) array
+            The load at this instant [force].
+        forces : Forces
+            Those of contacts and ties.
+        length_error, length_rounding : arrays of any one size
+            The errors of gaps, slips and ties, and their rounding [length].
+        tolerance : float
+            Relative to the largest force and the largest displacement.
+        """
         residual = abs(self.out_of_balance(now, load, forces))
         parts = [load, now.internal, now.contact.normal.T @ forces.normal, self.tie.T @ forces.tie]
         size = max(float(np.max(abs(part), initial=0.0)) for part in parts)

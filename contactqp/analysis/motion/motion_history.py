@@ -106,7 +106,7 @@ class MotionHistory(History):
 
     def summary(self) -> str:
         """Return what `History.summary` does, and that the force of an impact depends on the step."""
-        said = (line for text in _said_of_impulses(self.motion) for line in wrapped(f"note: {text}"))
+        said = (line for text in _notes_on_impulses(self.motion) for line in wrapped(f"note: {text}"))
         return "\n".join([super().summary(), *said])
 
     @property
@@ -198,13 +198,13 @@ def _solution_at(motion: Motion, k: int) -> Moving:
     )
 
 
-def said_of_motion(motion: Motion) -> Iterator[str]:
+def notes_on_motion(motion: Motion) -> Iterator[str]:
     """Yield the notes on a whole motion: how deep it penetrates, and how much energy its scheme has made."""
-    yield from _said_of_penetration(motion)
-    yield from _said_of_energy(motion)
+    yield from _notes_on_penetration(motion)
+    yield from _notes_on_energy(motion)
 
 
-def _said_of_energy(motion: Motion) -> Iterator[str]:
+def _notes_on_energy(motion: Motion) -> Iterator[str]:
     """Yield by how much the energy has grown at most beyond what was there and what the loads have put in."""
     found = list(energies(motion))
     total, work, rubbed = np.array([(one.total, one.work, one.dissipated) for one in found]).T
@@ -226,7 +226,7 @@ def _said_of_energy(motion: Motion) -> Iterator[str]:
     )
 
 
-def _said_of_penetration(motion: Motion) -> Iterator[str]:
+def _notes_on_penetration(motion: Motion) -> Iterator[str]:
     """Yield what a scheme that does not hold the gaps at every instant leaves of them at the worst one."""
     problem = motion.scheme.body.problem
     deepest = _deepest(problem, [state.displacement for state in motion.states])
@@ -235,7 +235,7 @@ def _said_of_penetration(motion: Motion) -> Iterator[str]:
         yield f"deepest at {place}: {_penetrates(motion, deepest)}"
 
 
-def _said_of_impulses(motion: Motion) -> Iterator[str]:
+def _notes_on_impulses(motion: Motion) -> Iterator[str]:
     """Yield what the largest contact force is, where a contact closes with it and the scheme has no contact springs."""
     forces = np.array([state.normal_force for state in motion.states])
     if motion.scheme.springs is not None or motion.scheme.name in WITHOUT_MASS or not forces.size:

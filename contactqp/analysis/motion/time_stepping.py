@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.mass_matrix import critical_step, touched
-from contactqp.analysis.motion.motion_history import Motion, MotionHistory, said_of_motion
+from contactqp.analysis.motion.motion_history import Motion, MotionHistory, notes_on_motion
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepContact, StepProblem, StepResult
 from contactqp.errors import (
@@ -333,7 +333,7 @@ class MotionRun:
     @property
     def history(self) -> MotionHistory:
         notes = tuple(self._notes)  # of the steps until now
-        return MotionHistory(self._motion, lambda: (*notes, *said_of_motion(self._motion)), self._resumed)
+        return MotionHistory(self._motion, lambda: (*notes, *notes_on_motion(self._motion)), self._resumed)
 
     def _step(self, state: State, load: Vector, next_load: Vector) -> State:
         answers: tuple[StepResult, ...] = ()

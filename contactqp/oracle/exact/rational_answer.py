@@ -144,7 +144,25 @@ def solution_of(
     findings: tuple[str, ...] = (),
     events: tuple[ExactEvent, ...] = (),
 ) -> ExactSolution:
-    """Return what was settled, in Fractions and in words."""
+    """Return what was settled, in Fractions and in words.
+
+    Parameters
+    ----------
+    data : RationalProblem
+        The problem in rational numbers.
+    settled : Settled
+        The proven answer.
+    asked : Asked
+        What was asked for: problem, method, when it began.
+    solution : Solution or None
+        What floats proposed.
+    equilibria : int, optional
+        How many there are, where they were counted.
+    findings : tuple of str
+        What is known of other equilibria.
+    events : tuple of ExactEvent
+        Those of a load path.
+    """
     problem, answer = asked.problem, settled.answer
     u, shape = answer.displacement, None if problem.slip_origin is None else problem.slip_origin.shape
     minimum = () if data.frictional else (PROVEN_MINIMUM,)

@@ -427,6 +427,25 @@ def stated(
     all.
 
     `one_displacement` is given where a proof of uniqueness is known that `only_displacement` does not find.
+
+    Parameters
+    ----------
+    stiffness, load, normal, gap, tangent, tie, tie_value
+        The data of the problem as rows of rational numbers; `tie_value` is zero without it.
+    friction
+        The coefficient of all contacts.
+    displacement, normal_force, friction_force, tie_force
+        The answer, which is proven when the problem is made.
+    description, source, formula : str
+        What the problem shows, where it comes from, and its answer as a formula.
+    units : (str, str)
+        Of length and of force.
+    unknowns, contacts : sequences of str, optional
+        Their names.
+    one_displacement : bool, optional
+        Given where a proof of uniqueness is known that `only_displacement` does not find.
+    rounding : Fraction
+        By how much the answer to the problem in doubles may differ from this one, relative.
     """
     rough = bool(tangent)
     data = ExactProblem(
@@ -460,7 +479,21 @@ def with_uniqueness(
     one_displacement: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
-    """Return contents with what exact ranks prove about the uniqueness of the answer, where nothing else is known."""
+    """Return contents with what exact ranks prove about the uniqueness of the answer, where nothing else is known.
+
+    Parameters
+    ----------
+    data, answer
+        The problem and its exact answer.
+    description, source, formula : str
+        What the problem shows, where it comes from, and its answer as a formula.
+    names : dict
+        The names of unknowns, contacts and units, as a ContactProblem takes them.
+    one_displacement : bool, optional
+        Whether the displacement is unique, where that is known.
+    rounding : Fraction
+        By how much the answer to the problem in doubles may differ from this one, relative.
+    """
     displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
     forces = only_forces(data, answer, displacement)
     return Contents(data, answer, description, source, formula, displacement, forces, rounding, names)

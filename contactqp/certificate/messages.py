@@ -37,17 +37,17 @@ def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
     for name in ANSWER_PARTS:
         values = getattr(answer, name)
         if values is not None and not np.all(np.isfinite(values)):
-            yield said_of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))
+            yield of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))
 
 
-def said_of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+def of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
     """Return the message that entry i of a part of an answer is not finite."""
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     part = np.atleast_1d(values[i])
     return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
-def said_of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+def of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
     """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause."""
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     unit = problem.units.length if name == "displacement" else problem.units.force
@@ -64,18 +64,18 @@ def failed_figures(
         if figures[name] <= tolerance:
             continue
         if name == "balance":
-            yield said_of_balance(figures[name], tolerance)
+            yield of_balance(figures[name], tolerance)
         else:
             i = int(np.argmax(getattr(found, name)))
-            yield said_of_figure(problem, answer, found, name, i, tolerance)
+            yield of_figure(problem, answer, found, name, i, tolerance)
 
 
-def said_of_balance(figure: float, tolerance: float) -> str:
+def of_balance(figure: float, tolerance: float) -> str:
     text = "the forces on a body do not balance over a rigid motion"
     return f"balance: {text} ({figure:.3g} of the forces that act on it, tolerance {tolerance:g})"
 
 
-def said_of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
+def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
     """Return the message that unknown, contact or tie i misses a figure other than balance."""
     force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
     of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
@@ -102,17 +102,17 @@ def said_of_figure(problem: Named, answer: Any, found: Violations, name: str, i:
 
 def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Iterator[str]:
     if law is not None and not np.all(law <= limit):
-        yield said_of_law(problem, law, int(np.argmax(law)), limit)
+        yield of_law(problem, law, int(np.argmax(law)), limit)
 
 
-def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
+def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     return (
         f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
         f"of the sizes that meet there (tolerance {limit:g})"
     )
 
 
-def said_of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
+def of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
     if known.force_bound is None or known.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
     unit = _with_unit(problem.units.force)
@@ -134,9 +134,7 @@ FORCES_NOT_UNIQUE = (
 )
 
 
-def said_of_dependent_ties(
-    problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]
-) -> tuple[str, ...]:
+def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]) -> tuple[str, ...]:
     """Return a message for each dependent tie: `dependent` has its number and those of the ties it depends on."""
     said = []
     for i, others in dependent[:MOST_NAMED]:
@@ -151,7 +149,7 @@ def said_of_dependent_ties(
     return tuple(said)
 
 
-def said_of_printing(problem: ContactProblem) -> str:
+def of_printing(problem: ContactProblem) -> str:
     """Return the message on the part of the stiffness that was taken for the rounding of printed digits."""
     return (
         f"the stiffness was changed by {problem.rigid_change:.2g} of its diagonal at most, the rounding of printed "
@@ -159,10 +157,10 @@ def said_of_printing(problem: ContactProblem) -> str:
     )
 
 
-def said_of_grazing(names: Sequence[str]) -> tuple[str, ...]:
+def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
     return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
 
 
-def said_of_estimates(known: Bounds) -> tuple[str, ...]:
+def of_estimates(known: Bounds) -> tuple[str, ...]:
     said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     return (said,) if known.estimated else ()
