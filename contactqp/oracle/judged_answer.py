@@ -23,7 +23,8 @@ from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
-from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judge, judged_contacts, right_answer
+from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judged_contacts, right_answer
+from contactqp.oracle.foreign.recovery import certify_given
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -191,7 +192,7 @@ def certify(
         own = displacement
         parts = (own.displacement, own.normal_force, own.friction_force, own.tie_force)
     given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)
-    found, completed = judge(problem, given, tolerance, error_tolerance, factorization)
+    found, completed = certify_given(problem, given, tolerance, error_tolerance, factorization)
     known = {one.name: getattr(found, one.name) for one in fields(found)}
     known["notes"] = (*found.notes, *given.notes, *completed.notes)
     return JudgedAnswer(**known, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)

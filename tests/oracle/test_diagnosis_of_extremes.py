@@ -10,7 +10,7 @@ import pytest
 import contactqp as cq
 from contactqp.oracle.diagnosis import evidence
 from contactqp.oracle.diagnosis.scales import _proportion
-from contactqp.oracle.foreign.judging import judge
+from contactqp.oracle.foreign.recovery import certify_given
 
 K = np.array([[4.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
 CAUSES: dict[str, tuple[float, float]] = {
@@ -100,9 +100,9 @@ def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
 
     def counted(*given: object) -> object:
         asked.append(given)
-        return judge(*given)  # type: ignore[arg-type]
+        return certify_given(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(evidence, "judge", counted)
+    monkeypatch.setattr(evidence, "certify_given", counted)
     judged = cq.certify(cq.ContactProblem([[0.0]], [-1.0], [[1.0]], [0.0]), [0.0], [5.0])
     assert judged.right is None
     hurried = judged.findings_within(1.0)

@@ -277,6 +277,18 @@ def diagnose(
 
     Other questions that it may be the right answer to may take so many `operations`; by default as many as the right
     answer takes, at least `BUDGET`. They are predicted, not timed: the findings do not depend on the machine.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    given, answer
+        What came from another code, and the complete answer that was judged.
+    certificate : Certificate
+        That of the answer.
+    right : Solution or None
+        The right answer, where one was found.
+    operations : float, optional
+        How many operations other questions may take.
     """
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:

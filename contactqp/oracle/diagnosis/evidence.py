@@ -21,8 +21,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.judging import judge
-from contactqp.oracle.foreign.recovery import slips
+from contactqp.oracle.foreign.recovery import certify_given, slips
 
 # One thing that is wrong with an answer.
 
@@ -374,7 +373,7 @@ class Evidence:
                 return False
             self.effort.spent += PER_CERTIFICATE
         try:
-            found, _ = judge(
+            found, _ = certify_given(
                 problem or self.problem, changed, self.certificate.tolerance, self.certificate.error_tolerance
             )
         except ContactQPError:

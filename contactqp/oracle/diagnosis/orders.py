@@ -16,7 +16,7 @@ from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.diagnosis.scales import named_factor
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.judging import judge
+from contactqp.oracle.foreign.recovery import certify_given
 
 # Orders that are written out.
 WRITTEN = 12
@@ -215,7 +215,7 @@ def two_mistakes(evidence: Evidence, explained: Callable[[Evidence], list[Explan
     """Return a sign or a unit, and what `explained` says of the answer with that undone."""
     for undone in _undoings(evidence):
         try:
-            found, completed = judge(
+            found, completed = certify_given(
                 evidence.problem, undone.given, evidence.certificate.tolerance, evidence.certificate.error_tolerance
             )
         except ContactQPError:

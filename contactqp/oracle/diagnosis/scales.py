@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
-from contactqp.oracle.foreign.judging import judge
+from contactqp.oracle.foreign.recovery import certify_given
 
 # Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
 
@@ -323,7 +323,7 @@ def _what_passes(evidence: Evidence) -> str:
         for error_tolerance in (found.error_tolerance, *(10.0**p for p in range(-6, -1))):
             if error_tolerance < found.error_tolerance:
                 continue
-            passed, _ = judge(evidence.problem, evidence.given, tolerance, error_tolerance)
+            passed, _ = certify_given(evidence.problem, evidence.given, tolerance, error_tolerance)
             if passed.passed:
                 more = "" if error_tolerance == found.error_tolerance else f", error_tolerance={error_tolerance:g}"
                 return f"tolerance={tolerance:g}{more} passes it"

@@ -1,7 +1,6 @@
-"""Judge a given answer: complete and certify it, find the right one, and say contact by contact what is wrong.
+"""Find the right answer to set beside a given one, and say contact by contact what is wrong.
 
-Of several ways to complete an answer the one that passes is taken; of several equilibria the one nearest to what was
-given is the right one.
+Of several equilibria the one nearest to what was given is the right one.
 """
 
 from __future__ import annotations
@@ -13,49 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
-from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.recovery import Recovery, recoveries, slips
+from contactqp.oracle.foreign.recovery import slips
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
-
-
-def judge(
-    problem: ContactProblem,
-    given: GivenAnswer,
-    tolerance: float = 1e-9,
-    error_tolerance: float = 1e-6,
-    factorization: Condensation | None = None,
-) -> tuple[Certificate, Recovery]:
-    """Return the certificate of the first completion that passes, or else of the first one, and the completion.
-
-    Raises
-    ------
-    InvalidProblem, Unsupported
-        As `contactqp.certificate.certificate.compute_certificate` and `recoveries`.
-    """
-    first: tuple[Certificate, Recovery] | None = None
-    for tried in recoveries(problem, given):
-        answer = tried.answer
-        forces = (answer.normal_force, answer.friction_force, answer.tie_force)
-        found = compute_certificate(
-            problem, answer.displacement, *forces, tolerance, error_tolerance, factorization, prove_friction=True
-        )
-        if found.passed:
-            return found, tried
-        first = first or (found, tried)
-    assert first is not None  # there is always a plain way
-    return first
-
 
 # Contacts of which all combinations of open, stick and slip are tried: 256 of them, each 1 to 3 ms.
 FEW = 4

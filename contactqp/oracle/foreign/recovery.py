@@ -13,7 +13,8 @@ contacts that push are closed, as little as that takes.
 Both ways multiply rounding: the forces of a stiff body are not known from the doubles of its displacement, nor is a
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
 way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
-and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is.
+and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is;
+`certify_given` takes the completion that passes.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
-from contactqp.linalg.condensation import condense, free_motions
+from contactqp.linalg.condensation import Condensation, condense, free_motions
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
@@ -39,7 +41,7 @@ from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import ANSWER_PARTS, Answer
+from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
@@ -63,6 +65,19 @@ def balancing_forces(
     they are not, those that only push share the resultant without tension if that explains it as well, and so that
     l'd is least where the lengths d (q,) are given that the rows leave, g - E u and b - A u: forces with one resultant
     have the same displacement, and of these the multipliers of the minimum are those of the largest dual energy.
+
+    Parameters
+    ----------
+    rows : matrix (q, n)
+        B, of contacts, tangents and ties.
+    residual : (n,) array
+        r, what forces on the rows have to balance [force].
+    pushing_only : (q,) array of bool
+        Rows whose forces may not be negative.
+    scale : (n,) array
+        1/sqrt(K_jj).
+    left : (q,) array, optional
+        The lengths d that the rows leave.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -413,3 +428,41 @@ def slips(problem: ContactProblem, displacement: Vector) -> NDArray[np.float64] 
         return None
     shape = problem.slip_origin.shape
     return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
+
+
+def certify_given(
+    problem: ContactProblem,
+    given: GivenAnswer,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+) -> tuple[Certificate, Recovery]:
+    """Return the certificate of the first completion that passes, or else of the first one, and the completion.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    given : GivenAnswer
+        The parts that came, in the problem's order, signs and units.
+    tolerance, error_tolerance : float
+        The largest figure and the largest relative error bound that pass.
+    factorization : Condensation, optional
+        Reused instead of factorising again.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported
+        As `contactqp.certificate.certificate.compute_certificate` and `recoveries`.
+    """
+    first: tuple[Certificate, Recovery] | None = None
+    for tried in recoveries(problem, given):
+        answer = tried.answer
+        forces = (answer.normal_force, answer.friction_force, answer.tie_force)
+        found = compute_certificate(
+            problem, answer.displacement, *forces, tolerance, error_tolerance, factorization, prove_friction=True
+        )
+        if found.passed:
+            return found, tried
+        first = first or (found, tried)
+    assert first is not None  # there is always a plain way
+    return first

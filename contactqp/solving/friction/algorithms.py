@@ -168,6 +168,23 @@ def run_algorithm(
 ) -> Outcome:
     """Iterate until an iterate, refined by Newton's method where that helps, is accepted; else return the best one.
 
+    Parameters
+    ----------
+    form : LocalForm
+        The frictional problem in its contact forces.
+    algorithm : Algorithm
+        An entry of `ALGORITHMS`.
+    method : Method
+        The convex method of its steps, where it takes such.
+    settings : Settings
+        Tolerance and limits.
+    start : Iterate
+        Where it starts.
+    accepted : function
+        Says whether an iterate is the answer.
+    polish : bool
+        Whether Newton's method refines iterates in between.
+
     Raises
     ------
     NotConverged, BackendFailed, BackendMissing, Unsupported
@@ -237,6 +254,21 @@ def run_any(
 
     `refuse_none` raises where there is no answer; it is asked behind the short attempts. `attempts` are so many of
     `ATTEMPTS`.
+
+    Parameters
+    ----------
+    form : LocalForm
+        The frictional problem in its contact forces.
+    settings : Settings
+        Tolerance and limits, which all attempts share.
+    start : Iterate
+        Where the first attempt starts.
+    accepted : function
+        Says whether an iterate is the answer.
+    refuse_none : function
+        Raises where there is no answer; it is asked behind the short attempts.
+    attempts : int
+        How many of `ATTEMPTS` are made.
     """
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None

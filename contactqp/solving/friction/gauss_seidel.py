@@ -99,7 +99,21 @@ def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray
 
 
 def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
-    """Return forces (k, d) of k single contacts, u = W_ii r + q_i, and the steps rho (k,) that suited them."""
+    """Return forces (k, d) of k single contacts, u = W_ii r + q_i, and the steps rho (k,) that suited them.
+
+    Parameters
+    ----------
+    own : (k, d, d) array
+        The blocks W_ii of the contacts.
+    outer : (k, d) array
+        The velocities q_i that all other forces give them.
+    mu : (k,) array
+        The coefficients of friction.
+    start : (k, d) array
+        The forces so far.
+    rho : (k,) array
+        The steps of projections so far.
+    """
     if own.shape[1] == 2:
         r, solved = solve_in_plane(own, outer, mu)
         if np.all(solved):

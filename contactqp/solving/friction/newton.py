@@ -69,6 +69,17 @@ def solve_newton(
 ) -> NewtonAnswer:
     """Find Coulomb's answer from the combination of `start`, or from all touching contacts stuck.
 
+    Parameters
+    ----------
+    problem, condensation
+        The frictional problem and its condensation.
+    start : Candidate or None
+        An answer whose combination is tried first.
+    max_iter : int, optional
+        The largest number of combinations.
+    time_limit : float, optional
+        Seconds.
+
     Raises
     ------
     NotConverged
@@ -116,6 +127,21 @@ def search(
     until: float | None = None,
 ) -> tuple[CombinationAnswer, int]:
     """Return the combination whose signs hold and the number of those solved; contacts `held_open` (m,) may overlap.
+
+    Parameters
+    ----------
+    system : ForceSystem
+        The linear systems of all combinations.
+    lengths : Lengths
+        Gaps, slips and ties that the load leaves.
+    start : (m,) array
+        The first combination of open, stick and slip.
+    held_open : (m,) array of bool, optional
+        Contacts that stay open although they may overlap.
+    max_iter : int, optional
+        The largest number of combinations.
+    until : float, optional
+        When to stop, by `time.perf_counter`.
 
     Raises
     ------

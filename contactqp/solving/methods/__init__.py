@@ -14,13 +14,12 @@ from contactqp.solving.methods import (
     active_set,
     augmented_lagrangian,
     backends,
+    complementarity,
     cvxpy_models,
     lagrange_multiplier,
-    lemke,
     master_slave,
     penalty,
     perturbed_lagrangian,
-    projected_gauss_seidel,
 )
 from contactqp.solving.methods.method import Method, Settings
 
@@ -46,8 +45,7 @@ _MODULES = (
     active_set,
     backends,
     cvxpy_models,
-    lemke,
-    projected_gauss_seidel,
+    complementarity,
     master_slave,
     lagrange_multiplier,
     penalty,

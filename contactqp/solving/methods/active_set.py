@@ -96,7 +96,7 @@ def solve_condensed(
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
     """Solve by Lemke's finite pivoting, which needs no anchors, where stiffnesses lie too far apart for them."""
-    from contactqp.solving.methods.lemke import solve_lemke
+    from contactqp.solving.methods.complementarity import solve_lemke
 
     twin, scaling = nondimensional(problem)
     candidate = scaling.unscale(solve_lemke(twin, replace(settings, warm_start=None, options={})))

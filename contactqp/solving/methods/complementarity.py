@@ -6,10 +6,13 @@ With K regular, z is the force l_N, w the gap g - E_N u, q the gap without conta
 eliminated). Where bodies float, u has rigid motions Z a besides; their balance Z'(f - E_N' l) = 0 is used to pivot as
 many contacts as there are motions, after which z holds the gaps of those contacts and the forces of the others
 (a principal pivot transform: M stays positive semidefinite, though no longer symmetric).
+
+Two methods solve the problem as such: Lemke's complementary pivoting, which is finite, and projected Gauss-Seidel.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +20,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import NotConverged
+from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
-from contactqp.model.arrays import Indices, Vector
+from contactqp.linalg.runtime import stated_limit
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Candidate
+from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.textbook_algebra import (
     TEXTBOOK_ROUNDING,
     independent_rows,
@@ -176,3 +182,185 @@ def expand(
         approach = (problem.gap - problem.normal @ displacement - gap)[B]
         displacement = displacement + reduced.motions @ np.linalg.solve((problem.normal @ reduced.motions)[B], approach)
     return displacement, reduced.tie_free - reduced.tie_response @ force
+
+
+def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
+    """Pivot by Lemke's method (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
+
+    An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0
+    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that in exact arithmetic the
+    method either solves the problem or ends on a ray where there is no solution; floating bodies included.
+
+    Raises
+    ------
+    NotConverged
+        The path ends on a ray: no contact forces satisfy the conditions, or rounding hides those that do. Or the load
+        drives a rigid motion that no contact and no tie resists, or ties contradict each other.
+    """
+    reduced = compliance("lemke", problem)
+    lcp = complementarity_problem(problem, reduced)
+    limit = settings.max_iter or 100 * (problem.contacts + 1)
+    basis, pivots, status = lemke_basis(lcp.offset, lcp.matrix, limit, settings.time_limit)
+    w, z = basic_solution(lcp, basis)
+    force, gap = lcp.force_and_gap(w, z)
+    displacement, tie_force = expand(problem, reduced, lcp, force, gap)
+    return Candidate(displacement, force, tie_force, pivots, claimed=not status, status=f"lemke: {status or 'solved'}")
+
+
+def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None) -> tuple[Mask, int, str]:
+    """Follow Lemke's path.
+
+    Returns
+    -------
+    basis : (m,) mask
+        Pairs whose z is basic (w is zero).
+    pivots : int
+    status : str
+        Empty when solved, otherwise why the path was left.
+    """
+    m, started = q.size, time.perf_counter()
+    scale = 1.0 / np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))
+    # Columns w, z, z0, right-hand side of w - M z - d z0 = q, scaled so that M has ones on its diagonal.
+    tableau = np.hstack([np.eye(m), -scale[:, None] * M * scale, -np.ones((m, 1)), (scale * q)[:, None]])
+    basic = np.arange(m)
+    if np.all(q >= 0):
+        return _in_z(basic), 0, ""
+    row = _lexicographic_minimum(tableau, np.arange(m), np.ones(m))
+    entering = 2 * m
+    for pivots in range(1, limit + 1):
+        leaving = int(basic[row])
+        _pivot(tableau, row, entering)
+        basic[row] = entering
+        if leaving == 2 * m:
+            return _in_z(basic), pivots, ""
+        if time_limit is not None and time.perf_counter() - started > time_limit:
+            return _in_z(basic), pivots, f"stopped after {stated_limit(time_limit)}"
+        entering = leaving + m if leaving < m else leaving - m
+        row = _leaving_row(tableau, basic, entering)
+        if row < 0:
+            raise NotConverged(
+                f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions, or rounding hides "
+                "those that do"
+            )
+    return _in_z(basic), limit, f"stopped after {limit} pivots"
+
+
+def _in_z(basic: Indices) -> Mask:
+    """Return which z are basic (m,)."""
+    m = len(basic)
+    return np.isin(np.arange(m, 2 * m), basic)
+
+
+def _leaving_row(tableau: Dense, basic: Indices, entering: int) -> int:
+    """Return the row that blocks the entering variable, that of z0 if it is among them; -1 where no row blocks it."""
+    m = len(basic)
+    column = tableau[:, entering]
+    # A pivot that is rounding against its column would be division by noise.
+    rows = np.flatnonzero(column > TEXTBOOK_ROUNDING * max(1.0, float(np.max(np.abs(column)))))
+    if rows.size == 0:
+        return -1
+    ratio = np.maximum(tableau[rows, -1], 0.0) / column[rows]
+    size = float(np.max(np.abs(tableau[:, -1])))
+    z0 = np.flatnonzero(basic[rows] == 2 * m)
+    if z0.size and ratio[z0[0]] <= ratio.min() + TEXTBOOK_ROUNDING * size / column[rows[z0[0]]]:
+        return int(rows[z0[0]])
+    return _lexicographic_minimum(tableau, rows, column)
+
+
+def _lexicographic_minimum(tableau: Dense, rows: Indices, column: Vector) -> int:
+    """Return the row whose (right-hand side, inverse basis) / column is lexicographically least."""
+    m = len(tableau)
+    for j in (-1, *range(m)):
+        ratio = tableau[rows, j] / column[rows]
+        least = float(ratio.min())
+        rows = rows[
+            ratio <= least + TEXTBOOK_ROUNDING * max(abs(least), float(np.max(np.abs(tableau[rows, j] / column[rows]))))
+        ]
+        if rows.size == 1:
+            break
+    return int(rows[0])
+
+
+def _pivot(tableau: Dense, row: int, column: int) -> None:
+    tableau[row] /= tableau[row, column]
+    others = tableau[:, column].copy()
+    others[row] = 0.0
+    tableau -= np.outer(others, tableau[row])
+
+
+def basic_solution(lcp: Complementarity, basis: Mask) -> tuple[Vector, Vector]:
+    """Return w and z of a complementary basis, computed afresh so that rounding of the pivots does not stay in them."""
+    q, M = lcp.offset, lcp.matrix
+    z = np.zeros(q.size)
+    if np.any(basis):
+        # Least squares, for contacts whose rows depend on each other.
+        z[basis] = np.linalg.lstsq(M[np.ix_(basis, basis)], -q[basis], rcond=None)[0]
+    w = q + M @ z
+    w[basis] = 0.0
+    return w, z
+
+
+def solve_projected_gauss_seidel(problem: ContactProblem, settings: Settings) -> Candidate:
+    """Sweep over the contacts, l_i <- max(0, l_i - w_i / W_ii) with w = q + W l, until complementarity holds.
+
+    Returns
+    -------
+    Candidate
+        `history` is max over i of |min(w_i, W_ii l_i)| / (|q_i| + sum_j |W_ij| l_j), one number a sweep; the method
+        ends when it is at most `settings.tolerance`, and claims no answer after `settings.max_iter` (20000) sweeps.
+
+    Raises
+    ------
+    Unsupported
+        Bodies are held by contacts alone: W does not exist.
+    """
+    name = "projected-gauss-seidel"
+    reduced = compliance(name, problem)
+    if reduced.motions.shape[1]:
+        raise Unsupported(f"{name}: bodies that only contacts hold have no compliance E K^-1 E'; use lemke")
+    lcp = complementarity_problem(problem, reduced)
+    start = np.zeros(problem.contacts) if settings.warm_start is None else settings.warm_start.normal_force
+    force, history = _sweeps(lcp, np.maximum(start, 0.0), settings)
+    displacement, tie_force = expand(problem, reduced, lcp, force, lcp.offset)
+    claimed = history[-1] <= settings.tolerance
+    status = f"{name}: {'converged to' if claimed else 'stopped at'} {history[-1]:.1e} after {len(history)} sweeps"
+    return Candidate(displacement, force, tie_force, len(history), claimed, status, history)
+
+
+def _sweeps(lcp: Complementarity, force: Vector, settings: Settings) -> tuple[Vector, tuple[float, ...]]:
+    q, W, started, history = lcp.offset, lcp.matrix, time.perf_counter(), list[float]()
+    diagonal, sizes = np.diag(W), np.abs(W)
+    for _ in range(settings.max_iter or 20000):
+        for i in range(q.size):
+            force[i] = max(0.0, force[i] - (q[i] + W[i] @ force) / diagonal[i])
+        lengths = np.abs(q) + sizes @ force
+        wrong = np.abs(np.minimum(q + W @ force, diagonal * force))
+        history.append(float(np.max(wrong / np.where(lengths > 0, lengths, 1.0), initial=0.0)))
+        late = settings.time_limit is not None and time.perf_counter() - started > settings.time_limit
+        if history[-1] <= settings.tolerance or late:
+            break
+    return force, tuple(history)
+
+
+METHODS = (
+    Method(
+        name="lemke",
+        kind="complementarity",
+        solve=solve_lemke,
+        polish=True,
+        scale=True,
+        sparse=False,
+        note="complementary pivoting with lexicographic ratio tests; finite",
+    ),
+    Method(
+        name="projected-gauss-seidel",
+        kind="complementarity",
+        solve=solve_projected_gauss_seidel,
+        polish=True,
+        scale=True,
+        semidefinite=False,
+        sparse=False,
+        knob="tolerance",
+        note="one contact at a time; needs bodies that are held without contact",
+    ),
+)

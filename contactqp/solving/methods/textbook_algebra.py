@@ -112,6 +112,17 @@ def spread(values: Vector, where: Indices, size: int) -> Vector:
 def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: bool = False) -> Vector:
     """Return a stiffness for each contact (m,) from one number or m numbers, positive (or nonnegative) and finite.
 
+    Parameters
+    ----------
+    name, key : str
+        The method and its option, for messages.
+    value : float or (m,) array
+        What the user gave [force / length].
+    contacts : int
+        Their number m.
+    zero : bool
+        Whether zero is allowed.
+
     Raises
     ------
     InvalidProblem

@@ -172,6 +172,19 @@ def last_candidate(
     """Return the last step of a loop that ended for a reason; it is claimed where no contact is wrong.
 
     `together` is how many iterations changed all wrong contacts at once, None if all did.
+
+    Parameters
+    ----------
+    name : str
+        The method.
+    step : Step or FrictionalStep
+        The last one.
+    reason : str
+        Why the loop ended.
+    history : sequence of float
+        What was wrong after each iteration; none in the last one claims the answer.
+    together : int or None
+        How many iterations changed all wrong contacts at once, None if all did.
     """
     one_by_one = "" if together is None else f" (one contact at a time after {together} iterations)"
     return Candidate(

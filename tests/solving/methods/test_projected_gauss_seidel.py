@@ -7,13 +7,14 @@ import pytest
 
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.model.problem import ContactProblem
+from contactqp.solving.methods import find
+from contactqp.solving.methods.complementarity import solve_projected_gauss_seidel
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.projected_gauss_seidel import METHODS, solve_projected_gauss_seidel
 from tests.solving.methods.static_examples import EXAMPLES, HELD, REPEATED_TIES, SUPPORTED, Example, require_answer
 
 
 def test_the_registry_entry_promises_what_the_method_does() -> None:
-    (sweeps,) = METHODS
+    sweeps = find("projected-gauss-seidel")
     assert sweeps.exact
     assert not sweeps.semidefinite
     assert sweeps.scale
