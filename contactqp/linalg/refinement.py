@@ -139,8 +139,8 @@ def _refined(
     """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
     saddle, compliance = saddle_point(condensation, closed), condensation.delassus.compliance
     size_of = _CorrectionSize(problem, condensation, compliance, closed)
-    rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
     answer, left = _start(problem, closed, start, left)
+    rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:

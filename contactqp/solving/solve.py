@@ -225,7 +225,10 @@ def _solve(
     if systems is Systems.SUBSET and algorithm != "associated":
         with problem.lock, stage(METHOD):
             among = solve_among(
-                problem, warm_start, lambda few, known: solve(few, method, warm_start=known, **same), _without_friction
+                problem,
+                warm_start,
+                lambda subset, subset_start: solve(subset, method, warm_start=subset_start, **same),
+                _without_friction,
             )
         if among is not None:
             return among
@@ -428,7 +431,8 @@ def _begun(
 def _run(
     problem: ContactProblem, method: Method, settings: Settings, condense: bool | str, algorithm: str | None
 ) -> Run:
-    way = next(way for way in WAYS if way.applies(problem, method, condense))
+    systems = systems_of(problem)
+    way = next(way for way in WAYS if way.applies(systems, problem, method, condense))
     return way.run(problem, method, settings, condense, algorithm)
 
 
@@ -436,7 +440,7 @@ def _run(
 class Way:
     """One way to show a problem to a method."""
 
-    applies: Callable[[ContactProblem, Method, bool | str], bool]  # condense
+    applies: Callable[[Systems, ContactProblem, Method, bool | str], bool]  # condense
     run: Callable[[ContactProblem, Method, Settings, bool | str, str | None], Run]  # condense, algorithm
 
 
@@ -446,7 +450,7 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
     return run_friction(problem, method, settings, algorithm)
 
 
-def _has_rows_to_spare(problem: ContactProblem, method: Method, _: Any) -> bool:
+def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
     if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
         return False
     return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
@@ -462,11 +466,11 @@ def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, 
     return PresolvedRun(fewer, problem, method, settings, run)
 
 
-def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str) -> bool:
+def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense: bool | str) -> bool:
     if method.kind not in (CONDENSES_ITSELF, "quadratic program", "modelling language") or not method.sparse:
         return False
     if condense == "auto":
-        return systems_of(problem) is Systems.SPARSE
+        return systems is Systems.SPARSE
     return condense is False and method.kind == CONDENSES_ITSELF
 
 
@@ -474,23 +478,20 @@ def _stays_sparse(problem: ContactProblem, method: Method, condense: bool | str)
 WAYS = (
     # The method has systems of stick and slip of its own, in the problem's own unknowns.
     Way(
-        lambda problem, method, _: problem.frictional and method.solve_friction is not None,
+        lambda _, problem, method, __: problem.frictional and method.solve_friction is not None,
         lambda problem, method, settings, *_: EnforcedRun(problem, method, settings),
     ),
     # Coulomb's law is no minimisation: an algorithm takes it in steps, convex ones of the method or others.
-    Way(lambda problem, *_: problem.frictional, _run_friction),
+    Way(lambda _, problem, *__: problem.frictional, _run_friction),
     # The body is too large to factorise.
     Way(
-        lambda problem, *_: systems_of(problem) is Systems.ITERATED,
+        lambda systems, *_: systems is Systems.ITERATED,
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.
     Way(_has_rows_to_spare, _run_presolved),
     # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
-    Way(
-        lambda problem, method, condense: _stays_sparse(problem, method, condense),
-        lambda problem, method, settings, *_: SparseRun(problem, method, settings),
-    ),
+    Way(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
     Way(
         lambda *_: True,
