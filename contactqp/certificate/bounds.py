@@ -149,16 +149,16 @@ class Bounds:
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
-def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:
+def bounds(problem: ContactProblem, answer: Answer, left: Residuals, operator: Condensation | Iteration) -> Bounds:
     """Return the bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
-    if isinstance(way, Iteration):
-        return iterated_bounds(problem, answer, way)
+    if isinstance(operator, Iteration):
+        return iterated_bounds(problem, answer, operator)
     elastic = _in_elastic_parts(problem)
     if elastic.any() and not elastic.all():
         return _apart(problem, answer, elastic)
-    return _condensed(problem, answer, left, way)
+    return _condensed(problem, answer, left, operator)
 
 
 def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:

@@ -189,17 +189,19 @@ class ActingRows:
         tie = _spread(whole.ties, self.ties, found.tie, unmet)
         return replace(replace(found, tie=tie, nothing=self._nothing(found.nothing)), **spread)
 
-    def _nothing(self, few: Nothing) -> Nothing:
+    def _nothing(self, nothing: Nothing) -> Nothing:
         """Return the negligible sizes of all rows; on rows of zeros only zero is negligible."""
         whole = self.whole
-        tangent = few.tangent
+        tangent = nothing.tangent
         if whole.slip_origin is not None:
             shape = whole.slip_origin.shape
             across = np.zeros(shape)
             if tangent.size:
                 across[self.contacts] = tangent.reshape(len(self.contacts), shape[1])
             tangent = across.ravel()
-        return Nothing(few.force, self._contacts(few.normal), tangent, _spread(whole.ties, self.ties, few.tie))
+        return Nothing(
+            nothing.force, self._contacts(nothing.normal), tangent, _spread(whole.ties, self.ties, nothing.tie)
+        )
 
     def _failures(self, found: Violations, answer: Answer, tolerance: float) -> Iterator[str]:
         whole, idle = self.whole, _others(self.whole.contacts, self.contacts)
@@ -233,10 +235,10 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
     changes |= dict(contact_names=[problem.contact_name(int(i)) for i in contacts])
     if problem.friction is not None and problem.slip_origin is not None:
         changes |= dict(friction=problem.friction[contacts], slip_origin=problem.slip_origin[contacts])
-    few = known[1].replace(**changes)
+    acting = known[1].replace(**changes)
     if problem.load_sum is not None:
-        few = few.with_load_sum(problem.load, problem.load_size)
-    return ActingRows(problem, contacts, ties, few)
+        acting = acting.with_load_sum(problem.load, problem.load_size)
+    return ActingRows(problem, contacts, ties, acting)
 
 
 def _others(count: int, members: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -336,8 +336,8 @@ class _Comparison:
         """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
         if self._width > 1:
             return np.full(len(slip), SLIP_ON, dtype=np.int8)
-        way = np.where(lengths(slip) > self.still, slip[:, 0], friction[:, 0])
-        return np.where(way < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
+        direction = np.where(lengths(slip) > self.still, slip[:, 0], friction[:, 0])
+        return np.where(direction < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
 
     @cached_property
     def coefficient(self) -> Vector:
@@ -441,9 +441,9 @@ class _Signs:
 
     def changed(self, status: Status) -> Status:
         """Return the states after mending: penetrated contacts stick, pulling ones open, others slip on or stick."""
-        way = np.where(self._friction[:, 0] < 0, SLIP_BACK, SLIP_ON) if self._friction.shape[1] == 1 else SLIP_ON
+        slips = np.where(self._friction[:, 0] < 0, SLIP_BACK, SLIP_ON) if self._friction.shape[1] == 1 else SLIP_ON
         changed = np.where(self._penetrated > 0, STICK, status)
-        changed = np.where(self._beyond > 0, way, changed)
+        changed = np.where(self._beyond > 0, slips, changed)
         changed = np.where(self._against > 0, STICK, changed)
         return np.where(self._tension > 0, OPEN, changed).astype(np.int8)
 

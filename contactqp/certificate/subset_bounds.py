@@ -160,10 +160,10 @@ def bounds_among(
     contacts; these have no force then, and a bound of it by (1) of `bounds`.
     """
     for _ in range(WIDENINGS):
-        few = _judged_among(problem, candidates)
-        condensation = condense(few)
-        of_few = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
-        known = bounds(few, of_few, Residuals(left.force, left.gap[candidates], left.tie), condensation)
+        subset = _judged_among(problem, candidates)
+        condensation = condense(subset)
+        subset_answer = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
+        known = bounds(subset, subset_answer, Residuals(left.force, left.gap[candidates], left.tie), condensation)
         if known.solution is None:
             reasons = known.reasons or ("no set of candidate contacts holds",)
             return replace(no_bounds(reasons[0].split(": ", 1)[-1]), suspicious=known.suspicious), condensation.rigid
@@ -185,14 +185,16 @@ def state_among(
     penetrates no other contact.
     """
     for _ in range(WIDENINGS):
-        few = _judged_among(problem, candidates)
-        condensation = condense(few)
+        subset = _judged_among(problem, candidates)
+        condensation = condense(subset)
         friction = None if answer.friction_force is None else answer.friction_force[candidates]
-        of_few = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
-        verdict = last_verdict(few, of_few, tolerances)
+        subset_answer = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
+        verdict = last_verdict(subset, subset_answer, tolerances)
         if verdict is None:  # else the answer for the candidates was judged when it was found
-            found = violations(few, of_few, residuals(few, of_few), tolerances[1], condensation.rigid)
-            verdict = state_verdict(few, of_few, found, condensation, tolerances)
+            found = violations(
+                subset, subset_answer, residuals(subset, subset_answer), tolerances[1], condensation.rigid
+            )
+            verdict = state_verdict(subset, subset_answer, found, condensation, tolerances)
         u = answer.displacement if verdict.displacement is None else verdict.displacement
         wider = widened(problem, candidates, problem.gap - problem.normal @ u, u)
         if wider is None:

@@ -134,9 +134,9 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
     rounding = rounded_slips(moved, problem.slip_origin)
-    way = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)
+    sliding = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)
     driven = np.sum(slip * answer.friction_force.reshape(slip.shape), axis=1) < 0
-    closed = np.where(driven | (lengths(slip) <= rounding), STICK, way)
+    closed = np.where(driven | (lengths(slip) <= rounding), STICK, sliding)
     return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
 
 

@@ -315,11 +315,11 @@ def solve_among(
     candidates, spent = _first(problem, start, without_friction)
     while candidates is not None:
         tell(f"{len(candidates)} of {problem.contacts} contacts are candidates")
-        few = among(problem, candidates)
+        subset = among(problem, candidates)
         try:
-            solution = solve(few, _restricted(start, few, candidates))
+            solution = solve(subset, _restricted(start, subset, candidates))
         except NoEquilibrium:
-            spent = _spent_on(few).after(spent)
+            spent = _spent_on(subset).after(spent)
             take_all(problem)
             solution = solve(problem, start)
             return replace(solution, work=solution.work.after(spent), seconds=time.perf_counter() - started)
@@ -353,21 +353,21 @@ def _first(
     return candidates_around(problem, np.flatnonzero(force > 0)), work
 
 
-def _spent_on(few: ContactProblem) -> Work:
+def _spent_on(subset: ContactProblem) -> Work:
     """Return the work spent on a problem that came to no answer."""
-    way = condense(few)
-    return Work(factorisations=way.factorisations, back_substitutions=way.back_substitutions)
+    condensation = condense(subset)
+    return Work(factorisations=condensation.factorisations, back_substitutions=condensation.back_substitutions)
 
 
 def _gap(problem: ContactProblem, displacement: Vector) -> Vector:
     return np.asarray(problem.gap - problem.normal @ displacement)
 
 
-def _restricted(start: Solution | None, few: ContactProblem, candidates: NDArray[np.intp]) -> Solution | None:
+def _restricted(start: Solution | None, subset: ContactProblem, candidates: NDArray[np.intp]) -> Solution | None:
     if start is None:
         return None
     friction = None if start.friction_force is None else start.friction_force[candidates]
-    return replace(start, problem=few, normal_force=start.normal_force[candidates], friction_force=friction)
+    return replace(start, problem=subset, normal_force=start.normal_force[candidates], friction_force=friction)
 
 
 def _of_all(

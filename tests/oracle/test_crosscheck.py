@@ -163,6 +163,7 @@ def test_a_program_that_ends_badly_is_told_in_one_line(
     program.write_text(f"#!{sys.executable}\nimport os, sys, time\n{code}\n")
     program.chmod(0o755)
     monkeypatch.setenv("CONTACTQP_CCX", str(program))
+    monkeypatch.chdir(tmp_path)  # where it writes when it is asked for its version
     began = time.monotonic()
     with pytest.raises(cq.BackendFailed) as caught:
         cq.crosscheck(write(tmp_path, STACK), time_limit=1.0)

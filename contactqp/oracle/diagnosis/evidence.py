@@ -191,12 +191,12 @@ def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
     slip = slips(problem, answer.displacement)
     if slip is None or answer.friction_force is None:
         return ""
-    force, way = answer.friction_force[i], slip[i]
-    size = float(np.linalg.norm(force) * np.linalg.norm(way))
+    force, moved = answer.friction_force[i], slip[i]
+    size = float(np.linalg.norm(force) * np.linalg.norm(moved))
     said = _friction_of(problem, answer, i)
     if not 0 < size < np.inf:
         return said
-    angle = float(np.degrees(np.arccos(np.clip(force @ way / size, -1, 1))))
+    angle = float(np.degrees(np.arccos(np.clip(force @ moved / size, -1, 1))))
     return f"{said}, {angle:.3g} degrees off" if angle >= 0.5 else said
 
 

@@ -185,7 +185,7 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     bound = mu * np.maximum(push, 0.0)
     acting = found.force_measure > limit
     sliding = slides & acting & (mu > 0)
-    size, way = lengths(force), directions(slip)
+    size, along = lengths(force), directions(slip)
     if normal_law and np.any(sliding) and np.any(found.gap_measure[sliding] > MET):
         dilated = mu * lengths(slip)
         if np.all(abs(found.gap - dilated)[sliding] <= OBEYS * dilated[sliding]):
@@ -195,7 +195,7 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     if not normal_law or evidence.certificate.complementarity > MET:
         return
     beyond = (found.cone > limit) & acting
-    if np.any(sliding) and np.max(lengths(force + bound[:, None] * way)[sliding] / bound[sliding]) <= OBEYS:
+    if np.any(sliding) and np.max(lengths(force + bound[:, None] * along)[sliding] / bound[sliding]) <= OBEYS:
         text = "friction pushes along where it should hold back: its sign is reversed wherever something slides"
         yield Explanation(Finding("friction-reversed", text, True), MET)
         return

@@ -411,10 +411,10 @@ def _held(
         tie=sp.csr_matrix(rows),
         tie_value=values,
     )
-    way = condense(system)
-    found = answer_on(system, way, NO_CONTACTS)
+    condensation = condense(system)
+    found = answer_on(system, condensation, NO_CONTACTS)
     u = found.displacement
-    free = free_motions(way, saddle_point(way, NO_CONTACTS))
+    free = free_motions(condensation, saddle_point(condensation, NO_CONTACTS))
     if free.shape[1] and pushing.size:
         ahead = extend(problem.gap) - extended_rows(problem).normal @ u
         shift, *_ = np.linalg.lstsq(problem.normal[pushing] @ free, ahead.double()[pushing], rcond=1e-12)

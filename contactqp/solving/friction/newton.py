@@ -343,7 +343,7 @@ def _suggested(problem: ContactProblem, rows: SparseFrictionalRows, found: Refin
     sticks = abs(trial) <= rows.coefficient * push + np.where(stuck, rounding, 0.0)
     slides = ~stuck & closed
     # What slides against its friction sticks before it slides the other way.
-    sliding = np.where(slides, np.where(_way(status) * slip >= -rounding, status, STICK), sliding)
+    sliding = np.where(slides, np.where(_slip_directions(status) * slip >= -rounding, status, STICK), sliding)
     following = np.where(sticks & ~slides, STICK, sliding)
     closes = np.where(closed, push > -rounding, push > rounding)
     return _plain(rows, np.where(closes, following, OPEN).astype(np.int8))
@@ -359,6 +359,6 @@ def _next_unseen(status: Status, following: Status, seen: set[bytes]) -> Status 
     return None
 
 
-def _way(status: Status) -> Vector:
+def _slip_directions(status: Status) -> Vector:
     """Return the directions of slip (m,), +1 or -1, zero where a contact does not slip."""
     return np.where(abs(status) == 1, status, 0).astype(float)
