@@ -11,6 +11,7 @@ import contactqp as cq
 from contactqp.oracle.diagnosis import evidence
 from contactqp.oracle.diagnosis.scales import _proportion
 from contactqp.oracle.foreign.recovery import certify_given
+from contactqp.solving.friction.contact_form import ContactForm
 
 K = np.array([[4.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
 CAUSES: dict[str, tuple[float, float]] = {
@@ -139,3 +140,55 @@ def test_free_motions_beside_rows_whose_sizes_leave_the_range_of_doubles(capfd: 
     assert not judged.passed
     assert judged.findings
     assert capfd.readouterr().out == ""
+
+
+def test_questions_with_friction_that_have_no_answer_try_few_combinations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two rough pairs between which a soft chain hangs: other gaps have no equilibrium, which took seconds to find."""
+    soft, softer, link = 2.2595258997171186e-12, 1.2789769243681803e-11, 0.01330566406250
+    K = np.zeros((7, 7))
+    K[:2, :2] = [[soft, -soft], [-soft, 8.6544105215580203e-12]]
+    K[1, 2] = K[2, 1] = -softer
+    K[2:5, 2:5] = [
+        [2.6354070401662932e-11, -link, 0.0],
+        [-link, 4.79199232e9, -9.126805504e9],
+        [0, -9.126805504e9, 1.8253611008e10],
+    ]
+    normal, tangent = np.zeros((4, 7)), np.zeros((4, 7))
+    normal[0, [2, 4]], normal[1, [4, 6]], normal[2, [3, 4]], normal[3, [4, 6]] = (
+        [-2.0**-12, 2.0**23], [-128.0, 512.0], [-(2.0**14), 2.0**15], [-(2.0**17), 2.0**19],
+    )  # fmt: skip
+    tangent[[0, 1, 2, 3], [5, 3, 5, 3]] = -8.0, 64.0, -(2.0**-5), 2.0**16
+    load = [
+        -3.7265625,
+        -24.3984375,
+        57.31450712680817,
+        4.197994962560000e11,
+        -8.761733222400000e11,
+        0.205078125,
+        172032.0,
+    ]
+    gap = [-7.38197504e08, 2048.0, 524288.0, 2097152.0]
+    friction, origin = [5.0, 0.25, 5.0, 0.25], [[268435456.0], [4096.0], [0.0], [0.0]]
+    problem = cq.ContactProblem(K, load, normal, gap, tangent=tangent, friction=friction, slip_origin=origin)
+    tried = 0
+    answer_in = ContactForm.answer_in
+
+    def counted(*arguments: Any) -> Any:
+        nonlocal tried
+        tried += 1
+        return answer_in(*arguments)
+
+    monkeypatch.setattr(ContactForm, "answer_in", counted)
+    u = [
+        -3.2900668703882734e12,
+        -1.6407994287242734e12,
+        1.3786235411898633e12,
+        0.24645222512457429,
+        -47.876774193548385,
+    ]
+    u += [-33554432.0, -7.9691935483870964]
+    forces = [6.5254718271334795e-03, 336.0, 0.0, 0.0], [[-2.5634765625e-02], [-84.84], [0.0], [0.0]]
+    certificate = cq.certify(problem, u, *forces)
+    assert not certificate.passed
+    assert isinstance(certificate.findings, tuple)
+    assert 0 < tried <= 4 * 50  # it was 1024

@@ -144,7 +144,9 @@ def test_no_question_is_solved_for_an_answer_that_balances_nothing(
 ) -> None:
     asked: list[str] = []
     solve = diagnosis.solve
-    monkeypatch.setattr(diagnosis, "solve", lambda problem: (asked.append("solved"), solve(problem))[1])
+    monkeypatch.setattr(
+        diagnosis, "solve", lambda *given, **options: (asked.append("solved"), solve(*given, **options))[1]
+    )
     noise = 1 + 0.1 * np.random.default_rng(0).normal(size=12)
     assert causes(cq.certify(right.problem, right.displacement * noise, right.normal_force)) == set()
     assert asked == []

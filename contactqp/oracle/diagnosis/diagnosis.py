@@ -62,6 +62,8 @@ def other_rows(problem: ContactProblem, question: Question) -> bool:
 # Operations that a question takes however small it is, for each entry of the stiffness, for each cube of the condensed
 # rows, and where friction finds no answer: 1e9 take about a second.
 CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 6e8
+# Steps of an algorithm, and combinations of states, that a question with friction is worth.
+STEPS_WITH_FRICTION = 20
 
 
 def predicted_operations(problem: ContactProblem, factorised: bool) -> float:
@@ -128,7 +130,7 @@ def unbalanced(evidence: Evidence, load: Vector) -> bool:
 def _answered(problem: ContactProblem, question: Question) -> Answer | None:
     """Return the right answer to the other question, as one to this problem."""
     try:
-        found = solve(question.problem)
+        found = solve(question.problem, max_iter=STEPS_WITH_FRICTION if question.problem.frictional else None)
     except ContactQPError:
         return None
     if question.kept is None and question.held is None:

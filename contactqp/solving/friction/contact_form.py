@@ -317,7 +317,7 @@ def _on_form(
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""
     if not found and algorithm is None and form.m <= MOST_CONTACTS:
-        found, nearby = _near(problem, contacts, form, iterate, deadline)
+        found, nearby = _near(problem, contacts, form, iterate, settings.max_iter or MOST_NEARBY, deadline)
         name = f"combinations near {name}"
     if not found:
         raise NotConverged(
@@ -329,10 +329,10 @@ def _on_form(
 
 
 def _near(
-    problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, deadline: Deadline
+    problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, most: int, deadline: Deadline
 ) -> tuple[list[Answer], str]:
     """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
-    and how many were tried: `MOST_NEARBY`, or as many as a limit of time allows.
+    and how many were tried: at most so many, or as many as a limit of time allows.
 
     Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
     forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
@@ -342,7 +342,7 @@ def _near(
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
     for tried, combination in enumerate(every[nearest]):
-        if deadline.passed or (deadline.left is None and tried == MOST_NEARBY):
+        if deadline.passed or (deadline.left is None and tried == most):
             some = f"the {tried} nearest of {len(every)} combinations"
             return [], f"; {some} fail as well; a longer time_limit tries more"
         answer = contacts.answer_in(combination, plain)
