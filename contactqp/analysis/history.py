@@ -206,7 +206,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
         forces, events = self.normal_forces, self.events
         table = history_table(self.times, self, forces, events, exact=self._linear, time_label=self.time_label)
-        return "\n".join([table, *(line for note in self.notes for line in wrapped(f"note: {note}"))])
+        return "\n".join([table, *wrapped(*(f"note: {note}" for note in self.notes))])
 
     def __str__(self) -> str:
         try:

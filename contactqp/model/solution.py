@@ -16,7 +16,7 @@ from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arrays import Array, Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.summary import Printed, html_of, place_of, summary_of, verdict_of
+from contactqp.model.summary import Printed, html_of, place_of, summary_of, verdict_of, wrapped
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -168,17 +168,17 @@ class Certificate(ReadOnly, Printed):
 
     def __str__(self) -> str:
         verdict = "passed" if self.passed else "REFUSED"
-        lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
+        lines = []
         if self.basis == STATE and self.distance is not None:
             same = "with the same contacts open, sticking and slipping"
-            lines.append(f"  relative distance to the equilibrium {same}: {self.distance:.3g}")
+            lines.append(f"relative distance to the equilibrium {same}: {self.distance:.3g}")
         if self.scope == LOCALLY and self.radius is not None:
             within = f"within {self.radius:.3g} of this answer, in the square root of energy"
-            lines.append(f"  proven is that it is the only one {within}; others further away are not excluded")
-        lines += [f"  {failure}" for failure in self.failures]
-        lines += [f"  no bound: {reason}" for reason in _together(self.reasons)]
-        lines += [f"  note: {note}" for note in self.notes]
-        return "\n".join(lines)
+            lines.append(f"proven is that it is the only one {within}; others further away are not excluded")
+        lines += map(str, self.failures)
+        lines += [f"no bound: {reason}" for reason in _together(self.reasons)]
+        lines += [f"note: {note}" for note in self.notes]
+        return "\n".join([f"{verdict}{', proven' if self.proven else ', not proven'}", *wrapped(*lines)])
 
 
 def _together(reasons: Iterable[str]) -> Iterator[str]:
@@ -234,13 +234,14 @@ class LocalCertificate(ReadOnly, Printed):
         return "figures"
 
     def __str__(self) -> str:
-        lines = ["passed" if self.passed else "REFUSED", f"  natural map {self.natural_map:.3g}"]
+        lines = [f"natural map {self.natural_map:.3g}"]
         if self.force_error is not None:
             which = "the only forces" if self.radius is None else f"the only forces within {self.radius:.3g}"
-            lines.append(f"  proven: at most {self.force_error:.3g} of their size from {which}")
-        lines += [f"  {text}" for text in self.failures]
-        lines += [f"  no bound: {text}" for text in self.reasons]
-        return "\n".join([*lines, *(f"  note: {text}" for text in self.notes)])
+            lines.append(f"proven: at most {self.force_error:.3g} of their size from {which}")
+        lines += map(str, self.failures)
+        lines += [f"no bound: {text}" for text in self.reasons]
+        lines += [f"note: {text}" for text in self.notes]
+        return "\n".join(["passed" if self.passed else "REFUSED", *wrapped(*lines)])
 
 
 @dataclass(frozen=True, eq=False)

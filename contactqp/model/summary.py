@@ -96,7 +96,7 @@ def headline(solution: Any, energy: float | None = None) -> list[str]:
     first = f"{solution.method}: {verdict_of(certificate)}; {energy_text}; {1e3 * solution.seconds:.3g} ms"
     said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     said += [f"free to move: {motion}" for motion in solution.free_motions]
-    return [*_first_lines(first), *(line for text in said for line in wrapped(text))]
+    return [*_first_lines(first), *wrapped(*said)]
 
 
 def _first_lines(text: str) -> list[str]:
@@ -104,8 +104,11 @@ def _first_lines(text: str) -> list[str]:
 
 
 def folded(text: str, first: str, others: str) -> list[str]:
-    """Return a text as lines of at most 80 columns with these indents, none of which parts a number from its unit."""
-    bound = re.sub(r"(?<=\d) (?=[^\W\d])", UNBROKEN, text)
+    """Return a text as lines of at most 80 columns with these indents.
+
+    No line parts a number from its unit, or from the name before it.
+    """
+    bound = re.sub(r"(?<=\d) (?=[^\W\d])|(?<=tolerance) (?=\d)", UNBROKEN, text)
     lines = textwrap.wrap(bound, WIDTH, initial_indent=first, subsequent_indent=others)
     return [line.replace(UNBROKEN, " ") for line in lines]
 
@@ -270,9 +273,9 @@ def number(value: float) -> str:
     return f"{float(value) + 0.0:.6g}"
 
 
-def wrapped(text: str) -> list[str]:
-    """Return a text as lines of at most 80 columns, set in by two and then by four."""
-    return folded(text, "  ", "    ")
+def wrapped(*texts: str) -> list[str]:
+    """Return texts as lines of at most 80 columns, each set in by two and then by four."""
+    return [line for text in texts for line in folded(text, "  ", "    ")]
 
 
 @own_floating_point
@@ -322,7 +325,7 @@ def history_table(
     told = events_together(events, problem.contact_name)
     lines = [f"{names} {kind} at {number(time)}" for kind, names, time, _ in told[:MOST_EVENTS]]
     if len(told) > MOST_EVENTS:
-        lines.append(f"and {sum(count for *_, count in told[MOST_EVENTS:])} events more")
+        lines.append(f"and {counted('more event', sum(count for *_, count in told[MOST_EVENTS:]))}")
     shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"
     title = f"{counted('instant', len(times))}{shown}; {counted('event', len(events))}"
     if events and not exact:
@@ -403,7 +406,7 @@ def local_summary(solution: Any) -> str:
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
     title = _title_of_contacts(solution.contact_status, True, len(shown))
     first = f"{solution.method}: {verdict}; {1e3 * solution.seconds:.3g} ms"
-    lines = [*_first_lines(first), *(line for text in said for line in wrapped(text))]
+    lines = [*_first_lines(first), *wrapped(*said)]
     return "\n".join([*lines, Table(title, columns, rows).text()])
 
 

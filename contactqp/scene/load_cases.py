@@ -89,13 +89,14 @@ def print_cases(console: Console, answers: CaseAnswers) -> None:
     """Print a line for each load case, with its largest force, and the envelope of the forces."""
     many, problem = answers.solutions, answers.solutions.problem
     console.print(f"[bold]{escape(answers.scene.title)}[/bold]", soft_wrap=True)
-    columns = ["load case", "closed", "largest force", "at", "certificate", ""]
+    largest = f"largest force [{answers.scene.units.force}]"
+    columns = ["load case", "closed", largest, "at", "certificate", ""]
     print_noted(console, columns, list(_lines(answers)), [[why] for why in many.failures])
     if problem.contacts:
         worst = many.envelope()
         named = [answers.names[i] if i >= 0 else "" for i in worst.load]
         cells = zip(worst.names, map(number, worst.normal_force), named, strict=True)
-        print_noted(console, ["contact", "largest force", "load case"], list(map(list, cells)), [[]] * len(named))
+        print_noted(console, ["contact", largest, "load case"], list(map(list, cells)), [[]] * len(named))
     console.print(f"{int(many.passed.sum())} of {counted('load case', len(many))} passed")
 
 

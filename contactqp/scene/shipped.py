@@ -109,9 +109,10 @@ def shipped_case(name: str) -> ShippedCase:
         if case.name == name.removesuffix(SUFFIX):
             return case
     near = nearest_names(name)
-    raise SceneError(
-        f"{name}: no case that comes with contactqp is called so" + (f"; nearest: {', '.join(near)}" if near else "")
+    cure = (
+        f"nearest: {', '.join(near)}" if near else "`contactqp cases` lists all, `contactqp cases WORD` those of a word"
     )
+    raise SceneError(f"{name}: no case that comes with contactqp is called so; {cure}")
 
 
 def first_case(name: str) -> str:

@@ -206,7 +206,7 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
     missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
     said += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
     table = aligned(cells) if ran else ""
-    parts = [*_in_lines(_in_short(rows)), table, *(line for text in said for line in wrapped(text))]
+    parts = [*_in_lines(_in_short(rows)), table, *wrapped(*said)]
     return "\n".join([*filter(None, parts), *_in_lines(f"errors against: {truth}")])
 
 

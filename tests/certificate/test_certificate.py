@@ -452,12 +452,13 @@ def test_a_reason_stands_once_for_all_bounds_that_it_is_a_reason_for() -> None:
     problem = cq.ContactProblem([[1.0]], [5.0], [[1.0]], [0.0], tangent=[[0.0]], friction=[0.3])
     lines = str(cq.solve(problem).certificate).splitlines()
     assert lines[0] == "passed, not proven"
-    assert lines[1] == "  relative distance to the equilibrium with the same contacts open, sticking and slipping: 0"
+    assert lines[1:3] == [
+        "  relative distance to the equilibrium with the same contacts open, sticking and",
+        "    slipping: 0",
+    ]
     bounds = [line for line in lines if line.startswith("  no bound: ")]
     assert len(bounds) == 1
-    assert bounds[0].startswith(
-        "  no bound: energy_error, force_error, force_bound: Coulomb friction is no minimisation"
-    )
+    assert bounds[0].startswith("  no bound: energy_error, force_error, force_bound: Coulomb friction is no")
     twice = problem.replace(normal=[[1.0], [1.0]], gap=[0.0, 0.0], tangent=[[0.0], [0.0]], friction=[0.3, 0.3])
     judged = str(cq.certify(twice, [0.0], [2.5, 2.5], [[0.0], [0.0]]))
     assert "  no bound: energy_error, force_error, force_bound: friction: " in judged

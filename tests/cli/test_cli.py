@@ -227,10 +227,16 @@ def test_several_methods(capsys):
 
 
 def test_an_unknown_method_is_exit_2_with_the_nearest_name(capsys):
-    code, _, err = run(capsys, "run", WALL, "--method", "activ-set")
-    assert code == 2
-    assert "active-set" in err
-    assert err.count("\n") == 1
+    for written, meant in (
+        ("activ-set", "active-set"),
+        ("OSQPP", "osqp"),
+        ("Augmented_Lagrange", "augmented-lagrangian"),
+    ):
+        code, _, err = run(capsys, "run", WALL, "--method", written)
+        assert code == 2
+        assert f"nearest: {meant}" in err
+        assert err.count("\n") == 1
+    assert "the methods: active-set, " in run(capsys, "run", WALL, "--method", "xyz")[2]
 
 
 def test_a_method_that_is_not_installed_is_exit_3(capsys, monkeypatch):

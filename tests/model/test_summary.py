@@ -22,6 +22,18 @@ def floor_of(solution: cq.Solution) -> list[str]:
     return next(line.split() for line in str(solution).splitlines() if line.split()[0] == "floor")
 
 
+def test_a_certificate_prints_in_80_columns_and_parts_no_number_from_its_name() -> None:
+    solution = cq.solve(TRUSS)
+    judged = cq.certify(TRUSS, solution.displacement, 1.01 * solution.normal_force)
+    for printed in (str(judged), str(cq.solve(TRUSS, "penalty", penalty=1e5).certificate)):
+        lines = printed.splitlines()
+        assert max(map(len, lines)) <= 80
+        assert lines[0] == "REFUSED, proven"
+        assert all(line.startswith("  ") for line in lines[1:])
+        assert "tolerance 1e-06)" in printed
+        assert not [line for line in lines if line.endswith("tolerance")]
+
+
 def test_the_method_of_an_answer_with_friction_is_told_in_the_fields_words() -> None:
     lines = str(cq.solve(TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3), algorithm="tresca")).splitlines()
     assert lines[0].startswith("Tresca fixed-point iteration, each step by active-set: passed;")

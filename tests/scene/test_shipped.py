@@ -101,6 +101,9 @@ def test_a_case_is_copied_to_be_changed(
     assert code == 2
     assert "nearest: bar_wall" in err
     assert not Path("other.toml").exists()
+    code, _, err = run(capsys, "init", "other.toml", "--like", "beam_on_stop")
+    assert code == 2
+    assert "`contactqp cases WORD`" in err
 
 
 @pytest.mark.slow

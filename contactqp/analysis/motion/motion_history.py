@@ -106,7 +106,7 @@ class MotionHistory(History):
 
     def summary(self) -> str:
         """Return what `History.summary` does, and that the force of an impact depends on the step."""
-        said = (line for text in _notes_on_impulses(self.motion) for line in wrapped(f"note: {text}"))
+        said = wrapped(*(f"note: {text}" for text in _notes_on_impulses(self.motion)))
         return "\n".join([super().summary(), *said])
 
     @property

@@ -91,8 +91,9 @@ def registered_name(name: Any) -> str:
         return name
     meant = of_same_letters(name, _REGISTRY)
     if meant is None:
-        near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
-        raise Unsupported(f"no method is called {shown(name)}; nearest: {', '.join(near)}")
+        near = difflib.get_close_matches(name.casefold().replace("_", "-"), _REGISTRY, n=3)
+        cure = f"nearest: {', '.join(near)}" if near else f"the methods: {', '.join(sorted(_REGISTRY))}"
+        raise Unsupported(f"no method is called {shown(name)}; {cure}")
     return meant
 
 

@@ -279,14 +279,19 @@ def stability_bars(folder: Path) -> StabilityBars | None:
     """Return the safe ranges of the stability study in a folder; None where there is none that can be read."""
     try:
         axes = json.loads((folder / FILE).read_text(encoding="utf-8"))["axes"]
-        named = tuple((str(axis["title"]), _ends(axis)) for axis in axes)
-        bars = [{found["method"]: _bar(axis["values"], found) for found in axis["ranges"]} for axis in axes]
+        return bars_of(axes, PAGE if (folder / PAGE).exists() else "")
     except (OSError, ValueError, KeyError, TypeError, IndexError):
         return None
-    methods = dict.fromkeys(method for found in bars for method in found)
+
+
+def bars_of(axes: Sequence[Mapping[str, Any]], page: str = "") -> StabilityBars:
+    """Return the safe ranges on the axes of a study, as stability.json has them; `page` is that of the study."""
+    named = tuple((str(axis["title"]), _ends(axis)) for axis in axes)
+    bars = [{found["method"]: _bar(axis["values"], found) for found in axis["ranges"]} for axis in axes]
+    methods = dict.fromkeys(method for found in bars for method, bar in found.items() if bar.width)
     lines = [(method, tuple(found.get(method) for found in bars)) for method in methods]
     lines.sort(key=lambda line: -sum(bar.width for bar in line[1] if bar is not None))
-    return StabilityBars(named, tuple(lines), PAGE if (folder / PAGE).exists() else "")
+    return StabilityBars(named, tuple(lines), page)
 
 
 def _ends(axis: Mapping[str, Any]) -> str:

@@ -24,8 +24,8 @@
   }
 
   // What is filtered out is not drawn; of a group whose entry in the legend goes with it, the next one gets the entry.
-  function traces(plot) {
-    const all = figureOf(plot).data, named = new Set();
+  function traces(plot, width) {
+    const all = figureOf(plot).data.map((trace) => ({ ...trace, name: trace.name && fitted(trace.name, width - 90) })), named = new Set();
     const grouped = new Set(all.filter((trace) => trace.legendgroup && trace.showlegend !== false).map((trace) => trace.legendgroup));
     return all.map((given) => {
       const trace = given.type === "bar" ? { cliponaxis: false, ...given } : given;  // texts beside the longest bars
@@ -75,8 +75,11 @@
     const left = made.yaxis?.automargin || made.yaxis?.type === "category" ? -0.6 : -0.15;  // below the names of its ticks
     for (const name of ["legend", "legend2"].filter((name) => made[name])) made[name] = { ...made[name], x: left, font: { size: 10 } };
     made.margin = { ...made.margin, r: Math.max(made.margin.r, 34) };
-    made.annotations = made.annotations?.map((note) => (isName(note) ? note : { ...note, font: { size: 9 } }));
+    made.annotations = made.annotations?.map((note) => (isName(note) ? note : { ...note, text: fitted(note.text, width / 2), font: { size: 9 } }));
   }
+
+  // Texts that are longer than a narrow chart is wide, on several lines.
+  const fitted = (text, room) => (room < NO_NAMES ? wrapped(text, Math.max(Math.floor(room / LETTER), 20)) : text);
 
   function wrapped(text, most) {
     let line = "", lines = [];
@@ -108,13 +111,16 @@
 
   const widthOf = (plot) => Math.max(plot.clientWidth, 280);
 
-  function draw(plot, width = widthOf(plot)) {
-    if ("xaxis2" in (figureOf(plot).layout ?? {})) plot.classList.add("panels");
+  function draw(plot, asked) {
+    const { data, layout: given } = figureOf(plot);
+    if ("xaxis2" in (given ?? {}) || data.some((trace) => trace.type === "heatmap")) plot.classList.add("panels");
+    plot.style.minHeight = 0;
+    const width = asked ?? widthOf(plot);  // now that what is wide may scroll
     // Of another width it is drawn anew: Plotly keeps margins that it once gave to a legend.
     const again = Number(plot.dataset.drawn) === width;
     plot.dataset.drawn = width;
     const config = { ...CONFIG, displayModeBar: width < NARROW ? false : "hover" };
-    return (again ? Plotly.react : Plotly.newPlot)(plot, traces(plot), layout(plot, width), config);
+    return (again ? Plotly.react : Plotly.newPlot)(plot, traces(plot, width), layout(plot, width), config);
   }
 
   const redraw = (width) => plots.filter((plot) => plot.dataset.drawn).forEach((plot) => draw(plot, width));

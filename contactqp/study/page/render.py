@@ -353,6 +353,7 @@ def render_study(
     facts: Mapping[str, Any],
     command: str,
     beside: str = "",
+    ranges: StabilityBars | None = None,
 ) -> str:
     """Return the HTML page of a study along axes.
 
@@ -370,6 +371,8 @@ def render_study(
         The command that makes this page again.
     beside : str
         The page of a report in the same folder; empty where there is none.
+    ranges : StabilityBars, optional
+        Where each method is right.
 
     Raises
     ------
@@ -385,6 +388,7 @@ def render_study(
         columns=plain_table("columns of the data", ("column", "meaning"), columns.items()),
         facts=tuple(fact_tables(facts)),
         command=command,
+        ranges=ranges,
         beside=beside,
     )
 

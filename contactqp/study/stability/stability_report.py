@@ -16,6 +16,7 @@ from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.conclusion import deliver, machine, report_folder, unfinished, versions, workshop, write
+from contactqp.study.page.case_view import bars_of
 from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
 from contactqp.study.rows import aligned
 from contactqp.study.running.journal import Journal, source_digest
@@ -424,7 +425,8 @@ def page_of(study: StabilityStudy, folder: Path) -> str:
     """Return the text of stability.html, which names the report in the same folder where there is one."""
     command = shlex.join(["contactqp", "report", "--stability"])
     beside = REPORT if (folder / REPORT).exists() else ""
-    return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command, beside)
+    ranges = bars_of([_axis_data(study, axis) for axis in study.axes])
+    return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command, beside, ranges)
 
 
 def _tiles(study: StabilityStudy) -> tuple[Tile, ...]:

@@ -15,7 +15,11 @@ import pytest
 
 from contactqp.study.conclusion import PENALTY, WHICH, WRONG
 from contactqp.study.page import render as pages
+from contactqp.study.page.case_view import bars_of
 from contactqp.study.page.render import render_study
+from contactqp.study.stability.axis_problem import Axis
+from contactqp.study.stability.stability_cells import AXES
+from contactqp.study.stability.stability_report import stability_sections, write_stability
 from contactqp.study.telling import telling_chart
 from tests.study.charts_examples import report
 from tests.study.page.samples import Part, chart, hostile
@@ -350,6 +354,64 @@ def test_a_page_of_sections_alone_draws_its_charts(browser: Any, tmp_path: Path)
     assert _count(browser, ".part:not([open])") == 1  # as before
     assert browser.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 2
     assert _complaints(browser) == []
+
+
+def _named(axis: Axis) -> dict[str, Any]:
+    return dict(title=axis.title, quantity=axis.quantity, labels=axis.labels)
+
+
+def _everywhere(axis: Axis) -> list[dict[str, Any]]:
+    """Two methods that are right at all values."""
+    names = ("active-set", "augmented-lagrangian (uzawa)")
+    return [dict(method=name, words="right", lowest=axis.values[0], highest=axis.values[-1]) for name in names]
+
+
+def _stability_page(folder: Path) -> Path:
+    """A study of two axes with few values and methods, and the safe ranges of fourteen axes."""
+    axes = [replace(axis, values=axis.values[:: len(axis.values) // 12]) for axis in AXES[:2]]
+    study, _, _ = write_stability(folder, axes, ("active-set", "penalty", "perturbed-lagrangian"))
+    ranges = bars_of([dict(_named(axis), values=axis.values, ranges=_everywhere(axis)) for axis in AXES])
+    file = folder / "stability.html"
+    text = render_study(stability_sections(study), (), {}, {}, "contactqp report --stability", ranges=ranges)
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_page_of_stability_is_read_on_a_screen_and_on_a_telephone(session: Any, tmp_path: Path, width: int) -> None:
+    """Bars of all axes first, whole on a screen; no heat map of few methods has a blank below, nor cells too narrow."""
+    file = _stability_page(tmp_path)
+    _look(session, width, "light")
+    session.get(file.as_uri())
+    _open_all(session)
+    for i in range(session.execute_script("return document.querySelectorAll('.plot').length")):
+        plot = f"document.querySelectorAll('.plot')[{i}]"
+        session.execute_script(f"{plot}.scrollIntoView()")
+        _wait(session, f"{plot}.querySelector('.main-svg')")
+    bars = _find(session, ".ranges")
+    assert bars.location["y"] < _find(session, "#axes").location["y"]
+    if width == 1280:
+        assert session.execute_script("return arguments[0].parentElement.scrollWidth", bars) <= width - 30
+    heights = session.execute_script(
+        "return [...document.querySelectorAll('.plot')]"
+        ".map((e) => [e.clientHeight, e.querySelector('.main-svg').clientHeight])"
+    )
+    assert len(heights) > 4
+    assert all(abs(box - drawn) < 8 for box, drawn in heights), heights
+    cells = "[...document.querySelectorAll('.plot')].filter((e) => e.querySelector('.heatmaplayer image, .hm'))"
+    widths = session.execute_script(f"return {cells}.map((e) => e.clientWidth)")
+    assert len(widths) == 4
+    assert min(widths) >= 700
+    names = session.execute_script(
+        "return [...document.querySelectorAll('.plot:not(.panels)')].flatMap((plot) => [...plot.querySelectorAll("
+        "'.legendtext, .annotation-text')].map((e) => [e.textContent, e.getBoundingClientRect().right - "
+        "plot.getBoundingClientRect().right]))"
+    )
+    assert names
+    assert all(beyond <= 1 for _, beyond in names), names
+    texts = session.execute_script(TEXTS)
+    assert _overlapping(texts) == []
+    assert max(text[3] for text in texts) <= width
 
 
 def test_without_scripts_the_tables_are_there(browser: Any, address: str) -> None:

@@ -290,6 +290,7 @@ def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy, tmp_pa
     page = page_of(small, tmp_path)
     assert all(axis.title in page for axis in small.axes)
     assert "21.684" in page
+    assert page.index("Where each method is right") < page.index('id="axes"')
     assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=[\"']https?:", page)
     assert "must be 0" not in page
     wrong = dataclasses.replace(small, rows=(dataclasses.replace(small.rows[0], verdict=report_rows.WRONG),))
