@@ -134,3 +134,19 @@ def test_a_pair_that_nothing_reaches_changes_no_slip(tmp_path: pathlib.Path) -> 
     assert [len(one.labels) for one in deck.by_nodes.pairs] == [0, 4]
     friction = solved(tmp_path, BACK_AND_FORTH).friction_force
     assert np.allclose(cq.solve(deck.problem()).friction_force, friction, rtol=1e-9)
+
+
+def test_a_step_without_an_answer_is_named(tmp_path: pathlib.Path) -> None:
+    lifted = ["*BOUNDARY, OP=NEW\nBOTTOM, 1, 3\n*CLOAD\nTOP, 3, 1.", BACK_AND_FORTH[0]]
+    stack = RUBBING.replace("ALL, 2, 2\n", "")
+    with pytest.raises(cq.InvalidProblem, match="stands with the first of all"):
+        cq.read_deck(write(tmp_path, in_steps(lifted, stack=stack)))
+    lifted[0] = "*CLOAD\nTOP, 3, 1."
+    with pytest.raises(cq.NoEquilibrium, match=r"^step 1: "):
+        cq.read_deck(write(tmp_path, in_steps(lifted, stack=stack))).problem()
+
+
+def test_more_steps_than_are_followed_are_refused(tmp_path: pathlib.Path) -> None:
+    text = in_steps([""]) + 100 * "*STEP\n*STATIC\n*END STEP\n"
+    with pytest.raises(cq.InvalidProblem, match="expected at most 100 steps, got 101"):
+        read_deck_model(write(tmp_path, text))

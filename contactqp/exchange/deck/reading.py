@@ -47,8 +47,8 @@ _FOLLOWING = {
     "FRICTION": "SURFACE INTERACTION",
 }  # fmt: skip
 _SHOWN = 5
-# Steps of one deck: each is merged with all that the ones before it state.
-MOST_STEPS = 1000
+# Steps of one deck: with friction each is assembled and solved.
+MOST_STEPS = 100
 
 
 def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:

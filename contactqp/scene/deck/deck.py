@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.structure import FreeContacts, free_contacts, stacked
-from contactqp.errors import InvalidProblem, Unsupported, counted
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, counted
 from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Ledger, Path, naming
@@ -100,14 +100,6 @@ class Deck:
         return tuple(self.assembly.topology.name(unknown) for unknown in self.free.tolist())
 
     @cached_property
-    def before(self) -> Deck | None:
-        """Return the deck of all steps but the last, with a ledger of its own; None where there is one step."""
-        if len(self.model.steps) == 1:
-            return None
-        own = Ledger(self.model.file, read=self.ledger.read[:1])
-        return Deck(replace(self.model, steps=self.model.steps[:-1], ledger=own))
-
-    @cached_property
     def _given(self) -> Vector:
         return np.where(np.isnan(self.assembly.prescribed), 0.0, self.assembly.prescribed)
 
@@ -150,9 +142,15 @@ class Deck:
         InvalidProblem
             A deck whose nodes are all held; elements, surfaces or pairs that are none, by line.
         """
+        return self._problem(enforcement, discretisation, self._slipped(enforcement, discretisation))
+
+    def _problem(
+        self, enforcement: Enforcement, discretisation: Discretisation, slipped: Vector | None
+    ) -> ContactProblem:
+        """Return the problem of the last step, slip of all pairs starting from E_T u = `slipped` [length]."""
         contacts = self.contacts(discretisation)
         with naming(self.model.file):
-            exact = self._exact(contacts.free, self._slipped_before(enforcement, discretisation))
+            exact = self._exact(contacts.free, None if slipped is None else slipped[contacts.tangent_rows])
             problem = exact if enforcement == "exact" else self._on_springs(exact, contacts)
             return problem.with_load_sum(problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free))))
 
@@ -162,22 +160,29 @@ class Deck:
         contacts: DeckContacts = getattr(self, found[discretisation])
         return contacts
 
-    def _slipped_before(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
-        """Return E_T u of each contact after the steps before the last, where its slip starts from [length].
+    def _slipped(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
+        """Return E_T u of all pairs after the steps before the last, less what springs along the surface have taken.
 
-        Springs along the surface have taken a part of that. None where there is one step, or no friction.
+        None where there is one step, or no friction; step by step otherwise, each with its problem solved [length].
         """
-        contacts = self.contacts(discretisation)
-        if self.before is None or contacts.free.tangent is None or not len(contacts.free.kept):
+        if self.contacts(discretisation).free.tangent is None:
             return None
-        problem, earlier = self.before.problem(enforcement, discretisation), self.before.contacts(discretisation)
-        u = solve(problem).displacement
-        for kind, line in self.before.ledger:
-            note(getattr(self.ledger, kind), line)
-        moved = earlier.tangent @ self.before.expand(u[: len(self.before.free)])
-        if problem.tangent is not None:
-            moved[earlier.tangent_rows] = problem.tangent @ u - earlier.free.slip_origin
-        return np.asarray(moved[contacts.tangent_rows])
+        slipped = None
+        for count in range(1, len(self.model.steps)):
+            own = Ledger(self.model.file, read=self.ledger.read[:1])
+            deck = Deck(replace(self.model, steps=self.model.steps[:count], ledger=own))
+            problem, contacts = deck._problem(enforcement, discretisation, slipped), deck.contacts(discretisation)
+            try:
+                u = solve(problem).displacement
+            except ContactQPError as error:
+                error.args = (f"step {count}: {error}", *error.args[1:])
+                raise
+            for kind, line in own:
+                note(getattr(self.ledger, kind), line)
+            slipped = np.asarray(contacts.tangent @ deck.expand(u[: len(deck.free)]))
+            if problem.tangent is not None and contacts.free.slip_origin is not None:
+                slipped[contacts.tangent_rows] = problem.tangent @ u - contacts.free.slip_origin
+        return slipped
 
     def _exact(self, contacts: FreeContacts, slipped: Vector | None) -> ContactProblem:
         assembly, free = self.assembly, self.free
