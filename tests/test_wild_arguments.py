@@ -278,6 +278,10 @@ def test_an_unknown_argument_is_told_with_the_function_and_the_nearest_one() -> 
         cq.Material(modulus=1.0, poisson=0.3, poison=0.3)
     with pytest.raises(cq.InvalidProblem, match=r"^ContactProblem: no argument is called 'norml' .*mean 'normal'\?\)$"):
         cq.ContactProblem(stiffness=[[2.0]], load=[3.0], norml=[[1.0]], gap=[1.0])
+    with pytest.raises(cq.InvalidProblem, match=r"^ContactProblem: 'normal' and 'gap' missing; its arguments: stiffn"):
+        cq.ContactProblem(stiffness=[[1.0]], load=[1.0])  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match=r"^ContactProblem: 'gap' missing; its arguments: stiffness, load, normal, gap"):
+        cq.ContactProblem([[1.0]], [1.0], [[1.0]])  # type: ignore[call-overload]
     with pytest.raises(cq.InvalidProblem, match=r"^ContactProblem: no argument is called 'xyz'; its arguments: stiff"):
         cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0], xyz=3)
     with pytest.raises(cq.InvalidProblem, match=r"^LocalProblem: no argument is called 'delasus' .*mean 'delassus'"):

@@ -83,22 +83,27 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
     return computing
 
 
-def refuses_other_names(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse keywords that a constructor does not have, which reads its arguments itself.
+def refuses_misfits(function: Callable[P, R]) -> Callable[P, R]:
+    """Refuse calls that do not fit a constructor which reads its arguments itself.
 
     Raises
     ------
     WrongCall
-        There is no argument of that name; the nearest one is given.
+        There is no argument of that name, and the nearest one is given; or arguments are missing.
     """
     names = [*signature(function).parameters][1:]
     known = frozenset(names)
+    needed = [name for name, one in signature(function).parameters.items() if one.default is one.empty][1:]
 
     @wraps(function)
     def calling(*args: P.args, **kwargs: P.kwargs) -> R:
         if not kwargs.keys() <= known:
             unknown = [name for name in kwargs if name not in known]
             raise WrongCall(f"{type(args[0]).__name__}: {no_argument(unknown, names)}")
+        missing = [name for name in needed[len(args) - 1 :] if name not in kwargs]
+        if missing:
+            called, absent = type(args[0]).__name__, " and ".join(map(repr, missing))
+            raise WrongCall(f"{called}: {absent} missing; its arguments: {', '.join(names)}")
         return function(*args, **kwargs)
 
     return calling

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, counted, counts, shown
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, computes, own_floating_point, refuses_other_names
+from contactqp.model.arrays import Vector, computes, own_floating_point, refuses_misfits
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
     SYMMETRY_TOLERANCE,
@@ -107,7 +107,7 @@ class LocalProblem(ReadOnly):
     contact_names: tuple[str, ...] | None
     asymmetry: float
 
-    @refuses_other_names
+    @refuses_misfits
     @own_floating_point
     def __init__(
         self,

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem, Unsupported, counts
 from contactqp.model.arguments import read_places
 from contactqp.model.arrays import Vector as Vector
-from contactqp.model.arrays import inverse_root, own_floating_point, refuses_other_names
+from contactqp.model.arrays import inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.computed import Computed
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import Units as Units
@@ -118,7 +118,7 @@ class ContactProblem:
     load_sum: Vector | None  # (n,) sizes of the forces that add up to `load`, where these are not |load|
     _computed: Computed
 
-    @refuses_other_names
+    @refuses_misfits
     @own_floating_point
     def __init__(
         self,

@@ -29,7 +29,7 @@ LINES = 10.0
 REDRAWS = 2.0
 # For so many seconds of work costs in seconds are believed: the first cells of a part may be the least ones, whose time
 # is that of calling a process and says nothing of the large ones after them.
-BELIEVED = 10.0
+BELIEVED = 5.0
 
 
 # Shows the name of a part, the number of finished cells, the number of all, and the time left in words.
