@@ -59,6 +59,21 @@ def test_the_springs_that_a_deck_states_are_told_apart(tmp_path: pathlib.Path) -
     assert cq.crosscheck(deck, results, error_tolerance=0.1).passed
 
 
+def test_units_are_words(tmp_path: pathlib.Path) -> None:
+    deck = write(tmp_path, STACK)
+    wrong = printed(deck, 1.1 * cq.solve(cq.read_deck(deck).problem()).displacement)
+    found = cq.crosscheck(deck, wrong, units={"length": "mm", "force": "N"})
+    plain = cq.crosscheck(deck, wrong)
+    assert not found.passed
+    assert found.summary() != plain.summary()
+    assert (
+        found.summary().replace(" N,", ",").replace(" [N]", "").replace(" [mm]", "").split() == plain.summary().split()
+    )
+    assert found.data()["units"] == {"length": "mm", "force": "N"}
+    with pytest.raises(cq.InvalidProblem, match="units: expected a length, got 'N'"):
+        cq.crosscheck(deck, wrong, units={"length": "N", "force": "mm"})
+
+
 def test_a_pair_without_force_is_told(tmp_path: pathlib.Path) -> None:
     found = judged(tmp_path, change=lambda u: np.repeat([0.0, -0.02], len(u) // 2))
     assert found.word == "wrong"

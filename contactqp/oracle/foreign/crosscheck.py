@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -18,6 +18,7 @@ from contactqp.exchange.files import Path, naming
 from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index, Vector, own_floating_point
+from contactqp.model.problem_data import Units, read_units
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
 from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, Found, PairVerdict, Word, causes_of, is_plane
 from contactqp.scene.deck.contacts import Discretisation, note
@@ -45,6 +46,7 @@ def crosscheck(
     error_tolerance: float = 1e-2,
     time_limit: float = 600.0,
     folder: Path | None = None,
+    units: Units | Mapping[str, str] | None = None,
 ) -> CrossCheck:
     """Judge the contact of a deck as CalculiX solves it, pair by pair.
 
@@ -67,6 +69,8 @@ def crosscheck(
         Seconds for CalculiX.
     folder : path, optional
         Where CalculiX runs and its files are kept: by default MODEL.ccx beside MODEL.inp.
+    units : Units or mapping with the keys ``length`` and ``force``, optional
+        What the units of the deck are called in its words; nothing is converted.
 
     Returns
     -------
@@ -86,6 +90,7 @@ def crosscheck(
         raise InvalidProblem(f"error_tolerance: expected a number between 0 and 1, got {error_tolerance:g}")
     if not time_limit > 0:
         raise InvalidProblem(f"time_limit: expected a positive number of seconds, got {time_limit:g}")
+    named = read_units(units)
     deck = read_deck(path)
     warnings: tuple[str, ...] = ()
     code, file = "its results", results
@@ -98,8 +103,9 @@ def crosscheck(
     answer = ForeignAnswer(deck, *_displacements(deck, file, ran=results is None))
     judged = _Judging(answer, reference, error_tolerance)
     return CrossCheck(
-        str(path), str(file), code, reference, error_tolerance, judged.pairs, judged.findings, warnings, deck.ledger
-    )
+        str(path), str(file), code, reference, error_tolerance, judged.pairs, judged.findings, warnings, deck.ledger,
+        named,
+    )  # fmt: skip
 
 
 def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector]:

@@ -13,7 +13,7 @@ from contactqp.elements.surface import Surface, diameters, kind_of
 from contactqp.errors import counted
 from contactqp.exchange.files import Ledger
 from contactqp.model.arrays import Index, Vector
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly, Units
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
 
 # A spring law is recognised where its stiffnesses at nine nodes in ten differ by no more than this factor.
@@ -255,6 +255,8 @@ class CrossCheck(ReadOnly):
         What the program itself warned of.
     ledger : Ledger
         What became of the cards of the deck.
+    units : Units
+        The names of the deck's units, for its words; none by default.
     """
 
     deck: str
@@ -266,6 +268,7 @@ class CrossCheck(ReadOnly):
     findings: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     ledger: Ledger = field(default_factory=lambda: Ledger(""))
+    units: Units = field(default_factory=Units)
 
     @property
     def word(self) -> Word:
@@ -296,7 +299,7 @@ class CrossCheck(ReadOnly):
         lines = [f"{self.deck}: {word} by {self.code} ({self.results})"]
         lines += [f"  {finding}" for finding in self.findings]
         for pair in self.pairs:
-            lines += _of_pair(pair, self.reference, self.error_tolerance)
+            lines += _of_pair(pair, self.reference, self.error_tolerance, self.units)
         if not self.pairs:
             lines.append("  the deck has no contact pairs")
         lines += [f"  {self.code} warns: {warning}" for warning in self.warnings if not self.passed]
@@ -311,6 +314,7 @@ class CrossCheck(ReadOnly):
             "code": self.code,
             "reference": self.reference,
             "error_tolerance": self.error_tolerance,
+            "units": {"length": self.units.length, "force": self.units.force},
             "verdict": self.word,
             "passed": self.passed,
             "findings": list(self.findings),
@@ -320,14 +324,14 @@ class CrossCheck(ReadOnly):
         }
 
 
-def _of_pair(pair: PairVerdict, reference: str, tolerance: float) -> list[str]:
+def _of_pair(pair: PairVerdict, reference: str, tolerance: float, units: Units) -> list[str]:
     word = pair.word if pair.word == "right" else pair.word.upper()
     difference = pair.resultant - pair.reference_resultant
     off = f"off by {pair.error:.2g} of the resultant, a node by {pair.node_error:.2g}; {tolerance:g} is asked for"
     lines = [
         f"  {pair.name} ({pair.type}): {word}, {off}",
-        f"    resultant {pair.resultant:.6g}, {reference} {pair.reference_resultant:.6g}, "
-        f"difference {difference:.3g}{_others(pair, reference)}",
+        f"    resultant {pair.resultant:.6g}{units.force and f' {units.force}'}, {reference} "
+        f"{pair.reference_resultant:.6g}, difference {difference:.3g}{_others(pair, reference)}",
     ]
     if pair.noise > 0.1 * tolerance:
         lines.append(f"    the printed digits leave {pair.noise:.2g} of the resultant open")
@@ -336,7 +340,7 @@ def _of_pair(pair: PairVerdict, reference: str, tolerance: float) -> list[str]:
         lines.append(f"    two exact discretisations of this mesh differ by {mesh}")
     lines += [f"    {line}" for line in (*pair.notes, *pair.causes)]
     if pair.word != "right" and len(pair.labels):
-        lines += _table(pair, reference)
+        lines += _table(pair, reference, units)
     return lines
 
 
@@ -349,8 +353,9 @@ def _others(pair: PairVerdict, reference: str) -> str:
     return told
 
 
-def _table(pair: PairVerdict, reference: str) -> Sequence[str]:
-    rows = [("node", "force", reference, "gap")]
+def _table(pair: PairVerdict, reference: str, units: Units) -> Sequence[str]:
+    force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
+    rows = [("node", f"force{force}", f"{reference}{force}", f"gap{length}")]
     for i in pair.worst.tolist():
         numbers = (pair.force[i], pair.reference_force[i], pair.gap[i])
         force, right, gap = (f"{value:.4g}" for value in numbers)
