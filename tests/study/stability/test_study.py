@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from contactqp.study.running.runner import Stopped
 from contactqp.study.settings import condensable
 from contactqp.study.stability import stability_cells as cells_module
 from contactqp.study.stability import stability_report as report_module
+from contactqp.study.stability.problem_axes import GAP
 from contactqp.study.stability.stability_cells import (
     AXES,
     COLUMNS,
@@ -42,7 +44,7 @@ from contactqp.study.stability.stability_cells import (
     row_of,
     stability_row,
 )
-from contactqp.study.stability.stability_charts import LETTERS
+from contactqp.study.stability.stability_charts import LETTERS, best_penalty_of_truss
 from contactqp.study.stability.stability_report import (
     StabilityStudy,
     as_json,
@@ -295,6 +297,19 @@ def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy, tmp_pa
     assert "must be 0" not in page
     wrong = dataclasses.replace(small, rows=(dataclasses.replace(small.rows[0], verdict=report_rows.WRONG),))
     assert "must be 0" in page_of(wrong, tmp_path)
+
+
+def test_the_numbers_of_the_pages_best_penalty_are_measured() -> None:
+    """docs/stability.md states S, λ, the best β and its error, and what Table 2.1 prints at 1e20."""
+    page = " ".join((Path(__file__).parents[3] / "docs" / "stability.md").read_text(encoding="utf-8").split())
+    best = best_penalty_of_truss()
+    assert f"(S = {best.stiffness:.0f} kN/m, λ = {best.force:.3f} kN, g = 1e-3 m, ulp(g) = 2⁻⁶² m)" in page
+    assert (GAP, best.last_place) == (1e-3, 2.0**-62)
+    measured = f"that is {best.penalty:.1e} kN/m with an error of {best.error:.1e}"
+    assert measured.replace("e+", "e").replace("e-0", "e-") in page
+    penetration = best.force / (best.stiffness + 1e20) / best.last_place
+    assert f"the exact penetration is {penetration:.1f} times ulp(g)" in page
+    assert f"= {math.floor(1e3 * float(best.quantum(1e20))) / 1e3:.3f}... kN" in page
 
 
 def test_the_page_and_that_of_a_report_name_each_other(small: StabilityStudy, tmp_path: Path) -> None:
