@@ -151,7 +151,7 @@ def rounded_slips(moved: Vector, origin: Array) -> Vector:
 
 
 @dataclass(frozen=True, eq=False)
-class Rubbing:
+class CoulombData:
     """The slips, coefficients and measures by which Coulomb's law is judged."""
 
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
@@ -160,9 +160,9 @@ class Rubbing:
     measure: Callable[[Array], Vector]  # `friction_measure`
 
 
-def rubbing_of(
+def coulomb_data(
     problem: ContactProblem, answer: Answer, F: Vector, none: Vector, hardly: NDArray[np.bool_]
-) -> Rubbing | None:
+) -> CoulombData | None:
     """Return the data that judge Coulomb's law, None without tangential rows.
 
     Parameters
@@ -178,7 +178,7 @@ def rubbing_of(
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
     moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
     rounding = rounded_slips(moved, problem.slip_origin)
-    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+    return CoulombData(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 
 def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
@@ -210,24 +210,24 @@ def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
 
 
 def friction_figures(
-    answer: Any, rubbing: Rubbing, meeting: Vector, none: Nothing
+    answer: Any, coulomb: CoulombData, meeting: Vector, none: Nothing
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return `cone`, `slip_direction`, the measure of the slip, and the force that a small slip's rounding may turn.
 
     `meeting` (m,) are the lengths that meet along the tangential rows of each contact [length].
     """
     force = answer.friction_force
-    slip = slips(rubbing.slip, none)
+    slip = slips(coulomb.slip, none)
     size = lengths(force)
-    bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
+    bound = coulomb.friction * np.maximum(answer.normal_force, 0.0)
     excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     moved = lengths(slip)
-    part = np.divide(rubbing.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
+    part = np.divide(coulomb.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
     turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
     off = force - bound[:, None] * directions(slip)
     wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
     slip_measure = ratio(moved, meeting)
-    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure, turned
+    return coulomb.measure(excess), np.minimum(slip_measure, coulomb.measure(wrong)), slip_measure, turned
 
 
 def slips(slip: Array, none: Nothing) -> Array:
@@ -260,7 +260,7 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
 def law_residual(
     answer: Any,
     found: Violations,
-    rubbing: tuple[Vectors, Vector],
+    sliding: tuple[Vectors, Vector],
     unit: tuple[Vector, Vector, NDArray[np.bool_]],
     nothing: Vector,
 ) -> Vector:
@@ -268,14 +268,14 @@ def law_residual(
 
     Parameters
     ----------
-    rubbing : (m, d-1) and (m,) arrays
+    sliding : (m, d-1) and (m,) arrays
         The slips [length] and the coefficients of friction.
     unit : three (m,) arrays
         `normal_force` and what `tangential_force` returns.
     nothing : (m,) array
         `least_force`: the contact forces up to which there is none.
     """
-    (slip, friction), (along, across, felt), least = rubbing, unit, nothing
+    (slip, friction), (along, across, felt), least = sliding, unit, nothing
     phi = np.maximum(along, np.where(felt, across, 0.0))
     per_force = reciprocal(phi)
     L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))

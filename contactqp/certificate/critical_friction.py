@@ -205,9 +205,9 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     """
     m, d = len(mu), blocks.shape[1]
     felt = np.einsum("ikik->ik", blocks)[:, 1:] > 0
-    rubs = np.flatnonzero((mu > 0) & felt.any(axis=1))
-    mu_r, felt = mu[rubs], felt[rubs]
-    tangential = (d * rubs[:, None] + np.arange(1, d))[felt]
+    frictional = np.flatnonzero((mu > 0) & felt.any(axis=1))
+    mu_r, felt = mu[frictional], felt[frictional]
+    tangential = (d * frictional[:, None] + np.arange(1, d))[felt]
     kept = np.concatenate([d * np.arange(m), tangential])
     W = blocks.reshape(m * d, m * d)[kept[:, None], kept]
     try:
@@ -218,7 +218,7 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     if (pivots / W.diagonal()).min() < SINGULAR:
         return np.inf
     half = np.linalg.solve(factor, np.eye(len(W)))
-    normal = (half.T @ half)[np.ix_(rubs, rubs)]  # S^-1
+    normal = (half.T @ half)[np.ix_(frictional, frictional)]  # S^-1
     tangent = W[m:, m:]
     own = np.zeros(felt.shape)
     own[felt] = np.diag(tangent)

@@ -24,12 +24,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import (
-    Rubbing,
+    CoulombData,
     compliances,
+    coulomb_data,
     friction_figures,
     hardly_felt,
     lengths_across,
-    rubbing_of,
     slips_that_are_nothing,
 )
 from contactqp.linalg.condensation import condense
@@ -220,11 +220,11 @@ def violations(
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
-    rubbing = None
+    coulomb = None
     if problem.tangent is not None:
         hardly = hardly_felt(*compliances(problem))
         none = slips_that_are_nothing(none, hardly)
-        rubbing = rubbing_of(problem, answer, F, none.force, hardly)
+        coulomb = coulomb_data(problem, answer, F, none.force, hardly)
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),
@@ -234,11 +234,11 @@ def violations(
             felt=force_measure(problem.normal, answer.normal_force, F, none.force, normal),
             lengths=normal.lengths(moved) + abs(problem.gap),
             tie_lengths=tie_lengths,
-            tangential_lengths=np.zeros(problem.contacts) if rubbing is None else lengths_across(problem, elastic),
+            tangential_lengths=np.zeros(problem.contacts) if coulomb is None else lengths_across(problem, elastic),
             intrinsic_size=float(size.max(initial=0.0)),
             nothing=none,
         ),
-        rubbing,
+        coulomb,
     )
 
 
@@ -286,17 +286,17 @@ class Sizes:
     nothing: Nothing
 
 
-def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
+def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, coulomb: CoulombData | None) -> Violations:
     """Return every figure of an `Answer`, or of one rank's part of one.
 
     `left` are its residuals of equilibrium (n,), its gaps (m,) and what its ties miss (k,).
     """
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
-    if rubbing is None or answer.friction_force is None:
+    if coulomb is None or answer.friction_force is None:
         cone = direction = slip_measure = turned = np.zeros(len(answer.normal_force))
     else:
-        cone, direction, slip_measure, turned = friction_figures(answer, rubbing, sizes.tangential_lengths, none)
+        cone, direction, slip_measure, turned = friction_figures(answer, coulomb, sizes.tangential_lengths, none)
     gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
     return Violations(
         equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),

@@ -341,8 +341,8 @@ def _distance(refined: _Refined, norms: _Norms, status: Status, mu: Vector, kapp
 
 def _margin(refined: _Refined, norms: _Norms, status: Status, mu: Vector) -> float:
     """Return the least distance at which a contact can be in another state, in the norm that forces and slips have."""
-    closed, rubs = status != OPEN, mu > 0
-    sticks, slides = closed & (status == STICK) & rubs, (abs(status) == 1) & rubs
+    closed, frictional = status != OPEN, mu > 0
+    sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
     room = mu * refined.normal - lengths(refined.friction)
     along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
     margins = (
@@ -361,7 +361,7 @@ def _over(size: Vector, norm: Vector) -> Vector:
 
 def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:
     assert problem.friction is not None
-    return np.where(compared.rubs, problem.friction, 0.0)
+    return np.where(compared.frictional, problem.friction, 0.0)
 
 
 def _bounds(
@@ -380,9 +380,9 @@ def _bounds(
     # Where nothing is strained, or no contact pushes, that error is absolute.
     strain, size = (part if part > NEXT_TO_NOTHING * larger else 0.0 for part in (strain, size))
     given = np.zeros(len(found.friction_force.hi)) if answer.friction_force is None else answer.friction_force.ravel()
-    rubbed = (extend(given) - found.friction_force).double().reshape(m, -1)
-    rubbed = np.where(compared.rubs[:, None], rubbed, 0.0)
-    apart = np.column_stack([(extend(answer.normal_force) - found.normal_force).double(), rubbed])
+    apart_in_friction = (extend(given) - found.friction_force).double().reshape(m, -1)
+    apart_in_friction = np.where(compared.frictional[:, None], apart_in_friction, 0.0)
+    apart = np.column_stack([(extend(answer.normal_force) - found.normal_force).double(), apart_in_friction])
     bound = lengths(apart) + distance * norms.force / compliance.scale
     own = np.sqrt(own_compliance(problem, problem.normal))
     return Bounds(

@@ -221,11 +221,11 @@ def siconos_global_error(
         raise Unsupported("siconos_global_error: the formula has no ties, and the problem has")
     v = _shaped("displacement", displacement, (problem.dimension,))
     pressed = _shaped("normal_force", normal_force, (problem.contacts,))
-    rubbed = _shaped("friction_force", friction_force, problem.slip_origin.shape)
+    dragged = _shaped("friction_force", friction_force, problem.slip_origin.shape)
     inner = problem.stiffness_rows @ v
-    outer = -(problem.normal.T @ pressed) - problem.tangent.T @ rubbed.ravel()
-    slip = (problem.tangent @ v).reshape(rubbed.shape) - problem.slip_origin
-    u, r = np.column_stack([problem.gap - problem.normal @ v, slip]), np.column_stack([pressed, -rubbed])
+    outer = -(problem.normal.T @ pressed) - problem.tangent.T @ dragged.ravel()
+    slip = (problem.tangent @ v).reshape(dragged.shape) - problem.slip_origin
+    u, r = np.column_stack([problem.gap - problem.normal @ v, slip]), np.column_stack([pressed, -dragged])
     balance = _scaled(problem.load + outer - inner, problem.load, inner, outer)
     return balance + _scaled(natural_map(r, u, problem.friction), u, r)
 
@@ -428,8 +428,8 @@ class _Measured:
         """Return which contacts are closed and which stick, (m,) each, and along what the slipping ones push (m, d)."""
         closed = (self.push > tolerance) | (self.gap <= tolerance)
         stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
-        rubs = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
-        return closed, stuck, np.column_stack([np.ones(len(rubs)), -rubs])
+        drag = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
+        return closed, stuck, np.column_stack([np.ones(len(drag)), -drag])
 
     def failure(self, name: str, tolerance: float) -> str:
         values = getattr(self, name)

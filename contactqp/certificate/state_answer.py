@@ -72,7 +72,7 @@ class Compared:
 
     refined: RefinedState
     status: Status
-    rubs: Mask  # (m,) contacts that friction acts on
+    frictional: Mask  # (m,) contacts that friction acts on
     displacement: float  # |u - u_c|_K
     force: float  # |l - l_c|_W
     last: float  # of the last correction of the refinement
@@ -248,7 +248,7 @@ class _Comparison:
 
     def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, bodies: Bodies) -> None:
         self._problem, self._answer, self._found = problem, answer, found
-        self._bodies, self._width, self._rubs = bodies, bodies.width, bodies.rubs
+        self._bodies, self._width, self._frictional = bodies, bodies.width, bodies.frictional
         self._along, self._across = bodies.along, bodies.across
         self._own = _own_compliances(problem, self._along, self._across)
         # Along a tangent whose unknowns are all supported any friction would do.
@@ -310,13 +310,13 @@ class _Comparison:
         friction = refined.friction_force.double().reshape(-1, self._width)
         size = self._bodies.response_norm(refined.normal_force.double(), friction)
         (moved, strain), (pushed, _) = distance.displacement, distance.force
-        return Compared(refined, status, self._rubs, moved, pushed, last, strain, size)
+        return Compared(refined, status, self._frictional, moved, pushed, last, strain, size)
 
     def _last_correction(self, refined: RefinedState) -> float:
         """Return the size of the last correction of the refinement [square root of energy]."""
-        moved, rubbed = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
-        assert rubbed is not None
-        return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, rubbed)))
+        moved, dragged = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
+        assert dragged is not None
+        return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, dragged)))
 
     def _believed(self) -> Status:
         """Return the states (m,): closed where the force as a length exceeds the gap, slipping where slip exceeds room.
@@ -329,7 +329,7 @@ class _Comparison:
         # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
         moved = np.where(lengths(slip) > self.still, lengths(slip), 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
-        status = np.where(sticks & self._rubs, STICK, self._sliding(slip, friction))
+        status = np.where(sticks & self._frictional, STICK, self._sliding(slip, friction))
         return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
 
     def _sliding(self, slip: Array, friction: Array) -> Status:
@@ -343,7 +343,7 @@ class _Comparison:
     def coefficient(self) -> Vector:
         """The coefficients of friction (m,), 0 where a contact cannot slide."""
         assert self._problem.friction is not None
-        return np.where(self._rubs, self._problem.friction, 0.0)
+        return np.where(self._frictional, self._problem.friction, 0.0)
 
     @cached_property
     def friction(self) -> Array:
@@ -368,10 +368,10 @@ class _Comparison:
         strain, _ = energy_norm(problem, refined.displacement)
         other = refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
-        rubbed = np.where(self._rubs[:, None] & self._felt, self.friction - other, 0.0)
+        rubbed = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
         size = self._bodies.response_norm(refined.normal_force.double(), other)
         size = size if size > NEXT_TO_NOTHING * strain else strain
-        whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))
+        whole = max(size, force_size(problem, refined.normal_force.double()), self._friction_size(other))
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: forces are compared as they act
             own_normal, own_tangent = (_squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
@@ -404,7 +404,7 @@ class _Comparison:
         held = HELD_BY_DOUBLES * np.sqrt(size @ (self._problem.stiffness_sizes @ size))
         return max(float(held), self._bodies.rounding(self._answer.displacement))
 
-    def _rubbing_size(self, friction: Array) -> float:
+    def _friction_size(self, friction: Array) -> float:
         force = row_sizes(self._problem, self._problem.tangent).resultant(friction.ravel())
         return float(np.linalg.norm(self._problem.own_scale * force))
 
@@ -429,8 +429,8 @@ class _Signs:
         penetrated = np.where((status == OPEN) & meets, np.maximum(-gap, 0.0), 0.0)
         tension = np.where(status != OPEN, np.maximum(-force, 0.0), 0.0)
         beyond = np.maximum(lengths(self._friction) - of.coefficient * np.maximum(force, 0.0), 0.0)
-        beyond = np.where((status == STICK) & of._rubs, beyond, 0.0)
-        sliding = (abs(status) == 1) & of._rubs
+        beyond = np.where((status == STICK) & of._frictional, beyond, 0.0)
+        sliding = (abs(status) == 1) & of._frictional
         against = np.maximum(-np.sum(refined.directions * slip, axis=1), 0.0)
         against = np.where(sliding & (against > of.still), against, 0.0)
         self._lengths = np.hypot(in_energy(penetrated, own_normal), in_energy(against, own_tangent))

@@ -42,7 +42,7 @@ class Bodies(Protocol):
     along: Vector  # (m,) the response of a contact to its own force
     across: Vector  # (m,) the same of friction
     width: int  # d-1
-    rubs: Mask  # (m,) contacts that friction acts on
+    frictional: Mask  # (m,) contacts that friction acts on
     floats: bool
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
@@ -63,7 +63,7 @@ class CondensedBodies:
 
         self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
         self._rows = condensed_frictional_rows(problem, condensation)
-        self.width, self.rubs = self._rows.width, _rubbing(self._rows)
+        self.width, self.frictional = self._rows.width, _with_friction(self._rows)
         self.floats = condensation.rigid.count > 0
         compliance = contact_compliance(problem, condensation)
         per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
@@ -98,7 +98,7 @@ class SparseBodies:
         from contactqp.linalg.sparse_states import frictional_rows
 
         self._problem, self._rows = problem, frictional_rows(problem)
-        self.width, self.rubs = self._rows.width, _rubbing(self._rows)
+        self.width, self.frictional = self._rows.width, _with_friction(self._rows)
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
@@ -133,7 +133,7 @@ class IteratedBodies:
         refuse_indefinite_by_iteration(problem, self._iteration)
         self._before, self.floats = self._iteration.krylov_iterations, self._iteration.rigid.count > 0
         self._rows = FrictionRows(problem, self._iteration)
-        self.width, self.rubs = self._rows.width, self._rows.friction > 0
+        self.width, self.frictional = self._rows.width, self._rows.friction > 0
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
         self.across = np.max(self.across.reshape(problem.contacts, -1), axis=1, initial=0.0)
 
@@ -190,6 +190,6 @@ class IteratedBodies:
         return rigid_rounding(self._problem, self._iteration.rigid, displacement)
 
 
-def _rubbing(rows: ScaledRows) -> Mask:
+def _with_friction(rows: ScaledRows) -> Mask:
     """Return the contacts that friction acts on (m,)."""
     return np.asarray(rows.slides & (rows.coefficient > 0))

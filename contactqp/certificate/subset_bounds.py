@@ -118,11 +118,11 @@ def _with_contacts(problem: ContactProblem, candidates: NDArray[np.intp], before
 def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subset: ContactProblem) -> ContactProblem:
     """Return the subset's problem under the load, gaps and tie values of the whole problem."""
     friction, origin = problem.friction, problem.slip_origin
-    rubbing: dict[str, Any] = {}
+    coulomb: dict[str, Any] = {}
     if friction is not None and origin is not None:
-        rubbing = {"friction": friction[candidates], "slip_origin": origin[candidates]}
+        coulomb = {"friction": friction[candidates], "slip_origin": origin[candidates]}
     return subset.replace(
-        **rubbing,
+        **coulomb,
         load=problem.load,
         gap=problem.gap[candidates],
         tie_value=problem.tie_value,

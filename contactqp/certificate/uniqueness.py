@@ -119,9 +119,9 @@ class _Systems:
         self.nothing = NOTHING * max(float(abs(part).max(initial=0.0)) for part in (free, self._held))
         self._compliance = np.diagonal(self._W).reshape(-1, 2)
         self._slope = -np.hstack([self._W, self._V])
-        self._rubs = np.repeat(self.mu > 0, 2)
-        self._rubs[::2] = True
-        self._felt = self._slope[self._rubs]
+        self._acting_rows = np.repeat(self.mu > 0, 2)
+        self._acting_rows[::2] = True
+        self._felt = self._slope[self._acting_rows]
 
     def assembled(self, status: NDArray[np.int8]) -> tuple[Array, Array]:
         """Return the matrices (c, q, q) and right-hand sides (c, q) of combinations (c, m)."""
@@ -168,8 +168,8 @@ class _Systems:
         """Return by how much every row of `signs` may fail in a solution (q,)."""
         length, pushed = (part[0] for part in self._allowed(y[None]))
         opened, closed, stuck, sliding = self._by_state(status)
-        rubbed = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
-        return np.concatenate([length[opened, 0], pushed[closed, 0], rubbed, rubbed, length[sliding, 1]])
+        bound = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
+        return np.concatenate([length[opened, 0], pushed[closed, 0], bound, bound, length[sliding, 1]])
 
     def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
         """Return room and its slope in y: the signs hold where room + slope y >= 0."""
@@ -185,7 +185,7 @@ class _Systems:
     def differ(self, one: Vector, other: Vector) -> bool:
         """Return whether forces and joints of two answers move any contact differently."""
         sizes = abs(self._felt) @ np.maximum(abs(one), abs(other))
-        doubtful = 10 * (DOUBTFUL * self._given.ravel()[self._rubs] + self.nothing)
+        doubtful = 10 * (DOUBTFUL * self._given.ravel()[self._acting_rows] + self.nothing)
         return bool(np.any(abs(self._felt @ (one - other)) > SAME * sizes + doubtful))
 
     def moving(self, free: Array) -> Array:
@@ -297,9 +297,9 @@ class _State:
         pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, tolerance))
         loaded = pushes & (found.force_measure > tolerance)
         self.closed = np.flatnonzero(pushes | (found.gap_measure <= tolerance))
-        rubs = loaded & (problem.friction > 0)
-        self.stuck = np.flatnonzero(rubs & (found.slip_measure <= tolerance))
-        self.slides = np.flatnonzero(rubs & (found.slip_measure > tolerance))
+        frictional = loaded & (problem.friction > 0)
+        self.stuck = np.flatnonzero(frictional & (found.slip_measure <= tolerance))
+        self.slides = np.flatnonzero(frictional & (found.slip_measure > tolerance))
         # What touches without pressing and slips would rub as soon as it took its share.
         moves = (problem.friction > 0) & (found.slip_measure > tolerance)
         self.dragged = self.closed[moves[self.closed]]

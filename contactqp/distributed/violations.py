@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import (
+    CoulombData,
     Felt,
-    Rubbing,
     bare_infinite,
     entries_of,
     friction_measure,
@@ -167,7 +167,7 @@ def _tangential_lengths(problem: DistributedProblem, displacement: Vector) -> Ve
 
 def _friction_data(
     problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: NDArray[np.bool_]
-) -> Rubbing | None:
+) -> CoulombData | None:
     """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective.
 
     Parameters are those of `contactqp.certificate.coulomb_law.rubbing_of`.
@@ -182,7 +182,7 @@ def _friction_data(
         for rows in (tangent, problem.normal)
     )
     rounding = rounded_slips(tangent.sizes @ abs(near), origin)
-    return Rubbing(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+    return CoulombData(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 
 def _compliances(problem: DistributedProblem) -> tuple[Vector, Array]:

@@ -448,8 +448,10 @@ def _answer_data(
         raise InvalidProblem("solution: expected one of this problem, got one of another kind")
     else:
         # Without a coefficient of friction nothing rubs, and there is no friction force at all.
-        rubs = solution.friction_force if solution.friction_force is not None else np.zeros_like(solution.slip)
-        r = np.column_stack([solution.normal_force, -rubs])
+        friction_force = (
+            solution.friction_force if solution.friction_force is not None else np.zeros_like(solution.slip)
+        )
+        r = np.column_stack([solution.normal_force, -friction_force])
         u = np.column_stack([solution.gap, solution.slip])
         joint, v = -solution.tie_force, solution.displacement
     joints = problem.joints if isinstance(problem, LocalProblem) else len(problem.joint_offset)

@@ -201,7 +201,7 @@ def _equations(problem: LocalProblem, status: Status, r: Extended, velocity: Vec
     turning = np.divide(mu * force[:, 0], lengths(slip), out=np.zeros(m), where=(lengths(slip) > 0) & (d == 3))
     across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
     blocks = matrix.reshape(m, d, m * d)
-    for i in np.flatnonzero(_rubs_or_is_free(status, mu)):
+    for i in np.flatnonzero(_slides_or_is_smooth(status, mu)):
         rows = slice(i * d + 1, (i + 1) * d)
         turned = turning[i] * across[i] @ blocks[i, 1:] if turning[i] else 0.0
         matrix[rows] = Q[rows].toarray() + turned
@@ -214,7 +214,7 @@ def _along(status: Status, slip: Array) -> Array:
     return status[:, None].astype(float) * np.ones((1, 1)) if slip.shape[1] == 1 else directions(slip)
 
 
-def _rubs_or_is_free(status: Status, mu: Vector) -> Mask:
+def _slides_or_is_smooth(status: Status, mu: Vector) -> Mask:
     """Return the closed contacts (m,) whose friction is known from their normal force."""
     return np.asarray((status != OPEN) & ((status != STICK) | (mu == 0)))
 

@@ -346,8 +346,8 @@ def _instant(solution: Any, states: Sequence[str], noise: float) -> list[str]:
     cells.append(solution.problem.contact_name(at) if pushes else "")
     if "slip" in states:
         friction = np.zeros((0, 1)) if solution.friction_force is None else solution.friction_force
-        rubs = float(np.max(np.linalg.norm(friction, axis=1), initial=0.0))
-        cells.append(number(rubs if rubs > noise else 0.0))
+        largest_friction = float(np.max(np.linalg.norm(friction, axis=1), initial=0.0))
+        cells.append(number(largest_friction if largest_friction > noise else 0.0))
     return cells
 
 

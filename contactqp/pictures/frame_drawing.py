@@ -358,9 +358,9 @@ def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -
         largest = max(contact.force for contact in fields.contacts)
         label = f"contact force, longest arrow {style.number(largest)} {style.force_unit(fields.units)}"
         handles.append(style.line_handle(label, color=style.PRESSURE))
-    rubs = [float(np.linalg.norm(c.friction, axis=1).max()) for c in fields.contacts if c.friction is not None]
-    if any(rubs):
-        label = f"friction, on the same scale, at most {style.number(max(rubs))} {style.force_unit(fields.units)}"
+    frictions = [float(np.linalg.norm(c.friction, axis=1).max()) for c in fields.contacts if c.friction is not None]
+    if any(frictions):
+        label = f"friction, on the same scale, at most {style.number(max(frictions))} {style.force_unit(fields.units)}"
         handles.append(style.line_handle(label, color=style.FRICTION))
     return handles
 

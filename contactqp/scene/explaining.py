@@ -328,9 +328,9 @@ def explain_problem(problem: ContactProblem | LocalProblem, title: str) -> Expla
     """Read off a problem of matrices, as of a quadratic program: what it has, and which systems would be solved."""
     if isinstance(problem, LocalProblem):
         local = BuildingBlock("condensation", False, "the problem is in local form: contacts alone, no stiffness")
-        rubs = friction_block([Fraction(float(mu)) for mu in problem.friction], problem.dimension)
+        friction = friction_block([Fraction(float(mu)) for mu in problem.friction], problem.dimension)
         names = tuple(problem.contact_name(i) for i in range(problem.contacts))
-        return Explanation(title, "units of its own", (), (), names, (), (rubs, local))
+        return Explanation(title, "units of its own", (), (), names, (), (friction, local))
     bounds = int(np.sum(np.diff(problem.normal.indptr) == 1))
     units = problem.units or Units()
     return Explanation(

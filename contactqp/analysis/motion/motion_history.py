@@ -207,10 +207,10 @@ def notes_on_motion(motion: Motion) -> Iterator[str]:
 def _notes_on_energy(motion: Motion) -> Iterator[str]:
     """Yield by how much the energy has grown at most beyond what was there and what the loads have put in."""
     found = list(energies(motion))
-    total, work, rubbed = np.array([(one.total, one.work, one.dissipated) for one in found]).T
+    total, work, dissipated = np.array([(one.total, one.work, one.dissipated) for one in found]).T
     put_in = total[0] + np.maximum.accumulate(work)
     with np.errstate(invalid="ignore"):
-        grown = np.flatnonzero(~(total - total[0] - work + rubbed <= GROWS * put_in))
+        grown = np.flatnonzero(~(total - total[0] - work + dissipated <= GROWS * put_in))
     if not len(grown):
         return
     first, most = int(grown[0]), int(np.argmax(np.where(np.isfinite(total), total, np.inf)))
@@ -389,12 +389,12 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
         return np.asarray(np.einsum("ij,ij->i", acting, (rows @ motions.T).T))
 
     work = np.einsum("ij,ij->i", (loads[1:] + loads[:-1]) / 2, np.diff(u, axis=0))
-    taken = rubbed = np.zeros(len(motions))
+    taken = dissipated = np.zeros(len(motions))
     if scheme.springs is None:
         taken = along(np.array([s.normal_force for s in block]), problem.normal)
     if problem.frictional:
-        rubbed = along(np.array([s.friction_force for s in block]), scheme.body.tangent)
-    return np.array([work, taken, rubbed])
+        dissipated = along(np.array([s.friction_force for s in block]), scheme.body.tangent)
+    return np.array([work, taken, dissipated])
 
 
 @dataclass(frozen=True, eq=False)

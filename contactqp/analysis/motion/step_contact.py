@@ -104,7 +104,7 @@ class StepContact:
         if template.frictional and condensation.tangent is not None:
             self._T = condensation.tangent.toarray()
             rows = self._local_rows()
-        self._rubbing = len(self._T) if template.frictional else 0
+        self._tangents = len(self._T) if template.frictional else 0
         self._rows = rows
         self._prepare_ties()
         if options:
@@ -228,8 +228,8 @@ class StepContact:
         meeting = (abs(self._W) @ abs(force).ravel()).reshape(m, width)
         meeting[:, 0] += abs(c)
         dust = own <= DUST * np.max(meeting, axis=1, keepdims=True)
-        pushless, rubless = np.all(dust, axis=1), np.all(dust[:, 1:], axis=1)
-        force[rubless, 1:] = 0.0
+        pushless, frictionless = np.all(dust, axis=1), np.all(dust[:, 1:], axis=1)
+        force[frictionless, 1:] = 0.0
         force[pushless] = 0.0
         return force[:, 0], force[:, 1:].ravel()
 
@@ -281,7 +281,7 @@ class StepContact:
     ) -> tuple[Vector, Vector]:
         """Return l_N and l_T of contacts whose gaps without forces are c."""
         m = self.template.contacts
-        normal, friction = np.zeros(m), np.zeros(self._rubbing)
+        normal, friction = np.zeros(m), np.zeros(self._tangents)
         closing = c < 0 if closable is None else (c < 0) & closable
         if not closing.any():
             self._pushed[:] = False
@@ -299,17 +299,17 @@ class StepContact:
         self, c: Vector, slip: Vector, looked: NDArray[np.intp], normal: Vector, friction: Vector
     ) -> None:
         """Fill in the forces of contacts with friction."""
-        m, width = self.template.contacts, self._rubbing // self.template.contacts
+        m, width = self.template.contacts, self._tangents // self.template.contacts
         offset = np.column_stack([c, slip.reshape(m, width)])[looked].ravel()
         rows = (looked[:, None] * (1 + width) + np.arange(1 + width)).ravel()
         coefficient = self.template.friction[looked]  # type: ignore[index]
         W, start = self._W[np.ix_(rows, rows)], self._states[looked]
-        pressed, rubbed = frictional_forces(W, offset, coefficient, start, self._method, self._options)
+        pressed, dragged = frictional_forces(W, offset, coefficient, start, self._method, self._options)
         normal[looked] = np.maximum(pressed, 0.0)
-        friction.reshape(m, width)[looked] = rubbed
+        friction.reshape(m, width)[looked] = dragged
         self._states[:] = OPEN
         if width == 1:
-            self._states[looked] = states_of(pressed, rubbed, coefficient)
+            self._states[looked] = states_of(pressed, dragged, coefficient)
 
 
 def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, options: dict[str, Any]) -> Vector:

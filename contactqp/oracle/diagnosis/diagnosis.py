@@ -116,9 +116,9 @@ def unbalanced(evidence: Evidence, load: Vector) -> bool:
     size = float(np.max(rows, initial=0.0)) * float(np.max(abs(answer.displacement) / D, initial=0.0))
     parts = [(problem.normal, answer.normal_force), (problem.tie, answer.tie_force)]
     if problem.tangent is not None and answer.friction_force is not None:
-        rubbing = answer.friction_force.ravel()
-        r = r - D * (problem.tangent.T @ rubbing)
-        parts.append((problem.tangent, rubbing))
+        friction_force = answer.friction_force.ravel()
+        r = r - D * (problem.tangent.T @ friction_force)
+        parts.append((problem.tangent, friction_force))
     largest = 0.0
     for matrix, force in parts:
         weight = np.sqrt(np.asarray(matrix.multiply(matrix) @ D**2).ravel())

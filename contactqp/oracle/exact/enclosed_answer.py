@@ -302,13 +302,13 @@ def _answer(asked: Asked, found: Enclosure, motions: tuple[FreeMotion, ...], not
     closed = np.zeros(problem.contacts, dtype=bool)
     closed[refined.closed] = True
     slip, slip_radius = _slip(found)
-    rubs = None if slip is None else slip.shape
-    none = np.zeros(0) if rubs is None else np.zeros(rubs)
+    slip_shape = None if slip is None else slip.shape
+    none = np.zeros(0) if slip_shape is None else np.zeros(slip_shape)
     return ExactSolution(
         problem=problem,
         displacement=refined.displacement.fractions(),
         normal_force=push,
-        friction_force=None if rubs is None else fixed(none).fractions().reshape(rubs),
+        friction_force=None if slip_shape is None else fixed(none).fractions().reshape(slip_shape),
         tie_force=refined.tie_force.fractions()[: problem.ties],
         gap=gap,
         slip=slip,
@@ -317,7 +317,7 @@ def _answer(asked: Asked, found: Enclosure, motions: tuple[FreeMotion, ...], not
         radius=Parts(
             found.displacement,
             found.normal_force,
-            None if rubs is None else none,
+            None if slip_shape is None else none,
             found.tie_force[: problem.ties],
             found.gap,
             slip_radius,

@@ -317,9 +317,9 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
         )
     else:
         console.print(f"{problem.dimension} displacements are not shown; --json has them", markup=False)
-    rubs = answer.friction_force is not None
+    frictional = answer.friction_force is not None
     heads = ["contact", "status", f"normal force{_in(force)}", number, f"gap{_in(length)}"]
-    heads += [f"friction force{_in(force)}"] if rubs else []
+    heads += [f"friction force{_in(force)}"] if frictional else []
     heads += [] if answer.unique_forces else ["range"]
     rows = []
     for i, word in enumerate(answer.contact_status):

@@ -121,9 +121,9 @@ def of_scene(exact: ExactProblem) -> RationalProblem:
         if i in place and j in place:
             K[place[i], place[j]] = from_fraction(_exact(entry))
     K = (K + K.transpose()) / 2
-    rubs = any(contact.friction for contact in exact.contacts)
-    tangents = [row for contact in exact.contacts for row in contact.tangent] if rubs else []
-    origins = [x for contact in exact.contacts for x in contact.slip_origin] if rubs else []
+    has_friction = any(contact.friction for contact in exact.contacts)
+    tangents = [row for contact in exact.contacts for row in contact.tangent] if has_friction else []
+    origins = [x for contact in exact.contacts for x in contact.slip_origin] if has_friction else []
     return RationalProblem(
         K=K,
         f=_column(exact.load.get(name, Fraction(0)) for name in free),
@@ -132,7 +132,9 @@ def of_scene(exact: ExactProblem) -> RationalProblem:
         A=_rows([tie.row for tie in exact.ties], place),
         b=_column(tie.value for tie in exact.ties),
         T=_rows(tangents, place),
-        friction=tuple(from_fraction(contact.friction) for contact in exact.contacts) if rubs else (fmpq(0),) * m,
+        friction=tuple(from_fraction(contact.friction) for contact in exact.contacts)
+        if has_friction
+        else (fmpq(0),) * m,
         slip_origin=_column(origins),
     )
 

@@ -194,17 +194,17 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
     touching = gap <= NOTHING * length
     moving = lengths(slip) > NOTHING * tangential_lengths(problem, known.displacement)
     contacts, ways = _edges(touching, moving, directions(slip))
-    rubs = problem.friction[contacts, None] * ways
+    drag = problem.friction[contacts, None] * ways
     columns = (width * contacts[:, None] + np.arange(width)).ravel()
     places = np.repeat(np.arange(len(contacts)), width)
-    spread = sp.csr_matrix((rubs.ravel(), (places, columns)), shape=(len(contacts), m * width))
+    spread = sp.csr_matrix((drag.ravel(), (places, columns)), shape=(len(contacts), m * width))
     edges = sp.csr_matrix(problem.normal[contacts]) + spread @ sp.csr_matrix(problem.tangent)
     rows = sp.csr_matrix(sp.vstack([edges, sp.csr_matrix(problem.tie)]) if tied else edges)
     pushing_only = np.arange(rows.shape[0]) < len(contacts)
     share, _ = balancing_forces(rows, residual, pushing_only, unknown_scale(problem))
     normal, friction = np.zeros(m), np.zeros(slip.shape)
     np.add.at(normal, contacts, share[: len(contacts)])
-    np.add.at(friction, contacts, share[: len(contacts), None] * rubs)
+    np.add.at(friction, contacts, share[: len(contacts), None] * drag)
     return Answer(known.displacement, normal, friction, share[len(contacts) :] if tied else known.tie_force)
 
 
@@ -373,8 +373,8 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
     known = given.filled(problem)
     rows = extended_rows(problem)
     nothing = extend(np.zeros(problem.ties))
-    rubbed = extend(problem.load) - rows.friction_force(known.friction_force)
-    load = (rubbed - rows.contact_force(extend(known.normal_force), nothing)).double()
+    dragged_load = extend(problem.load) - rows.friction_force(known.friction_force)
+    load = (dragged_load - rows.contact_force(extend(known.normal_force), nothing)).double()
     push = known.normal_force > PUSHING * np.max(abs(known.normal_force), initial=0.0)
     closed = np.flatnonzero(push)
     u, tie = _held(problem, load, problem.tie, problem.tie_value, closed)
@@ -382,7 +382,7 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
     if closed.size:
         held = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
         values = np.concatenate([problem.tie_value, problem.gap[closed]])
-        u, forces = _held(problem, rubbed.double(), held, values)
+        u, forces = _held(problem, dragged_load.double(), held, values)
         tie = forces[: problem.ties]
         yield _completed(known, u, tie, missing), "the bodies' response, the pushing contacts held closed"
     if not problem.frictional:

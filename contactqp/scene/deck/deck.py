@@ -293,12 +293,12 @@ class DeckContacts:
     @cached_property
     def free(self) -> FreeContacts:
         """Return the contacts over the free unknowns; those that none of them moves are left out."""
-        rubbing = any(one.interaction.friction > 0 for one in self.pairs)
+        has_friction = any(one.interaction.friction > 0 for one in self.pairs)
         friction = [np.full(len(one.labels), one.interaction.friction) for one in self.pairs]
         return free_contacts(
             [one.pairing for one in self.pairs],
             self.prescribed,
-            friction=np.concatenate(friction) if rubbing else None,
+            friction=np.concatenate(friction) if has_friction else None,
             names=contact_names(self.pairs),
         )
 

@@ -37,28 +37,28 @@ MAX_STEPS = 30
 
 def relaxed_in_the_plane(problem: ContactProblem) -> ContactProblem:
     """Return the quadratic program with rows E_N + mu E_T of all contacts, then E_N - mu E_T of those with friction."""
-    mu, origin, rubs = _coulomb_data(problem)
+    mu, origin, frictional = _coulomb_data(problem)
     dragged = sp.diags(mu) @ sp.csr_array(problem.tangent)
     shift = mu * origin[:, 0]
     names = [problem.contact_name(i) for i in range(problem.contacts)]
     return ContactProblem(
         stiffness=problem.stiffness,
         load=problem.load,
-        normal=sp.vstack([problem.normal + dragged, (problem.normal - dragged)[rubs]]),
-        gap=np.concatenate([problem.gap + shift, (problem.gap - shift)[rubs]]),
+        normal=sp.vstack([problem.normal + dragged, (problem.normal - dragged)[frictional]]),
+        gap=np.concatenate([problem.gap + shift, (problem.gap - shift)[frictional]]),
         tie=problem.tie,
         tie_value=problem.tie_value,
         dof_names=problem.dof_names,
-        contact_names=[f"{name} (+)" for name in names] + [f"{names[i]} (-)" for i in rubs],
+        contact_names=[f"{name} (+)" for name in names] + [f"{names[i]} (-)" for i in frictional],
         units=problem.units,
     )
 
 
 def recovered(problem: ContactProblem, displacement: Vector, force: Vector, tie_force: Vector) -> Answer:
     """Return l_N and l_T from the forces of `relaxed_in_the_plane`."""
-    mu, _, rubs = _coulomb_data(problem)
+    mu, _, frictional = _coulomb_data(problem)
     one, other = force[: problem.contacts], np.zeros(problem.contacts)
-    other[rubs] = force[problem.contacts :]
+    other[frictional] = force[problem.contacts :]
     return Answer(displacement, one + other, (mu * (one - other))[:, None], tie_force)
 
 
@@ -97,7 +97,7 @@ class _Program:
     """The relaxation on the scaled contact unknowns, its data divided by their size."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        self.mu, origin, self._rubs = _coulomb_data(problem)
+        self.mu, origin, self._frictional = _coulomb_data(problem)
         self._condensation, scale = condensation, condensation.scale
         m, width = origin.shape
         normal = condensation.normal * scale
@@ -123,14 +123,14 @@ class _Program:
         except ImportError as error:
             raise BackendMissing("associated: friction in space needs clarabel: pip install clarabel") from error
         m, d = self._limit.shape
-        rubs = self.mu > 0
+        frictional = self.mu > 0
         weight = np.where(np.arange(d) == 0, 1.0, self.mu[:, None])
-        kept = np.repeat(rubs, d).reshape(m, d)
+        kept = np.repeat(frictional, d).reshape(m, d)
         kept[:, 0] = True
         flat, weights = kept.ravel(), weight.ravel()
         rows = -(self._rows * weights[:, None])[flat]
         cones = [clarabel.ZeroConeT(len(self._tie))] if len(self._tie) else []
-        cones += [clarabel.SecondOrderConeT(d) if one else clarabel.NonnegativeConeT(1) for one in rubs]
+        cones += [clarabel.SecondOrderConeT(d) if one else clarabel.NonnegativeConeT(1) for one in frictional]
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_iter = False, 200
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE

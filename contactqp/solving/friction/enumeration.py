@@ -139,8 +139,8 @@ class Combinations:
         bound, sign = self.coefficient[stuck, None] * unit[stuck], status[sliding].astype(float)
         room = [-off[opened], np.zeros(len(closed)), np.zeros(2 * len(stuck)), sign * off[m + sliding]]
         slope = [-self.slope[opened], unit[closed], bound - unit[m + stuck], bound + unit[m + stuck]]
-        rubbed = self.coefficient[stuck] * self._forces[stuck] + self._forces[m + stuck]
-        size = [self._lengths[opened], self._forces[closed], rubbed, rubbed, self._lengths[m + sliding]]
+        bound_size = self.coefficient[stuck] * self._forces[stuck] + self._forces[m + stuck]
+        size = [self._lengths[opened], self._forces[closed], bound_size, bound_size, self._lengths[m + sliding]]
         return (
             np.concatenate(room),
             np.vstack([*slope, sign[:, None] * self.slope[m + sliding]]),

@@ -36,7 +36,7 @@ from contactqp.solving.methods.method import Method, Settings
 
 @dataclass(frozen=True)
 class Backend:
-    """Describe one backend of qpsolvers: the keywords that it takes, in its own words, and which matrices it accepts.
+    """The keywords of one backend of qpsolvers, by its own names, and the matrices that it accepts.
 
     `method_of(backend)` makes a `Method` of it, which `register` adds to the methods of `solve`.
     """

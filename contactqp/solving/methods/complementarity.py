@@ -47,7 +47,7 @@ Dense = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """Return displacements and tie forces without contact and per unit contact force, and the remaining rigid motions.
+    """The displacements and tie forces without contact and per unit contact force, and the remaining rigid motions.
 
     u = free - response l + motions a;   nu = tie_free - tie_response l;   motions'(f - E_N' l) = 0
     """
