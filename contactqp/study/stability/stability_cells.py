@@ -214,9 +214,14 @@ def cells(axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None) -> 
                     yield Cell(axis.name, value, method.name, "uzawa")
 
 
+# Axes whose values are numbers of contacts, and how many of them double the time of a cell; the others' are small.
+SIZES, DOUBLING = (problem_axes.CONTACTS.name, problem_axes.CLOSED_CONTACTS.name), 50
+
+
 def runnable(cell: Cell) -> RunningCell:
-    """Return the cell in the form in which `run_cells` takes it."""
-    return RunningCell(cell.key, stability_row, cell.arguments, StabilityRow)
+    """Return the cell in the form in which `run_cells` takes it, with its cost relative to that of a small problem."""
+    cost = 1 + (cell.value / DOUBLING if cell.axis in SIZES else 0.0)
+    return RunningCell(cell.key, stability_row, cell.arguments, StabilityRow, cost=cost)
 
 
 def row_of(cell: Cell, found: StabilityRow | Crash) -> StabilityRow:

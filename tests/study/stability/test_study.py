@@ -281,6 +281,14 @@ def test_a_study_that_was_interrupted_goes_on(
     assert timeless == [dataclasses.replace(row, seconds=None) for row in small.rows_of(axes[0])]
 
 
+def test_cells_of_many_contacts_are_expected_to_take_long() -> None:
+    """Of 1e4 contacts a cell takes ten seconds on average, of a few bars 60 ms."""
+    costs = {(cell.axis, cell.value): cells_module.runnable(cell).cost for cell in cells(methods=["active-set"])}
+    assert costs["contacts", 1e4] > 100
+    assert costs["closed-contacts", 1e5] > costs["closed-contacts", 1e4]
+    assert all(cost == 1 for (axis, _), cost in costs.items() if not axis.endswith("contacts"))
+
+
 def test_a_cell_whose_process_died_is_a_row() -> None:
     cell = next(iter(cells(methods=["osqp"])))
     row = row_of(cell, Crash("died of a segmentation fault (SIGSEGV)"))
