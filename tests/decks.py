@@ -143,6 +143,8 @@ Up-1.Foot, Roof
 Top, 3, 3, -0.02
 *Cload
 Up-1.1, 3, -1.
+*Dload
+, GRAV, 0.25, 0., 0., -1.
 *Restart, write, frequency=0
 *Output, field, variable=PRESELECT
 *End Step

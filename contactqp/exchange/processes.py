@@ -196,7 +196,7 @@ JOB = "job"
 # Longest lines that CalculiX reads whole.
 WIDTH = 120
 LABELS_A_LINE = 10
-NODES = "CONTACTQPNODES"
+NODES, ELEMENTS = "CONTACTQPNODES", "CONTACTQPELEMENTS"
 LONGEST_LOG = 2**20
 
 
@@ -340,7 +340,7 @@ def _warnings(printed: str) -> tuple[str, ...]:
 
 def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
     """Yield the lines of the deck that is run."""
-    steps = 0
+    steps, sections = 0, list[str]()
     for card in cards:
         name = card.keyword.name
         if card.keyword.why == PRINTED or (name == "FRICTION" and not card.real(card.lines[0], 0, "a coefficient")):
@@ -350,6 +350,9 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
             labels = nodes.tolist()
             for at in range(0, len(labels), LABELS_A_LINE):
                 yield ", ".join(map(str, labels[at : at + LABELS_A_LINE])) + ","
+            yield from (f"*ELSET, ELSET={ELEMENTS}", *sections)
+        if name == "SOLID SECTION":
+            sections.append(card.parameter("ELSET"))
         steps += name == "STEP"
         if name == "END STEP":
             yield from (f"*NODE PRINT, NSET={NODES}", "U")
@@ -361,10 +364,12 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
 
 
 def _data(keyword: str, line: Line) -> Iterator[str]:
-    """Yield a line of data; CalculiX has no words for supports."""
+    """Yield a line of data; CalculiX has no words for supports, and gravity of everything is that of all sections."""
     words = line.words
     if keyword == "BOUNDARY" and len(words) == 2 and words[1] in HELD:
         yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in HELD[words[1]])
+    elif keyword == "DLOAD" and not words[0]:
+        yield ", ".join([ELEMENTS, *words[1:]])
     else:
         yield line.text
 

@@ -14,10 +14,15 @@ from tests.decks import ASSEMBLED, STACK, needs_calculix, write
 
 def test_a_deck_of_instances_is_that_of_its_nodes(tmp_path: pathlib.Path) -> None:
     deck = cq.read_deck(write(tmp_path, ASSEMBLED))
-    flat = STACK.replace("*NODE PRINT", "*CLOAD\n12, 3, -1.\n*NODE PRINT")  # node 1, turned by a right angle
+    flat = STACK.replace(
+        "*NODE PRINT", "*CLOAD\n12, 3, -1.\n*DLOAD\nSOLID, GRAV, 0.25, 0., 0., -1.\n*NODE PRINT"
+    )  # node 1, turned by a right angle
     solution, other = (cq.solve(one.problem()) for one in (deck, cq.read_deck(write(tmp_path, flat, "flat.inp"))))
     assert solution.normal_force.sum() == pytest.approx(5.5, rel=1e-12)
     assert np.allclose(np.sort(solution.normal_force), np.sort(other.normal_force), rtol=1e-12)
+    assert solution.at("5.z") == pytest.approx(other.at("5.z"), rel=1e-12)
+    below = sum(solution.at(f"{node}.z") for node in (5, 6, 7, 8)) / 4
+    assert below == pytest.approx(-(5.5 + 0.5 / 2) / 1000)  # half of a cube's weight is at its top
     assert solution.force_at("node 11") == pytest.approx(other.force_at("node 12"), rel=1e-12)
     assert deck.model.points[deck.model.labels == 11].tolist() == [[1.0, 0.0, 1.01]]
     assert any("*INSTANCE UP-1: 10 added to labels" in line for line in deck.ledger.converted)

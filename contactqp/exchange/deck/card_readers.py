@@ -301,7 +301,10 @@ def read_distributed(model: DeckModel, loading: Loading, card: Card, scale: floa
     for line, words in card.table("elements, P1 or GRAV, a value"):
         if len(words) < 3:
             raise card.wrong("elements, P1 or GRAV, a value", repr(line.text[:40]), line)
-        elements = members(model.element_sets, card, line, words[0])
+        if words[0] or words[1] != "GRAV":
+            elements = members(model.element_sets, card, line, words[0])
+        else:  # gravity of everything, which CalculiX does not know
+            elements = np.concatenate([NONE, *(one.labels for one in model.elements if one.type != "SPRINGA")])
         face = re.fullmatch(r"P([1-6])", words[1])
         if face is not None:
             if len(words) > 3:
