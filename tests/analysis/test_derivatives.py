@@ -66,10 +66,11 @@ def drawn(rng: np.random.Generator, grazes: bool) -> tuple[cq.ContactProblem, An
     return cq.ContactProblem(K, f, E, g), tuple(rational(x) for x in (K, f, E, g))
 
 
+@pytest.mark.parametrize("problems", [8, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grazes", [False, True])
-def test_rates_are_those_of_exact_answers(grazes: bool) -> None:
+def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
     rng, two_sided, seen = np.random.default_rng(27), 0, 0
-    for _ in range(60):
+    for _ in range(problems):
         problem, data = drawn(rng, grazes)
         solution, n, m = cq.solve(problem), problem.dimension, problem.contacts
         if not grazes and "grazing" in solution.contact_status:
@@ -92,8 +93,8 @@ def test_rates_are_those_of_exact_answers(grazes: bool) -> None:
                 assert np.max(abs(found.left - left)) <= near
                 assert found.exists == bool(np.max(abs(left - right)) <= near)
                 two_sided += not found.exists
-    assert seen >= 100
-    assert (two_sided >= 30) == grazes
+    assert seen >= 5 * problems // 3
+    assert (two_sided >= problems // 2) == grazes
 
 
 BAR = dict(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])  # kN and m

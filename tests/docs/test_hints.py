@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import click
@@ -24,6 +25,7 @@ INSTALLED = re.compile(r"pip install (?:--upgrade )?([A-Za-z][A-Za-z0-9-]*)")
 NO_COMMANDS = {"and", "are", "as", "exact", "have", "import", "is", "on", "problem", "raises"}
 
 
+@cache
 def told() -> list[tuple[str, str]]:
     """Where something is told, and the words: string constants of the package, README, pages."""
     found = []

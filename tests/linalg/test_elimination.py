@@ -369,7 +369,7 @@ def test_minimum_degree_orders_plane_stiffnesses_alone(monkeypatch):
 
 @needs_pardiso
 def test_an_order_that_would_fill_in_is_found_anew():
-    n, matrix = strip_with_rows(40, 1)
+    n, matrix = strip_with_rows(16, 1)
     order, unknowns = EliminationOrder(n), np.arange(n)
     order.factorised(matrix[:n, :n], unknowns)
     joined = sp.csr_matrix(

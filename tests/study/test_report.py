@@ -232,9 +232,23 @@ def test_without_cases_those_of_the_folder_here_or_those_that_come_with_it(
     (tmp_path / "cases").mkdir()
     (tmp_path / "cases" / "wall.toml").write_text(CASES[0].read_text())
     monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set"]))
-    assert report.report((), "report", HERE) == 0
+    assert report.report((), "report", HERE, full=True) == 0
     assert "wrong but passed: 0" in capsys.readouterr().out
     assert (tmp_path / "report" / "index.html").exists()
+    assert {row["case"] for row in json.loads((tmp_path / "report" / "results.json").read_text())["rows"]} == {"wall"}
+
+
+@pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_without_cases_the_telling_ones_are_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], all_of_them: bool
+) -> None:
+    monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set"]))
+    if not all_of_them:
+        monkeypatch.setattr(report, "telling_cases", lambda _: CASES[:1])
+    assert report.report((), str(tmp_path / "report"), HERE) == 0
+    assert "wrong but passed: 0" in capsys.readouterr().out
+    found = {row["case"] for row in json.loads((tmp_path / "report" / "results.json").read_text())["rows"]}
+    assert len(found) == 8 if all_of_them else found == {"bar_wall"}
 
 
 def test_a_case_that_is_named_twice_is_refused(tmp_path: Path) -> None:
