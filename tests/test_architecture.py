@@ -99,6 +99,7 @@ def test_the_contracts_hold_of_rooms_that_keep_them(rooms: pathlib.Path) -> None
     assert circle(rooms) == []
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("how", UPWARDS)
 def test_an_import_from_above_is_refused(rooms: pathlib.Path, how: str) -> None:
     (rooms / "linalg" / "factors.py").write_text(UPWARDS[how])
@@ -107,6 +108,7 @@ def test_an_import_from_above_is_refused(rooms: pathlib.Path, how: str) -> None:
     assert "contactqp.linalg is not allowed to import contactqp.study" in " ".join(done.stdout.split())
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("how", IN_A_CIRCLE)
 def test_a_circle_of_neighbours_is_refused(rooms: pathlib.Path, how: str) -> None:
     (rooms / "linalg" / "factors.py").write_text(IN_A_CIRCLE[how])
@@ -121,6 +123,7 @@ def test_a_module_without_a_room_is_refused(rooms: pathlib.Path) -> None:
     assert "helpers" in done.stdout
 
 
+@pytest.mark.slow
 def test_no_files_import_in_a_circle() -> None:
     assert circle(PACKAGE) == []
 
@@ -133,6 +136,7 @@ def test_errors_import_nothing_of_the_package() -> None:
     assert imported(PACKAGE / "errors.py", set(files_by_module(PACKAGE))) == set()
 
 
+@pytest.mark.slow
 def test_the_certificate_imports_no_method() -> None:
     code = (
         "import sys, contactqp.certificate.certificate; print([m for m in sys.modules if "
@@ -162,6 +166,7 @@ def test_importing_the_package_imports_nothing_optional() -> None:
     assert _run(f"import sys, contactqp; print({modules})") == "[]"
 
 
+@pytest.mark.slow
 def test_solving_by_our_own_method_imports_no_backend() -> None:
     modules = f"[m for m in {OPTIONAL} if m in sys.modules]"
     code = (
@@ -172,6 +177,7 @@ def test_solving_by_our_own_method_imports_no_backend() -> None:
     assert _run(code) == "[]"
 
 
+@pytest.mark.slow
 def test_a_load_path_imports_nothing_of_motions() -> None:
     code = "import sys, contactqp.analysis.load_path; print([m for m in sys.modules if 'analysis.motion' in m])"
     assert _run(code) == "[]"
@@ -185,6 +191,7 @@ def test_every_pip_command_names_packages_that_pip_finds() -> None:
     assert [command for command in commands if re.search(r"(?<![/.\w])contactqp\b", command)] == []
 
 
+@pytest.mark.slow
 def test_public_names_are_all_there_and_methods_is_a_function() -> None:
     code = (
         "import contactqp as cq, contactqp.solving.methods, types; "

@@ -344,6 +344,7 @@ def only_errors_of_this_package_leave(name: str, draw: Draw) -> None:
             ask_everything(getattr(error, "solution", None))
 
 
+@pytest.mark.sampled(36)
 @pytest.mark.parametrize("name", CALLS)
 @settings(max_examples=8, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
@@ -407,6 +408,7 @@ THROWN: dict[str, Callable[[], Any]] = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", THROWN)
 def test_what_was_thrown_at_it_from_outside(what: str) -> None:
     with warnings.catch_warnings():
@@ -420,6 +422,7 @@ def test_what_was_thrown_at_it_from_outside(what: str) -> None:
     assert "\n" not in said
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("unit", [1.0, 2.0, 3.0, 128.0, 1e-12])
 def test_unknowns_without_stiffness_have_the_same_answer_in_every_unit_of_a_contact(unit: float) -> None:
     tied = cq.ContactProblem(
@@ -441,6 +444,7 @@ def test_absence_is_not_claimed_where_tangents_alone_touch_an_unknown(unit: floa
     assert cq.solve(problem).normal_force == pytest.approx([3e4 / unit], rel=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("unit", [1.0, 1e8, 1e12, 1e15, 1e100])
 def test_rows_in_far_apart_units_have_the_same_answer(unit: float) -> None:
     problem = cq.ContactProblem(

@@ -159,6 +159,7 @@ def test_every_public_name_is_called_or_takes_nothing_from_a_user(calls: dict[st
     assert calls.keys() & wild_calls.NOT_CALLED.keys() == set()
 
 
+@pytest.mark.slow
 def test_the_calls_work_as_they_stand(calls: dict[str, wild_calls.Call]) -> None:
     """An argument in a call that is refused anyhow is never looked at."""
     for call in calls.values():
@@ -179,6 +180,7 @@ NAMES = sorted(set(wild_calls.names()) - wild_calls.NOT_CALLED.keys())
 THIN_OPTIONS = 29
 
 
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("name", NAMES)
 def test_only_errors_of_this_package_leave(
     name: str, calls: dict[str, wild_calls.Call], thrown: dict[str, Any], tmp_path: pathlib.Path,
@@ -201,6 +203,7 @@ def test_only_errors_of_this_package_leave_whatever_is_thrown(
 OPTIONS = wild_calls.options()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", OPTIONS)
 def test_only_errors_of_this_package_leave_whatever_an_option_is(
     name: str, thrown: dict[str, Any], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch

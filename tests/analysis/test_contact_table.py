@@ -63,6 +63,7 @@ def test_friction_in_space_has_two_columns() -> None:
     assert table.to_dicts()[-1]["friction_force_2"] == pytest.approx(0.2)
 
 
+@pytest.mark.slow
 def test_motions_and_large_deformations_say_what_their_times_are() -> None:
     ball = cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
     fall = cq.impact(ball, [1.0], [0.0], [1.0], duration=0.3, time_step=0.1)

@@ -105,6 +105,7 @@ def test_the_tangent_is_that_of_the_force_and_the_force_that_of_the_energy() -> 
     np.testing.assert_allclose(rod.tangent(u) @ v, slope, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_rod_is_pushed_far_beyond_buckling() -> None:
     force, height = exact_rod()
     assert (force, height) == pytest.approx((2.872949, 0.628932), abs=1e-6)
@@ -119,6 +120,7 @@ def test_a_rod_is_pushed_far_beyond_buckling() -> None:
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.3)  # of second order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [5, 12])  # their lengths are rounded, and so are the forces at rest
 def test_rounding_of_a_bodys_own_force_is_no_lack_of_balance_and_is_said(links: int) -> None:
     history = pushed(links, 1e6, steps=2, moves=False)
@@ -131,6 +133,7 @@ def test_rounding_of_a_bodys_own_force_is_no_lack_of_balance_and_is_said(links: 
     assert bent == pytest.approx(SIDE_LOAD / links * np.sum(arms**2), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_converge_is_halved() -> None:
     """Eight iterations are too few for the whole way at once; all steps that were taken stand in the history."""
     history = pushed(8, 1e3, steps=1, max_iter=8)
@@ -152,6 +155,7 @@ def test_steps_of_newtons_method_are_refined_and_the_converged_one_is_certified(
     assert not certified  # by `solve`: those of the history are made of the converged steps
 
 
+@pytest.mark.slow
 def test_a_step_whose_refined_signs_fail_is_solved_and_certified(monkeypatch) -> None:
     whole = pushed(6, 1e3, steps=2)
     monkeypatch.setattr(runs.CondensedRun, "_polished", lambda _: None)
@@ -178,6 +182,7 @@ class Spring:
         return sp.csc_array([[self.slope]])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("body", [Spring(jump=1e-3), Spring(jump=1e-5), Spring(tangent=0.3)])
 def test_a_force_that_jumps_or_does_not_belong_to_its_tangent_is_no_rounding(body: Spring) -> None:
     assert cq.large_deformation(Spring(), [[0.5]], steps=1)[-1].displacement == pytest.approx([0.5])

@@ -25,6 +25,7 @@ def balance(history: cq.History) -> float:
     return abs(missing) / max(abs(one.work) for one in history.energies)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", [None, 1, 2, 7, 40])
 def test_example_2_18_closes_and_slips_at_once(steps: int | None) -> None:
     history = cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], events="exact", steps=steps)
@@ -44,6 +45,7 @@ def test_example_2_17_sticks_where_it_touched() -> None:
     assert history.energies[-1].dissipated == 0.0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ORDERS)
 def test_the_order_of_loads_decides_the_state(name: str) -> None:
     loads, moved, force, ratio = ORDERS[name]
@@ -137,6 +139,7 @@ def cradle(friction: float = 0.3) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_a_rotation_that_nothing_resists_and_no_load_drives_is_no_other_continuation() -> None:
     """Pressed by 20, both sides come down at 50 x 0.1 = 5 and carry 15; turned by 2 x 15 = 30 of 36 it lifts a side."""
     pressed, turned = np.array([0.0, -20.0, 0.0, 0.0]), np.array([0.0, -20.0, 36.0, 0.0])
@@ -219,7 +222,7 @@ def random_body(seed: int) -> tuple[cq.ContactProblem, list[np.ndarray]]:
     return problem, [*corners, corners[0], np.zeros(n)]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(12))
 def test_cycles_of_random_bodies_balance_their_energy(seed: int) -> None:
     problem, loads = random_body(seed)
@@ -231,6 +234,7 @@ def test_cycles_of_random_bodies_balance_their_energy(seed: int) -> None:
     assert history.energies[-1].work > -1e-12 * max(one.work for one in history.energies)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_many_steps_come_to_the_same(seed: int) -> None:
     problem, loads = random_body(seed)
@@ -302,6 +306,7 @@ def test_forces_that_are_not_unique_go_on_from_where_they_are() -> None:
     assert balance(history) < 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(4), marks=pytest.mark.slow)], ids=["one", "four"])
 @pytest.mark.parametrize("options", [{"steps": 9}, {"events": "exact"}])
 def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object], seeds: range) -> None:

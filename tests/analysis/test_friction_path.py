@@ -21,6 +21,7 @@ CLOSING = 458394666339 / 639328600000
 COUNTS = (1, 2, 7, 40)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("steps", COUNTS)
 @pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}, {"algorithm": "newton"}, {"method": "clarabel"}])
 def test_example_2_18_by_every_step_count(steps: int, options: dict[str, str]) -> None:
@@ -36,6 +37,7 @@ def test_example_2_18_by_every_step_count(steps: int, options: dict[str, str]) -
     ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", COUNTS)
 @pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}])
 def test_example_2_17_sticks_where_it_touched(steps: int, options: dict[str, str]) -> None:
@@ -77,6 +79,7 @@ def test_example_2_19_loaded_and_unloaded_in_steps() -> None:
     assert slips == [(1, 1 + 4 / 16), (0, 1 + 10 / 16), (1, 2 + 7 / 16)]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", COUNTS)
 def test_normal_first_or_tangential_first(steps: int) -> None:
     """K = [[2, -1/2], [-1/2, 2]] in (n, t): pressed first it sticks at 0, pushed first where it comes down, at 1/8."""
@@ -97,7 +100,8 @@ def test_normal_first_or_tangential_first(steps: int) -> None:
     np.testing.assert_allclose([other.normal_force[0], other.friction_force[0, 0]], [0.9375, 0.0], atol=1e-14)
 
 
-@pytest.mark.parametrize("events", [None, "exact"])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("events", ["exact", None])
 def test_energy_of_a_jenkins_loop(events: str | None) -> None:
     """k = 2, mu N = 0.3, amplitude 0.5: a loop costs 4 mu N (D - mu N / k) = 0.42."""
     problem, loads = jenkins(stiffness=2.0, friction=0.3, amplitude=0.5, loops=2)
@@ -110,6 +114,7 @@ def test_energy_of_a_jenkins_loop(events: str | None) -> None:
             np.testing.assert_allclose(at[end].work - at[start].work, 0.42, rtol=1e-12)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("options", [{"steps": 3}, {"steps": 50}, {"events": "exact"}, {"steps": 3, "method": "osqp"}])
 def test_a_contact_that_closes_again_elsewhere(options: dict[str, object]) -> None:
     """It sticks where it came down; lifted, its anchor is gone; then it comes down and sticks somewhere else."""
@@ -225,6 +230,7 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("steps", "bodies", "seed"),
     [(1, 4, 2), (3, 4, 2), *(pytest.param(steps, 12, 5, marks=pytest.mark.slow) for steps in (1, 3, 10))],
@@ -257,7 +263,7 @@ def jumps(history: cq.History) -> list[str]:
     return [note for note in history.notes if "jumps" in note]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(("steps", "shown"), [(1, "2"), (4, "1.5"), (5, "1.6"), (10, "1.5"), (50, "1.42")])
 @pytest.mark.parametrize(("friction", "lost"), [(0.8, "1.4"), (0.7, "1.35")])
 def test_a_step_across_a_snap(friction: float, lost: str, steps: int, shown: str) -> None:
@@ -274,11 +280,13 @@ def test_a_step_across_a_snap(friction: float, lost: str, steps: int, shown: str
     assert history[-1].contact_status.tolist() == ["open"]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", [1, 4, 10])
 def test_no_step_jumps_below_the_critical_friction(steps: int) -> None:
     assert cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.4), PRESSED_AND_PULLED, steps=steps).notes == ()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}, {"method": "lagrange-multiplier"}])
 def test_whatever_takes_the_steps(options: dict[str, Any]) -> None:
     history = cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.8), PRESSED_AND_PULLED, steps=4, **options)
@@ -306,6 +314,7 @@ def test_a_step_that_chooses() -> None:
     assert from_rest.notes[1].startswith("t = 1: several equilibria")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "seeds"), [(2, 1), *(pytest.param(steps, 3, marks=pytest.mark.slow) for steps in (1, 5))]
 )
@@ -389,7 +398,8 @@ def block_pushed_until_it_slides() -> tuple[cq.ContactProblem, list[Any]]:
     return problem, [problem.load + part * push for part in (0.0, 0.75, 0.9)]
 
 
-@pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 4}])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("options", [{"steps": 4}, {"events": "exact"}])
 def test_beyond_the_sliding_limit_there_is_no_path_and_what_was_is_kept(options: dict[str, Any]) -> None:
     """mu N = 1500 N are reached at the end of the second leg, with too many contacts to try all their combinations."""
     problem, loads = block_pushed_until_it_slides()

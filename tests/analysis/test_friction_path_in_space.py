@@ -48,6 +48,7 @@ def recursion(ends: np.ndarray, steps: int) -> np.ndarray:
 SQUARE = np.array([[4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", [1, 5, pytest.param(16, marks=pytest.mark.slow)])
 def test_round_a_square_every_step_is_the_law_of_that_step(steps: int) -> None:
     history = led(SQUARE, steps)
@@ -133,6 +134,7 @@ def test_a_jenkins_loop_in_any_direction(angle: float) -> None:
     assert kinds == ["closed", "slip", "stick", "slip", "stick", "slip"]
 
 
+@pytest.mark.slow
 def test_pushed_less_than_its_bound_in_many_directions_it_has_not_moved() -> None:
     around = np.array([1.4 * direction(a) for a in np.linspace(0, 2 * np.pi, 9)])
     history = led(around, 2)

@@ -18,6 +18,7 @@ def never(*_: object, **__: object) -> None:
     raise cq.NotConverged("not this time")
 
 
+@pytest.mark.slow
 def test_where_newton_fails_solve_takes_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
     loads = [WEIGHTS, pulled(12.0), WEIGHTS]
     quick = cq.follow_path(two_masses(0.0), loads, steps=4)
@@ -63,6 +64,7 @@ def _stuck_in_space(problem: cq.ContactProblem, *_: object, **__: object) -> cq.
     return replace(solution, problem=problem, friction_force=friction, contact_status=status)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", [1, 4])
 def test_two_tangential_directions_are_anchored_where_they_close(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps know nothing of the plane: a node over a floor in space, both tangents held where it came down."""

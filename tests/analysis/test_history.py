@@ -31,6 +31,7 @@ def klarbring() -> cq.ContactProblem:
     )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("way", [dict(steps=3), dict(events="exact"), dict(steps=3, algorithm="aclm")], ids=str)
 def test_a_history_survives_pickling_and_copying(way: dict[str, Any]) -> None:
     history = cq.follow_path(klarbring(), loads=LOADS, **way)

@@ -41,6 +41,7 @@ def rough(*, idle_row: bool) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 @pytest.mark.parametrize("events", [None, "exact"])
 def test_a_path_is_that_without_them(kind, events):
@@ -63,6 +64,7 @@ def test_a_path_is_that_without_them(kind, events):
     assert cq.certify(last.problem, last.displacement, last.normal_force, tie_force=last.tie_force).passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("events", [None, "exact"])
 def test_a_path_with_friction_is_that_without_them(events):
     loads = [[1.0, -3.0, 0.0, -1.0], [3.0, -3.0, 0.0, -1.0]]
@@ -81,6 +83,7 @@ def test_a_path_with_friction_is_that_without_them(events):
         assert cq.certify(here.problem, here.displacement, here.normal_force, here.friction_force).passed
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 @pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "paoli-schatzman", "penalty"])
 def test_a_motion_is_that_without_them(kind, scheme):
@@ -112,6 +115,7 @@ def test_a_motion_with_friction_that_travels():
         assert other[-1].certificate.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 def test_a_comparison_is_that_without_them(kind):
     problem, methods = idle(kind), ["active-set", "penalty", "clarabel"]

@@ -43,6 +43,7 @@ def test_overlap_that_a_scheme_allows_is_told_and_none_where_it_holds_gaps(schem
     assert history[0].certificate.notes == ()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "backward-euler", "paoli-schatzman"])
 def test_a_sliding_block_stops_after_v_over_mu_g(scheme: str) -> None:
     block = sliding_block()
@@ -152,6 +153,7 @@ def test_newtons_cradle_hands_on_all_speed() -> None:
     assert [event.contact for event in history.events if event.kind == "closed"] == [0, 1, 2, 3]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_random_motions_pass_wherever_they_are_looked_at(seed: int) -> None:
     """Any stiffness, mass, rows, friction and ties: every step that is looked at has its certificate."""
@@ -223,6 +225,7 @@ def test_a_tie_of_a_mass_to_an_unknown_without_is_unsupported() -> None:
         cq.impact(problem, np.ones(4), np.zeros(4), np.zeros(4), 0.1, 0.01, "modified-mass")
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("bodies", [1, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "deuflhard-krause-ertel", "backward-euler"])
 def test_a_body_that_fits_exactly_between_walls_stays_there(scheme: str, bodies: int) -> None:
@@ -271,7 +274,7 @@ def test_a_mass_let_go_on_a_contact_spring_swings_about_its_weight() -> None:
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "corners"),
     [(0.3, 4), (1.5, 8), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1.5, 4), (0.3, 8)))],
@@ -286,6 +289,7 @@ def test_a_brick_thrown_on_a_plane_comes_to_rest(friction: float, corners: int) 
     assert abs(history.energies[-1].drift) < 1e-12
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("scheme", "said"), [("moreau-jean", True), ("modified-mass", False), ("modified-mass-central", False)]
 )

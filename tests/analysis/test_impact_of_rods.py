@@ -28,6 +28,7 @@ def thrown(request: pytest.FixtureRequest) -> tuple[cq.MotionHistory, float]:
     return thrown_rod(name, courant=courant, **knobs)
 
 
+@pytest.mark.sampled(5)
 def test_a_thrown_rod_touches_and_leaves_in_time(thrown: tuple[cq.MotionHistory, float]) -> None:
     history, step = thrown
     assert times_of(history, "closed")[0] == pytest.approx(TOUCH, abs=1.001 * step)
@@ -67,6 +68,7 @@ def test_a_rod_gains_no_energy_in_moreau_and_jeans_scheme() -> None:
     assert np.all(np.diff(totals) < 1e-9 * totals[0])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("scheme", "order"), [("moreau-jean", 0.45), ("modified-mass", 0.6), ("paoli-schatzman", 0.9)])
 @pytest.mark.parametrize(
     "meshes", [(50, 100, 200), pytest.param((50, 100, 200, 400), marks=pytest.mark.slow)], ids=["three", "four"]
@@ -149,6 +151,7 @@ def test_a_stretched_rod_let_go_repeats_itself() -> None:
     assert np.max(abs(history.displacements[-1] - start)) < 0.025
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "modified-mass", "deuflhard-krause-ertel", "newmark"])
 def test_momentum_is_exchanged_exactly(scheme: str) -> None:
     """Two equal rods, one at rest: the other stops and hands over its speed."""
@@ -181,6 +184,7 @@ def test_going_on_from_a_history_is_the_same_motion() -> None:
         half.resume(-1)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["clarabel", "osqp", "lemke", "projected-gauss-seidel"])
 def test_any_method_solves_the_small_problems(method: str) -> None:
     first = thrown_rod("moreau-jean", 40, duration=0.7)[0]

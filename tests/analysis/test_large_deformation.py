@@ -38,6 +38,7 @@ def test_newtons_method_converges_quadratically():
         assert orders(iterations)[-1] > 1.8
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("method", EXACT)
 def test_every_method_takes_the_steps(method):
     """The node is pressed onto a floor at 0.18: u_y = -0.02, and u_x and the force follow from balance."""
@@ -187,6 +188,7 @@ def test_energies_balance_where_the_steps_are_small():
     assert fine[-1].energy == pytest.approx(last.elastic - fine[-1].load @ fine[-1].displacement)
 
 
+@pytest.mark.slow
 def test_ties_move_the_body_and_work_on_it():
     """The node is drawn down through the flat state by a tie: the tie's force is P(w) all the way, unstable or not."""
     history = cq.large_deformation(arch(), [[0, 0]], tie=[[0.0, 1.0]], tie_values=[[-0.5]], steps=50)
@@ -198,6 +200,7 @@ def test_ties_move_the_body_and_work_on_it():
     assert history.energies[-1].work == pytest.approx(history.energies[-1].elastic, rel=1e-2)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", ["clarabel", "lemke"])
 def test_stiffness_along_a_tie_makes_the_step_convex_for_every_method(method):
     """The tangent is indefinite along the tie alone, whose displacement is given: the same problem, now convex."""
@@ -274,6 +277,7 @@ def test_with_large_sliding_steps_change_nothing():
     np.testing.assert_allclose(coarse[-1].displacement, fine[-1].displacement, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_foot_that_lands_while_it_moves_slides_from_where_it_lands():
     """A node on soft springs, drawn sideways and down; it lands on the way and friction counts from there."""
     springs = cq.NonlinearTruss([[0, 1], [0, 101], [100, 1]], [[0, 1], [0, 2]], 100.0, 1.0)
@@ -350,6 +354,7 @@ def test_too_few_iterations_say_what_is_left():
         cq.large_deformation(arch(), [0.28 * DOWN], steps=2, max_iter=2)
 
 
+@pytest.mark.slow
 def test_a_lost_pair_is_told():
     """A node that is drawn to the centre of a hole, where every direction is as near."""
     hole = cq.Circle([0.0, 0.1], 1.0, inside=True)
@@ -359,6 +364,7 @@ def test_a_lost_pair_is_told():
         )
 
 
+@pytest.mark.slow
 def test_what_falls_without_end_does_not_converge():
     free = cq.NonlinearTruss([[0, 0], [1, 0], [0, 1]], [[0, 1], [1, 2], [2, 0]], 1.0, 1.0)
     with pytest.raises(NotConverged) as failure:
@@ -366,6 +372,7 @@ def test_what_falls_without_end_does_not_converge():
     assert len(failure.value.history) == 1
 
 
+@pytest.mark.slow
 def test_histories_are_pickled():
     history = cq.large_deformation(arch(), [DOWN], node_over(FLOOR), steps=4)
     again = pickle.loads(pickle.dumps(history))

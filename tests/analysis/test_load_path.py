@@ -47,6 +47,7 @@ def test_work_is_elastic_energy_where_events_are_exact() -> None:
     assert history.energies[-1].total == pytest.approx(history[-1].energy + 300.0 * history[-1].displacement[0])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
 def test_exact_events_agree_with_many_steps(seed: int) -> None:
     problem = seeded_problem(seed, n=7, m=6)
@@ -140,6 +141,7 @@ def test_a_path_of_100_steps_makes_one_factorisation(dimension, made):
     np.testing.assert_allclose(history[-1].normal_force, alone, rtol=0, atol=1e-12 * alone.max())
 
 
+@pytest.mark.sampled(2)
 def test_steps_on_fresh_problems_are_seen_to_factorise_each_time(made):
     problem = block(500, 2)
     for fraction in (0.2, 0.4, 0.6):
@@ -161,6 +163,7 @@ def test_only_what_is_looked_at_is_expanded():
     assert condense(problem).back_substitutions == after
 
 
+@pytest.mark.slow
 def test_the_benchmark_judges_the_further_step():
     found = price(block(500, 2), steps=3, rounds=1)
     assert found.factorisations == 1

@@ -74,6 +74,7 @@ def test_each_case_has_the_answer_of_its_own_problem(kind: str, problems: int) -
     assert seen > 10 * problems
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.usefixtures("small_too")
 @pytest.mark.parametrize("unit", [2.0**-30, 1e-9, 1.0, 1e9])
 def test_the_bar_and_the_wall_for_many_loads_in_any_units(unit: float) -> None:
@@ -174,6 +175,7 @@ def plate(cells: int, unit: float = 1.0, apart: float = 1.0) -> cq.ContactProble
     return cq.ContactProblem(scale @ problem.stiffness @ scale, problem.load, problem.normal @ scale, problem.gap)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("unit", "apart"), [(1.0, 1.0), (2.0**40, 1.0), (1e-9, 1.0), (1.0, 1e-3), (1e6, 1e3)])
 def test_influence_functions_prove_forces_that_solve_finds_too(unit: float, apart: float) -> None:
     problem, rng = plate(12, unit, apart), np.random.default_rng(5)

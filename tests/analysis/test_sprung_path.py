@@ -21,6 +21,7 @@ SPRINGS: list[tuple[str, dict[str, Any]]] = [
 MODES: list[dict[str, Any]] = [{"steps": 1}, {"steps": 9}, {"events": "exact"}, {"events": "exact", "steps": 5}]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", [None, 1, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (7, 12))])
 @pytest.mark.parametrize(("method", "options"), SPRINGS)
 def test_two_masses_on_springs(method: str, options: dict[str, Any], steps: int | None) -> None:
@@ -73,7 +74,7 @@ def test_a_truss_that_sticks_on_springs_hangs_where_it_touched(mode: dict[str, A
         assert history.events[0].time == pytest.approx(CLOSING, rel=1e-14)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode: dict[str, Any]) -> None:
@@ -93,7 +94,7 @@ def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode:
             require_same(cq.solve(other, "penalty", **springs), history[-1], 1e-9)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", range(6))
 def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     """Elastic energy is 1/2 u'Ku + 1/2 sum l_N^2 / beta + l_T^2 / beta_T, and the balance needs both."""
@@ -113,6 +114,7 @@ def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     assert max(springs) > 1e-4 * max(elastic)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("penalty", [1e3, 1e5])
 def test_stiff_springs_lose_no_work_where_slip_turns_to_stick(penalty: float) -> None:
     problem, loads = random_body(3)
@@ -194,7 +196,7 @@ MULTIPLIERS: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize(("method", "options"), MULTIPLIERS)
 @pytest.mark.parametrize("name", ORDERS)
 def test_multipliers_follow_their_own_path(name: str, method: str, options: dict[str, Any]) -> None:
@@ -207,7 +209,7 @@ def test_multipliers_follow_their_own_path(name: str, method: str, options: dict
     np.testing.assert_allclose(history[-1].friction_force[0, 0], ratio * force, rtol=tolerance, atol=1e-9)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(("method", "options"), MULTIPLIERS)
 @pytest.mark.parametrize("steps", [1, 7, 40])
 def test_multipliers_stick_where_they_touched(steps: int, method: str, options: dict[str, Any]) -> None:

@@ -46,6 +46,7 @@ def test_trials_are_the_same_for_the_same_seed() -> None:
     assert trial(11, 3, ("frictionless",)) == trial(11, 3, ("frictionless",))
 
 
+@pytest.mark.slow
 def test_every_word_is_spoken() -> None:
     spoken: set[str] = set()
     for number in range(400):
@@ -57,7 +58,9 @@ def test_every_word_is_spoken() -> None:
 
 # Trials that found something once: a diagonal below the normal floats, of which scales overflowed; a compliance whose
 # inverse did; forces and slips whose ratio did.
-@pytest.mark.parametrize(("seed", "number"), [(777, 1023), (9001, 14110), (9003, 1651)])
+@pytest.mark.parametrize(
+    ("seed", "number"), [pytest.param(777, 1023, marks=pytest.mark.slow), (9001, 14110), (9003, 1651)]
+)
 def test_wild_trials_that_found_something_find_nothing(seed: int, number: int) -> None:
     done = trial(seed, number, ("wild",))
     assert done.judgements >= 5
@@ -67,7 +70,9 @@ def test_wild_trials_that_found_something_find_nothing(seed: int, number: int) -
 # And of all kinds: ties that depend on each other and share forces of 1e9; digits of forces that are not unique, and of
 # a displacement of zero; a bound below the error of a force that nothing stiff meets; a wrong answer 1e15 away, whose
 # rounding hid its strain; lengths that are rounding where K is zero; noise that was forged.
-@pytest.mark.parametrize("number", [3963, 4130, 8283, 12368, 14346, 15104, 17691])
+@pytest.mark.parametrize(
+    "number", [*(pytest.param(n, marks=pytest.mark.slow) for n in (3963, 4130, 8283, 12368, 14346)), 15104, 17691]
+)
 def test_trials_that_found_something_find_nothing(number: int) -> None:
     done = trial(97367752, number)
     assert done.judgements >= 5

@@ -12,7 +12,7 @@ from benchmarks.half_plane import Parabola
 from benchmarks.membrane_over_ball import RADIUS, RIM, SLOPE, deflection, gradient, membrane_level, on_disc, on_square
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "h1"), [("tri3", 0.9), ("quad4", 0.9), ("tri6", 1.3), ("quad8", 1.3)])
 def test_hertz_line_contact(kind, h1):
     """Order 1 in H1 with linear elements, 3/2 with quadratic ones: the pressure is a root at the edge of contact."""
@@ -43,6 +43,7 @@ class WrongObstacle(Parabola):
         return exact.potentials(z)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", ["tri3", "quad4"])
 def test_the_flat_punch(kind):
     levels = [punch_level(kind, cells) for cells in (8, 16, 32)]
@@ -53,6 +54,7 @@ def test_the_flat_punch(kind):
     assert levels[-1].l1 < 0.15
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", ["tri3", "quad4"])
 @pytest.mark.parametrize("mesh", [on_square, on_disc])
 def test_the_free_boundary_of_the_membrane(mesh, kind):

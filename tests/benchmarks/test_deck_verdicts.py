@@ -24,6 +24,7 @@ WRONG = {
 }
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.skipif(not calculix.available(), reason="CalculiX (ccx) is not installed")
 @pytest.mark.parametrize("attempt", EVERY, ids=lambda one: one.name)
 def test_the_verdict_follows_from_the_deck(tmp_path: Path, attempt: Attempt) -> None:

@@ -27,6 +27,7 @@ def wall() -> cq.ContactProblem:
     return cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", FAMILIES)
 def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) -> None:
     one, again, other = family(name, 3), family(name, 3), family(name, 4)
@@ -36,7 +37,7 @@ def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) ->
     assert one.load.shape != other.load.shape or not np.array_equal(one.load, other.load)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int) -> None:
@@ -53,6 +54,7 @@ def test_floating_bodies_float_exactly_and_not_to_rounding(name: str) -> None:
     assert null_space(matrix(family(name, 0).stiffness)).ncols() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bedded", "decaying_path"])
 def test_displacements_decay_over_twenty_orders(name: str) -> None:
     truths = [floats(find_truth(problem).displacement) for problem in (family(name, seed) for seed in range(10))]
@@ -60,6 +62,7 @@ def test_displacements_decay_over_twenty_orders(name: str) -> None:
     assert min(np.min(u) / np.max(u) for u in moved) < 1e-20
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ["pushed_rigidly", "unstrained", "interference_removed"])
 def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str) -> None:
     for problem in (family(name, seed) for seed in range(5)):
@@ -68,6 +71,7 @@ def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str)
         assert energy <= 1e-5 * terms
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(
     ("name", "seed", "method"),
     [
@@ -87,6 +91,7 @@ def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> 
     assert [bound for bound in report.bounds if bound.below] == []
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [141, 405])
 def test_the_truth_passes_however_far_a_body_moves_freely(seed: int) -> None:
     """Its strain is 1e-9, and eps of the 8 and 328 that it has moved freely is no part of that."""
@@ -192,6 +197,7 @@ def test_the_condition_number_leaves_scale_and_rigid_motions_out() -> None:
     assert condition(free, 1) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_energy_of_a_rigid_motion_is_nothing_exactly() -> None:
     truths = [find_truth(family("interference_removed", seed)) for seed in range(20)]
     nothing = [truth for truth in truths if truth.size == 0]
@@ -260,6 +266,7 @@ def test_a_displacement_that_hardly_strains_has_a_large_rounding() -> None:
     assert errors.rounding == pytest.approx(judging.EPS * 2 * np.sqrt(2) * 2.0**30, rel=1e-6)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))
@@ -283,11 +290,13 @@ def test_truths_are_rounded_to_the_nearest_float() -> None:
     assert floats(find_truth(wall()).displacement)[0] == 1e-3
 
 
+@pytest.mark.slow
 def test_a_start_that_is_exact_measures_no_contraction() -> None:
     """Corrections of 1e-32 follow corrections of 1e-32: the quotient says nothing of the refinement."""
     assert judging.judge("interference_removed", 173, ("active-set",)).outcomes[0].verdict == "right"
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(
     ("name", "seed", "method"),
     [
@@ -307,6 +316,7 @@ def test_no_bound_is_below_the_error_where_noise_and_lost_digits_meet(name: str,
     assert not report.spoiled_passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["linear_programs", "staged_programs"])
 def test_answers_of_programs_that_cost_more_are_wrong(name: str) -> None:
     """Where K sees nothing energies tell: a way that carries more, and forces where they are unique."""

@@ -8,6 +8,7 @@ import pytest
 from benchmarks import friction_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", friction_path.OBSTACLES)
 def test_a_small_block_takes_one_factorisation(name: str) -> None:
     rough, loads = friction_path.block(friction_path.OBSTACLES[name], friction_path.FRICTION, contacts=12, rows=6)

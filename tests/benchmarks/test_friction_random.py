@@ -14,6 +14,7 @@ from benchmarks.friction_on_bodies import MAKERS
 from benchmarks.friction_random import judge, table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("every", "solvable"), [(4, 4), pytest.param(2, 9, marks=pytest.mark.slow)])
 def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer(every: int, solvable: int) -> None:
     reports = [judge(family, 0) for family in FAMILIES[::every]]
@@ -23,6 +24,7 @@ def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer(every: int, 
     assert any("local problems in space" in line for line in table(reports))
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("family", "seed"),
     [
@@ -44,7 +46,7 @@ def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> 
         assert cq.exact_equilibria(contact_problem(f"{name} 2D", seed).plain)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize(
     ("family", "seed"),
     [

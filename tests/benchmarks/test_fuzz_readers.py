@@ -28,6 +28,7 @@ def written(tmp_path_factory):
     return root, {seed.name: seed for seed in seeds(root)}
 
 
+@pytest.mark.slow
 def test_every_valid_file_is_judged(written):
     root, known = written
     assert len(known) >= 30
@@ -104,7 +105,7 @@ def arguments(seed: Seed) -> list[str]:
     return [seed.mutated, "answer.json"] if seed.mutated.startswith("p.") else ["p", seed.mutated]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("fault", BROKEN)
 @pytest.mark.parametrize("name", FORMATS)
 def test_at_the_command_line_a_broken_file_is_exit_2_and_one_line(capsys, monkeypatch, written, name, fault):

@@ -7,6 +7,7 @@ from benchmarks import hertz_spheres
 from benchmarks.hertz_spheres import CONTACT, MATERIALS, RADII, Hertz, half_space, level, main, orders
 
 
+@pytest.mark.slow
 def test_force_and_pressure_converge_to_hertz():
     levels = [level(4), level(8)]
     force, l1 = orders(levels)
@@ -17,6 +18,7 @@ def test_force_and_pressure_converge_to_hertz():
     assert all(found.radius < 1 for found in levels)
 
 
+@pytest.mark.slow
 def test_blunter_spheres_are_seen():
     """With radii 5 % larger the same approach gives about 2 % more force."""
     assert level(8, (1.05 * RADII[0], 1.05 * RADII[1])).force > 0.02

@@ -6,7 +6,7 @@ from benchmarks import omissions
 from benchmarks.omissions import IMPORTS, OMISSIONS, Saving
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("omission", OMISSIONS, ids=lambda omission: omission.name)
 def test_both_ways_have_one_answer(omission):
     lean, full = omissions.alternated(omission.ways(200), rounds=1)

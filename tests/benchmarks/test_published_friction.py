@@ -47,6 +47,7 @@ def published(local, force):
     return cq.acary_bremond_huber_error(scaled, force * (largest / size))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("skew", [0.0, 0.05])
 def test_the_score_is_the_published_error_and_sees_what_is_wrong(dimension, skew):
@@ -93,6 +94,7 @@ def test_siconos_reads_the_problem_that_was_written(tmp_path):
     assert np.array_equal(again.friction, local.friction)
 
 
+@pytest.mark.slow
 def test_profiles_are_drawn_also_where_nothing_is_solved(tmp_path):
     pytest.importorskip("matplotlib")
     draw({"a": [1.0, np.inf], "b": [2.0, 0.5]}, tmp_path / "some.png", "two")

@@ -69,6 +69,7 @@ def braced_square(stiffness: float) -> np.ndarray:
     return K
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
 @pytest.mark.parametrize("strained", [True, False])
 def test_a_right_answer_elsewhere_along_a_free_motion_is_right(strained: bool, unit: float) -> None:
@@ -192,6 +193,7 @@ def _floating_triangle(stiffness: float, gap: float, force: float) -> cq.Contact
     return cq.ContactProblem(stiffness * K, load, rows, [gap, 1.001 * gap])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("stiffness", "gap", "force"),
     [(3.1e2, 1e-6, 1e-3), (3.1e2, -0.02, 1e3), (3.1e2, 0.83, 1e6), (7.7e10, 1e-6, 1e3), (7.7e10, -1e-9, 1.0)],

@@ -67,6 +67,7 @@ def same(one: cq.Solution, other: cq.Solution) -> None:
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("held", HELD)
 def test_the_answer_is_that_of_all_contacts(held: str) -> None:
     problem = pressed(held)
@@ -79,6 +80,7 @@ def test_the_answer_is_that_of_all_contacts(held: str) -> None:
     assert some.work.factorisations == 1  # of the body without friction, whose dense block is condensed further
 
 
+@pytest.mark.slow
 def test_contacts_that_close_beyond_the_candidates_join_them() -> None:
     small, large = pressed("quarter", weight=0.02), pressed("quarter", weight=3.0)
     first = cq.solve(small)
@@ -129,6 +131,7 @@ def test_explain_says_what_is_condensed_onto(monkeypatch: pytest.MonkeyPatch) ->
     assert explaining._systems(problem.afresh()).reason == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("wrong", ["none", "friction", "normal", "missing", "reversed"])
 def test_answers_of_others_are_judged_with_all_contacts(wrong: str) -> None:
     problem = pressed("supported")

@@ -238,6 +238,7 @@ def _scaled(problem: cq.ContactProblem, unknowns: np.ndarray, contacts: np.ndarr
 exponents = st.integers(-6, 6)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 40), floating=st.booleans(), data=st.data())
 def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(

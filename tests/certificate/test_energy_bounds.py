@@ -36,6 +36,7 @@ def test_what_is_left_of_the_stiffness_is_semidefinite(seed: int) -> None:
     assert np.min(np.linalg.eigvalsh(K - np.diag(dominance))) > -1e-12
 
 
+@pytest.mark.sampled(18)
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("spread", [1e-9, 1e-5, 1e-2])
 def test_errors_are_relative_to_the_energy_norms_where_nothing_is_condensed(seed: int, spread: float) -> None:

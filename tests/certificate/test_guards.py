@@ -46,7 +46,7 @@ def planted(problem: cq.ContactProblem, found: Solution) -> Iterator[tuple[str, 
         yield f"residual at {problem.dof_name(int(j))}", (moved, normal, friction, tie)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(81)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", [*KINDS, *(f"{kind} {d}D" for d in (2, 3) for kind in KINDS)])
 def test_a_millionth_of_what_counts_is_refused_beside_every_floor(kind: str, seed: int) -> None:

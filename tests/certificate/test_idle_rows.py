@@ -18,6 +18,7 @@ PROBLEM = cq.ContactProblem(K, LOAD, NORMAL, GAP, **TIES)
 EXACT = [method.name for method in cq.methods() if method.installed and method.exact]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", EXACT)
 def test_every_method_leaves_them_out(method: str) -> None:
     solution = cq.solve(PROBLEM, method)

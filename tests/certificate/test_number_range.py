@@ -41,6 +41,7 @@ def in_units(data: dict[str, Any], length: float, force: float, row: float = 1.0
     return cq.ContactProblem(**changed)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("length", "force"), SIZES)
 @pytest.mark.parametrize("data", [DATA, DATA | RUBS, SPACE], ids=["frictionless", "plane", "space"])
 @pytest.mark.parametrize("row", [1.0, 2.0**-200])
@@ -86,6 +87,7 @@ def test_messages_speak_in_the_units_of_the_problem() -> None:
     assert any("-2e+200 N" in failure for failure in failures)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("value", [1e308, -1e305, 1e100, np.nan, np.inf])
 @pytest.mark.parametrize("part", ["displacement", "normal_force", "tie_force", "friction_force"])
 def test_absurd_answers_are_refused_by_name(part: str, value: float) -> None:
@@ -232,6 +234,7 @@ UNLIKE = [BESIDE_A_BAR, BARE, FREE, TIED, EITHER, OPPOSITE]
 NEARER = [(2.0**-332, 2.0**332), (2.0**52, 2.0**-222), (2.0**-86, 2.0**-18), (2.0**-20, 1.0), (1.0, 2.0**-40)]
 
 
+@pytest.mark.sampled(33)
 @pytest.mark.parametrize(("length", "force"), [*SIZES, *NEARER])
 @pytest.mark.parametrize("data", UNLIKE, ids=["beside a bar", "bare", "free", "tied", "either", "opposite"])
 def test_what_no_stiffness_sees_is_the_same_in_all_units(data: dict[str, Any], length: float, force: float) -> None:
@@ -290,6 +293,7 @@ HELD_BY_ROWS: dict[str, tuple[dict[str, Any], list[float], list[float]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("name", HELD_BY_ROWS)
 @pytest.mark.parametrize("power", [1, 8])
 def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> None:
@@ -309,6 +313,7 @@ def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> Non
     assert found.displacement == pytest.approx(expected.displacement, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("unit", [1e-19, 1e-9, 1.0, 1e19])
 def test_units_of_rows_hide_no_driven_motion_of_a_program(unit: float) -> None:
     rows = np.array([[0.0, 0, 1, 2, -2, 0, 0], [0, 0, 2, -1, 2, -2, 2], [0, 1, 0, 0, 0, 2, -2]])
@@ -336,6 +341,7 @@ def test_rows_of_several_sizes_hide_no_tension_where_nothing_is_stiff() -> None:
     assert "tension" in torn.failures[0]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("apart", [1e6, 1e12, 1e16, 1e40, 1e100])
 def test_unknowns_that_nothing_is_stiff_at_have_units_of_their_own(apart: float) -> None:
     """Two unknowns tied and held by rows alone, in units far apart: lengths of one hide none of the other."""

@@ -87,6 +87,7 @@ def test_a_case_without_an_answer_has_a_line_with_its_name(capsys, tmp_path):
     assert "rigid motion" in err
 
 
+@pytest.mark.slow
 def test_what_is_not_met_is_printed_in_full_among_many_claims_and_cases(capsys, tmp_path):
     text = Path(WALL).read_text().replace('value = "285/2 kN"', 'value = "143 kN"')
     (tmp_path / "off.toml").write_text(text)
@@ -257,7 +258,7 @@ def test_no_equilibrium_is_exit_1_in_one_line(capsys, tmp_path):
     assert data["failure"]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(40)
 @pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
 def test_explain_says_what_is_in_a_case(case, capsys):
     code, out, _ = run(capsys, "explain", "--no-solve", case)
@@ -268,6 +269,7 @@ def test_explain_says_what_is_in_a_case(case, capsys):
     assert data["footprint"] is None
 
 
+@pytest.mark.slow
 def test_explain_says_what_the_answer_takes(capsys):
     code, out, err = run(capsys, "explain", WALL)
     assert (code, err) == (0, "")
@@ -289,6 +291,7 @@ def test_explain_explains_what_has_no_answer(capsys, monkeypatch):
     assert json.loads(out)["unknowns"] == ["1.x"]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     "arguments",
     [["methods"], ["gallery", "--list"], ["explain", WALL], ["cases", "bar"], ["run", CASES / "truss_floor.toml"]],
@@ -422,6 +425,7 @@ def test_cases_side_by_side_print_what_they_print_one_by_one(capsys, tmp_path):
     assert [one["certificate"] for one in json.loads(both[0])] == [one["certificate"] for one in json.loads(both[1])]
 
 
+@pytest.mark.slow
 def test_an_error_of_a_case_side_by_side_is_one_line(capsys):
     code, out, err = run(capsys, "run", *[CASES / f"{name}.toml" for name in ("bar_wall", "two_bars")], "--jobs", "2",
                          "--method", "nonesuch")  # fmt: skip

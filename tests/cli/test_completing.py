@@ -27,6 +27,7 @@ def offered(folder: Path, line: str) -> list[str]:
     return [item.partition(",")[2] for item in done.stdout.splitlines()]
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize(
     ("line", "found"),
     [

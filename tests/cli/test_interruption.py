@@ -61,6 +61,7 @@ def test_a_report_that_was_stopped_begins_no_study_of_stability(code, monkeypatc
     assert begun == ["study"] * (code < 128)  # what is wrong is no reason to stop
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_a_picture_is_written_leaves_nothing(monkeypatch, capsys, tmp_path):
     def half(_, file, **__):
         Path(file).write_bytes(b"\x89PNG half a pict")

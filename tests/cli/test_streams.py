@@ -12,6 +12,7 @@ from contactqp.cli import main
 from tests.cli.commands import CASES, WALL, run
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_early_is_no_error():
     files = " ".join(map(str, sorted(CASES.glob("b*.toml"))))
     command = f"{sys.executable} -m contactqp run {files} --jobs 2 | head -1"
@@ -65,7 +66,7 @@ def test_what_comes_in_wrong_on_standard_input_is_exit_2(capsys, monkeypatch, ar
     assert err.count("\n") == 1
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["run nowhere.toml --json", "methods --jsn --json"])
 @pytest.mark.parametrize("reader", ["> /dev/full", "| true"])
 def test_an_error_that_nobody_reads_leaves_no_traceback(arguments, reader):
@@ -87,6 +88,7 @@ def test_a_standard_input_that_is_closed_is_said(
     assert capsys.readouterr().err.count("standard input: expected a case, and it is closed") == 1
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("closed", "arguments", "code", "said"),
     [

@@ -136,6 +136,7 @@ def _found(basis: np.ndarray, weight: np.ndarray) -> tuple[float, int]:
     return abs(float(weight @ best)) / float(np.sum(abs(basis @ best))), queries
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("count", "width"), [(3, 2), (20, 3), (2000, 3), (12, 6), (300, 6), (3000, 6)])
 def test_the_worst_motion_is_that_of_the_whole_program(count: int, width: int) -> None:
     rng = np.random.default_rng(count)

@@ -25,6 +25,8 @@ RUN_ELSEWHERE = {
     "docs/recipes.md": "tests/docs/test_recipes.py",
     "docs/report.md": "tests/study/test_claims.py, on a report of a few cases",
 }
+# Pages whose blocks take seconds.
+LONG = ("docs/guide/friction.md", "docs/guide/large_deformation.md")
 GOES_ON = "mpiexec -n 4 python -m contactqp run case.toml --engine petsc --checkpoint steps"
 # A block by its page and first line, a command by its line: why it is not run here.
 NOT_RUN = {
@@ -82,7 +84,14 @@ def page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
         table.update(entries)
 
 
-@pytest.mark.parametrize("page", [page for page in pages() if page not in RUN_ELSEWHERE and shown(page)])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow) if page in LONG else page
+        for page in pages()
+        if page not in RUN_ELSEWHERE and shown(page)
+    ],
+)
 def test_a_page_runs_and_prints_what_it_shows(page: str, page_run: PageRun) -> None:
     page_run.run(shown(page))
 

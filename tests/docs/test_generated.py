@@ -22,6 +22,7 @@ from docs.generating.parts import DOCS, PARTS, with_part
 from docs.generating.tables import table
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("page", PARTS, ids=lambda page: page.name)
 def test_a_generated_part_is_what_is_generated_now(page: Path) -> None:
     """Otherwise: python -m docs.generating."""
@@ -61,6 +62,7 @@ def test_every_case_is_in_the_gallery_with_a_picture() -> None:
     assert re.findall(r"^## (.+)$", text, re.MULTILINE) == [physics.capitalize() for physics in PHYSICS]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "name",
     [

@@ -46,6 +46,7 @@ def two_arcs():
 SCENES = {"arcs": two_arcs, "quads": two_curved, "triangles": lambda: two_curved("tri3")}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_common_translation_closes_no_gap(pairing_of, scene):
@@ -63,6 +64,7 @@ def test_a_common_translation_closes_no_gap(pairing_of, scene):
     assert (pairing.normal @ only_slave < -0.5).all()  # lifting the upper body opens every gap
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("scene", SCENES)
 def test_forces_and_moments_balance_with_a_gap_and_on_curved_surfaces(pairing_of, scene):
@@ -83,6 +85,7 @@ def _in_space(x):
     return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("scene", SCENES)
 def test_rows_of_a_contact_are_orthonormal(pairing_of, scene):
@@ -101,6 +104,7 @@ def test_rows_of_a_contact_are_orthonormal(pairing_of, scene):
     np.testing.assert_allclose(product, np.tile(np.eye(d), (len(frames), 1, 1)), atol=bend)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("kind", ["quad4", "tri3"])
 def test_the_gap_between_parallel_sheets_is_their_distance(pairing_of, kind):
@@ -216,6 +220,7 @@ def test_overlap_beyond_the_stated_is_refused_with_its_depth(pairing_of):
     assert pairing_of(upper, lower, overlap=0.041).gap.min() < 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 def test_bodies_that_do_not_face_each_other_are_refused(pairing_of):
     upper, lower = sheet(2, lambda x, _: 0 * x + 1, -1, 0), sheet(3, lambda x, _: 0 * x, +1, 100)

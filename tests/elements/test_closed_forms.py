@@ -75,6 +75,7 @@ def cantilever_error(kind, cells, wrong=1.0):
     return error(u, exact)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", PLANE)
 def test_the_cantilever_converges_to_timoshenkos(kind):
     cells = [4, 8, 16] if degree(kind) == 1 else [2, 4, 8]
@@ -119,6 +120,7 @@ def ring(kind, model, cells):
     return (u.reshape(-1, 2) * direction).sum(axis=1), stress_at_nodes(body, u), lame(r, model)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("model", ["plane-strain", "plane-stress", "axisymmetric"])
 @pytest.mark.parametrize("kind", PLANE)
 def test_the_thick_cylinder_converges_to_lames(kind, model):
@@ -161,6 +163,7 @@ def sphere_error(kind, cells):
     return error(u, exact.ravel())
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", SOLID)
 def test_the_thick_sphere_converges_to_lames(kind):
     """Timoshenko & Goodier 1970, art. 136."""

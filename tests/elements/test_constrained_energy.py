@@ -40,6 +40,7 @@ def _random_parts(names: list[str], random: np.random.Generator) -> list[Part]:
     ]
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", range(25))
 def test_the_minimum_is_that_of_the_energy_as_stated(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -84,6 +85,7 @@ def test_a_hinge_yields_both_ways_and_hardens(load: float, hardening: float) -> 
     assert state.status == ("yields" if plastic else "elastic")
 
 
+@pytest.mark.slow
 def test_the_plastic_limit_of_a_portal_is_that_of_the_kinematic_theorem() -> None:
     """Sway of a portal with rigid columns: four hinges of M_p, H h = 4 M_p."""
     hinges = [cq.PlasticHinge(f"hinge {i}", {"sway": sign / 2.0}, 6.0) for i, sign in enumerate((1, -1, 1, -1))]

@@ -175,6 +175,7 @@ def test_the_mass_of_a_bar_is_exact():
     assert lumped.tolist() == np.diag([15, 15, 15, 15]).tolist()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("lumped", [False, True])
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_translations_have_the_whole_mass(kind, model, lumped):

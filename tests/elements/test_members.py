@@ -69,6 +69,7 @@ def test_a_truss_in_space_is_exact_where_its_length_is():
     assert truss_axial_force(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]), u) == F(3)
 
 
+@pytest.mark.slow
 @given(st.lists(COORDINATE, min_size=2, max_size=2), st.lists(COORDINATE, min_size=2, max_size=2))
 def test_a_truss_resists_no_rigid_motion_and_balances(start, end):
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
@@ -250,6 +251,7 @@ def test_it_is_what_the_tension_adds_to_a_bar():
     np.testing.assert_allclose(string_stiffness(T, start, end), found, atol=1e-6)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", EXACT)
 def test_the_wire_whose_free_boundary_is_a_node_is_exact_by_every_method(method):
     solution = cq.solve(DIGEST.problem(8), method=method)
@@ -264,6 +266,7 @@ def test_the_wire_whose_free_boundary_is_a_node_is_exact_by_every_method(method)
     np.testing.assert_allclose(solution.normal_force[2:-2] / 0.25, 1.0, rtol=1e-12)  # the pressure is b
 
 
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("wire", [DIGEST, THIRD], ids=["1/2", "1/3"])
 @pytest.mark.parametrize("method", EXACT)
 def test_wherever_the_free_boundary_is_every_method_gives_the_answer_by_hand(method, wire):
@@ -303,6 +306,7 @@ def test_the_free_boundary_converges_with_the_first_order_as_a_node_and_the_seco
     assert min(energy) > 0, "straight elements on a flat floor are admissible: their energy is above the minimum"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("depth", [F(1, 10), F(1, 7), F(3, 31)])
 def test_the_first_node_in_touch_is_never_further_off_than_its_bound(depth):
     """|X - x_1| <= h X / (X + x_1), about half an element."""

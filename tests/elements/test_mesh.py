@@ -154,7 +154,7 @@ def test_middle_nodes_out_of_place_are_refused():
         mesh_from_arrays(mesh.points, {"quad8": nodes})
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["quad8", "quad9"])
 def test_an_element_that_folds_between_its_nodes_and_quadrature_points_is_refused(kind, monkeypatch):
     """Middle nodes out of place at random: det J may be positive where the stiffness looks and negative beside it."""

@@ -127,6 +127,7 @@ def test_a_missing_meshlane_is_named_with_its_pip_command(gmsh, monkeypatch):
         read_mesh(gmsh)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 @pytest.mark.parametrize("suffix", [".vtu", ".msh"])
 def test_every_kind_survives_a_file(kind, suffix, tmp_path):

@@ -53,6 +53,7 @@ def nodal_forces(surface):
     return total[surface.nodes]
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 @pytest.mark.parametrize("uneven", [False, True])
 def test_a_constant_pressure_is_exact_at_every_node(model, kind, uneven):
@@ -81,6 +82,7 @@ def moments(surface, pressure):
     return total[surface.nodes]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_linear_pressure_is_exact_at_every_node(model, kind):
     """The trapezoid under an eccentric load, on a flat side of uneven facets. A mean belongs to the middle of its
@@ -108,6 +110,7 @@ def test_a_parabola_is_exact_on_the_axis(kind):
     assert found[np.argmin(surface.points[surface.nodes, 0])] == pytest.approx(2, rel=1e-12)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_pressure_has_the_sign_of_its_forces(model, kind):
     """Whatever they are: no pull, nothing only where no force is, and at most three halves of a mean."""
@@ -154,7 +157,7 @@ def test_a_node_far_off_the_middle_has_no_pressure():
         nodal_pressure(surface, surface.nodes)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_hertz_at_every_node(model, kind):
     """A node's value is made of the forces of the facets around it and their neighbours: it is off by no more than the
@@ -170,7 +173,7 @@ def test_hertz_at_every_node(model, kind):
     assert r[allowed == 0].min() < 3  # most of the side is held to zero
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_rigid_punch_converges_with_first_order_from_the_axis_to_half_its_radius(model, kind):
     """p = P / (pi sqrt(a^2 - x^2)), P / (2 pi a sqrt(a^2 - r^2)) (Johnson 1985, section 2.8 and 3.7).
@@ -202,6 +205,7 @@ def punch(kind):
     return r[order], pairing.pressure(force)[order], force[order] / force.sum()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", PLANE_KINDS)
 def test_forces_that_facets_share_unevenly_are_right_together(kind):
     """A punch on facets that do not match: up to any r the force is P (1 - sqrt(1 - r^2)) (Johnson 1985, section 3.7).
@@ -222,6 +226,7 @@ def test_forces_that_facets_share_unevenly_are_right_together(kind):
     assert error[on_axis] <= (0.2 if kind in LINEAR else 0.03)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_uniform_pressure_on_a_floor(model, kind):
     """Facets of different sizes, the axis and the ends included. The corners of hex20 would have to pull: its answer is
@@ -238,7 +243,7 @@ def test_a_uniform_pressure_on_a_floor(model, kind):
     np.testing.assert_allclose(pressure, 7.0, rtol=0.08 if kind == "hex20" else 1e-11)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("kind", PLANE_KINDS)
 def test_a_uniform_pressure_between_facets_of_two_bodies(kind, model):
@@ -250,6 +255,7 @@ def test_a_uniform_pressure_between_facets_of_two_bodies(kind, model):
         assert patch_error(kind, model, (8, 5), mortar=True) <= 1e-12
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("model", "kind"), [("plane-stress", k) for k in PLANE_KINDS[2:]] + [("3d", "hex27")])
 @pytest.mark.parametrize("cells", [(11, 8), (8, 11)])
 def test_lames_press_fit_at_every_node(model, kind, cells):
@@ -261,6 +267,7 @@ def test_lames_press_fit_at_every_node(model, kind, cells):
     assert found.notes == ()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", ["quad4", "quad8", "quad9"])
 @pytest.mark.parametrize("cells", [5, 10, 40])
 def test_lames_press_fit_on_facets_that_match(kind, cells):
@@ -298,6 +305,7 @@ def test_lames_press_fit_on_linear_facets_that_match():
     assert found.notes == ()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("mortar", [False, True])
 def test_facets_as_coarse_as_their_interference_are_told(mortar):
     """On 11 and 8 linear facets the pressure is off by several times itself, and nine times finer ones have the right

@@ -61,6 +61,7 @@ def test_the_printed_force_is_out_of_balance_and_ours_is_not():
     assert not np.allclose(course_bar().internal_force(TEST_BAR), np.array(PRINTED_FORCE, dtype=float), rtol=1e-3)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_force_and_tangent_are_the_derivatives_of_the_energy(dimension, law):

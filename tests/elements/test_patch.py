@@ -69,7 +69,7 @@ CASES = {
 }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("slave_is_lower", [False, True])
 def test_the_mortar_transmits_a_constant_pressure(case, slave_is_lower):
@@ -107,6 +107,7 @@ def hat_integrals(nodes, low, high):
     return total
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("edges", [(0.3, 0.85), (0.25, 0.8), (0.25 - 1e-3, 0.75 + 1e-9)])
 def test_a_slave_surface_covered_in_part_transmits_a_constant_pressure(d, edges):

@@ -50,6 +50,7 @@ def order(kind):
     return 2 if len(REFERENCES[kind].nodes) == REFERENCES[kind].corners else 4
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE)
 @pytest.mark.parametrize("name", FLAT)
 def test_discs_converge_to_their_area(name, kind):
@@ -66,6 +67,7 @@ def test_discs_converge_to_their_area(name, kind):
         assert mesh.points[mesh.nodes("pole")].tolist() == [[0.0, -R]]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", SOLID)
 @pytest.mark.parametrize("part", BALLS)
 def test_balls_converge_to_their_volume(part, kind):
@@ -80,6 +82,7 @@ def test_balls_converge_to_their_volume(part, kind):
         np.testing.assert_allclose(mesh.points[mesh.nodes("pole")], [[0.0, 0.0, -R]], atol=1e-15)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", SOLID)
 @pytest.mark.parametrize("part", CYLINDERS)
 def test_cylinders_converge_to_their_volume(part, kind):
@@ -134,6 +137,7 @@ def test_a_crowned_box_has_a_paraboloid_for_its_bottom(kind):
         shapes.box((1.0, 2.0, 0.5), (2, 4, 2), kind, crown=-5.0)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 @pytest.mark.parametrize("grading", [5.0, 20.0])
 def test_graded_round_shapes_are_sound_and_finest_at_the_pole(kind, grading):
@@ -191,6 +195,7 @@ def test_shapes_that_are_none_are_refused(make, message):
         make()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("parts", [1, 2, 3, 7])
 @pytest.mark.parametrize(
     "lattice",

@@ -52,6 +52,7 @@ def patch_error(b, K):
     return np.abs(found - u[~held]).max() / np.abs(u).max()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_a_constant_strain_is_exact_on_a_distorted_mesh(kind, model):
     b = Body(distorted(kind, 3 if kind in ("tri3", "tet4") else 2), STEEL, model)
@@ -71,6 +72,7 @@ def test_the_patch_test_fails_a_stiffness_that_is_slightly_wrong():
     assert patch_error(b, assemble(where, entries)) > 1e-3
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_the_stiffness_is_symmetric_to_the_last_digit_and_only_rigid_motions_cost_nothing(kind, model):
     b = body(kind, model)
@@ -88,6 +90,7 @@ def test_the_stiffness_is_symmetric_to_the_last_digit_and_only_rigid_motions_cos
     assert eigenvalues[rigid] > 1e-5 * eigenvalues[-1]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_the_internal_forces_are_those_of_the_stresses(kind, model):
     """u'K u is the integral of stress times strain: B in the stiffness, and displacement gradients in the stresses."""
@@ -162,6 +165,7 @@ SKFEM = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("mesh", "element", "model"), SKFEM)
 def test_the_stiffness_is_scikit_fems_on_the_same_distorted_mesh(mesh, element, model):
     skfem = pytest.importorskip("skfem")
@@ -177,6 +181,7 @@ def test_the_stiffness_is_scikit_fems_on_the_same_distorted_mesh(mesh, element, 
     assert abs(K - softer.stiffness).max() > 1e-3 * abs(K).max()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("mesh", "element", "kind"), [("MeshQuad", "ElementQuadS2", "quad8"), ("MeshHex", "ElementHexS2", "hex20")]
 )
@@ -265,6 +270,7 @@ def test_a_surface_is_numbered_with_the_unknowns_of_its_body_and_points_outward(
 E, NU = STEEL.modulus, STEEL.poisson
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_a_uniform_stress_is_exact_at_the_nodes_of_a_distorted_mesh(kind, model):
     b = body(kind, model)

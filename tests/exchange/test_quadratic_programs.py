@@ -37,6 +37,7 @@ def test_qpbenchmarks_files_are_read_with_ranges_and_bounds(tmp_path: Path) -> N
     assert cq.solve(problem).certificate.proven
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -51,6 +52,7 @@ def test_damaged_files_are_refused_in_one_line(tmp_path: Path, changed: dict[str
         cq.read_problem(matlab(tmp_path / "P.mat", **changed))
 
 
+@pytest.mark.slow
 def test_what_is_no_matlab_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "P.mat"
     path.write_bytes(b"nothing of the kind")
@@ -89,6 +91,7 @@ ENDATA
 """
 
 
+@pytest.mark.slow
 def test_qps_files_are_read_by_highs(tmp_path: Path) -> None:
     """The example of Maros and Meszaros: the minimum without its constant of 4, at (0.7625, 0.475)."""
     pytest.importorskip("highspy")
@@ -103,6 +106,7 @@ def test_qps_files_are_read_by_highs(tmp_path: Path) -> None:
     assert solution.energy == pytest.approx(4.371875, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_rows_and_columns_keep_the_names_of_their_file(tmp_path: Path) -> None:
     pytest.importorskip("highspy")
     path = tmp_path / "t.qps"
@@ -162,6 +166,7 @@ def other_peoples_answer(folder: Path) -> tuple[Path, dict[str, Any]]:
     return folder / "program.npz", {name: np.asarray(getattr(found, name)) for name in ("x", "y", "z", "z_box")}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", ["json", "npz"])
 def test_answers_in_the_names_and_signs_of_qpsolvers_are_checked(form: str, tmp_path: Path) -> None:
     program, answer = other_peoples_answer(tmp_path)
@@ -206,6 +211,7 @@ def test_run_says_the_energy_and_how_well_it_is_known(tmp_path: Path, capsys: py
     assert "P.mat" in table
 
 
+@pytest.mark.slow
 def test_explain_says_what_a_program_is_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("explain", str(matlab(tmp_path / "P.mat")), "--json") == 0
     found = json.loads(capsys.readouterr().out)

@@ -35,6 +35,7 @@ def test_the_body_example_presses_a_block_on_a_paraboloid() -> None:
     assert 0.2 < np.mean(solution.normal_force > 0) < 0.9
 
 
+@pytest.mark.slow
 def test_the_example_with_friction_slips_and_dissipates() -> None:
     scope: dict[str, object] = {}
     exec(compile(block("friction", "python"), "friction.md", "exec"), scope)
@@ -46,6 +47,7 @@ def test_the_example_with_friction_slips_and_dissipates() -> None:
     assert path.energies[-1].dissipated == pytest.approx(0.3 * 5 * 0.5, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_rod_of_the_example_bounces_and_every_scheme_leaves_the_energy_of_the_table() -> None:
     scope: dict[str, object] = {}
     exec(compile(block("impact", "python"), "impact.md", "exec"), scope)

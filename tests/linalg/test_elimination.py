@@ -228,6 +228,7 @@ def floating_in_space(cells=(10, 10, 7), supports=(), **changes):
 QUARTER = (Support("block", "left", 0), Support("block", "front", 1))
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("solver", ["superlu", pytest.param("pardiso", marks=needs_pardiso)])
 @pytest.mark.parametrize(
     ("problem", "motions"),
@@ -275,6 +276,7 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
     assert np.sum(reaction[1::2]) == pytest.approx(np.sum(held.load[1::2]), rel=1e-10)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("bare", [False, True])
 def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
     """Six motions that are looked for take one each."""
@@ -317,6 +319,7 @@ def strip_with_rows(cells, share):
     return problem.dimension, sp.bmat([[problem.stiffness_rows, rows.T], [rows, lower]], format="csc")
 
 
+@pytest.mark.sampled(2)
 @needs_pardiso
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monkeypatch, threads):

@@ -28,6 +28,7 @@ def assert_conflict(problem: cq.ContactProblem, proof: Conflict) -> None:
         assert abs(sum(terms)) <= Fraction(1, 2**48) * sum(abs(x) for x in terms)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
 def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
@@ -39,6 +40,7 @@ def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -
     assert caught.value.proof.excess == pytest.approx(part, rel=1e-3)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
 def test_ties_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
@@ -58,6 +60,7 @@ def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -82,6 +85,7 @@ def test_a_proof_travels_with_its_exception() -> None:
     assert copy.proof.normal.tolist() == [1.0, 1.0]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("method", METHODS)
 def test_rounding_of_a_load_drives_nothing(method: str) -> None:
     """F sin(pi) = 4e-14 on an unknown that nothing holds, beside F: whatever comes of it, it is no absence."""
@@ -188,6 +192,7 @@ def test_what_floats_did_not_find_is_not_denied(monkeypatch: pytest.MonkeyPatch)
         cq.solve(_pad(5.0, count=6), algorithm="enumeration")
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("seed", range(40))
 def test_rigid_bodies_that_overlap_are_moved_apart(seed: int) -> None:
     """K = 0: the energy sees nothing; what is feasible by construction is found, with forces that balance the load."""

@@ -78,6 +78,7 @@ def _by(solver, problem, monkeypatch):
     return cq.solve(fresh(problem))
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_answer_is_that_of_the_factorising_way(name, monkeypatch):
     problem = PROBLEMS[name]()
@@ -95,6 +96,7 @@ def test_the_answer_is_that_of_the_factorising_way(name, monkeypatch):
     assert len(found.free_motions) == len(reference.free_motions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["free", "free along z", "a stack"])
 def test_a_force_a_hundredth_off_is_refused(name, monkeypatch):
     problem = PROBLEMS[name]()
@@ -110,6 +112,7 @@ def test_a_force_a_hundredth_off_is_refused(name, monkeypatch):
     assert not cq.certify(problem, other.displacement, other.normal_force).passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_load_that_nothing_holds_is_refused_in_the_same_words(friction, monkeypatch):
     lifted = free_block((8, 8, 4))
@@ -122,6 +125,7 @@ def test_a_load_that_nothing_holds_is_refused_in_the_same_words(friction, monkey
     assert messages[0] == messages[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", [free_block((10, 10, 5)), stack(supported=False)], ids=["free", "a stack"])
 def test_with_friction_too(problem, monkeypatch):
     rubbing = problem.replace(friction=0.3)
@@ -143,6 +147,7 @@ def large(monkeypatch):
     monkeypatch.setattr("contactqp.linalg.iteration.LARGE", 1)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("by", ["pardiso", "superlu"])
 @pytest.mark.usefixtures("large")
 def test_a_large_body_is_iterated_on_where_its_motions_are_stated(monkeypatch, by):
@@ -179,6 +184,7 @@ def test_a_soft_spring_is_no_rigid_motion():
     assert not iterated(held)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("large")
 def test_where_stated_motions_are_not_all_the_body_is_factorised_after_all():
     free = free_block((8, 8, 4))

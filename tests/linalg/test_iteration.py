@@ -36,24 +36,24 @@ def twice(problem):
 
 
 CASES = {
-    "a row an unknown": on_paraboloid(),
-    "three unknowns a row": on_sphere(),
-    "mortar": stacked(),
-    "ties": with_ties(on_paraboloid()),
-    "ties and three unknowns a row": with_ties(on_sphere()),
-    "some unknowns of a node held": on_paraboloid().replace(near_null_space=None),
-    "nearly incompressible": on_paraboloid((9, 9, 7), poisson=0.499),
-    "a plate": on_paraboloid((20, 20, 2), size=(1.0, 1.0, 0.02)),
-    "quadratic": on_paraboloid((5, 5, 4), kind="hex20"),
+    "a row an unknown": on_paraboloid,
+    "three unknowns a row": on_sphere,
+    "mortar": stacked,
+    "ties": lambda: with_ties(on_paraboloid()),
+    "ties and three unknowns a row": lambda: with_ties(on_sphere()),
+    "some unknowns of a node held": lambda: on_paraboloid().replace(near_null_space=None),
+    "nearly incompressible": lambda: on_paraboloid((9, 9, 7), poisson=0.499),
+    "a plate": lambda: on_paraboloid((20, 20, 2), size=(1.0, 1.0, 0.02)),
+    "quadratic": lambda: on_paraboloid((5, 5, 4), kind="hex20"),
 }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(9)
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 @pytest.mark.parametrize("name", CASES)
 def test_the_answer_is_that_of_the_factorising_way(name):
-    problem = fresh(CASES[name])
+    problem = fresh(CASES[name]())
     solution, reference = cq.solve(problem), factorised(problem)
     certificate = solution.certificate
     assert certificate.passed
@@ -93,6 +93,7 @@ def test_a_body_without_contact_is_one_linear_system():
     assert cq.solve(problem.replace(load=np.zeros(problem.dimension))).certificate.passed
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_early_systems_are_not_solved_to_the_end(monkeypatch):
@@ -205,6 +206,7 @@ def test_what_is_iterated_on_is_large_and_in_space_unless_somebody_chooses(monke
         assert iterated(problem) == (choice == "pyamg")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_a_soft_layer_that_hides_the_contacts_is_no_silent_error(monkeypatch):

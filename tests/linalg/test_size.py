@@ -49,6 +49,7 @@ def _tangents(problem: cq.ContactProblem) -> np.ndarray:
     return np.column_stack([vertical - 2, vertical - 1]).ravel()
 
 
+@pytest.mark.sampled(5)
 @needs_pyamg
 @pytest.mark.usefixtures("small_is_large")
 @pytest.mark.parametrize("method", ON_FACTORS)
@@ -102,6 +103,7 @@ def test_a_body_whose_factors_do_not_fit_is_iterated_on_as_before(monkeypatch: p
     assert cq.solve(problem).work.solver == "pyamg"
 
 
+@pytest.mark.slow
 @needs_pardiso
 def test_the_prediction_of_memory_grows_with_the_factors() -> None:
     nothing = np.zeros(0, dtype=np.intp)

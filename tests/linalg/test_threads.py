@@ -16,6 +16,7 @@ from contactqp.model import arrays
 from tests.blocks_in_space import on_paraboloid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["pardiso", "superlu"])
 def test_loads_of_one_body_in_threads(solver, monkeypatch):
     monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", solver)

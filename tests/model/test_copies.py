@@ -49,6 +49,7 @@ def test_every_public_class_has_an_example() -> None:
     assert public - found == set(), "add one to tests.public_objects"
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("way", WAYS)
 def test_every_object_is_the_same_after_a_copy(way: str) -> None:
     for name, value in objects().items():
@@ -91,6 +92,7 @@ def test_a_missing_backend_keeps_the_name_that_an_import_error_has() -> None:
     assert (again.name, again.msg) == ("it", "pip install it")
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", ["bars", "rubbing", "tied", "part", "summed", "tie left out", "floating"])
 def test_the_verdict_on_a_copy_is_the_same_to_the_last_bit(name: str, way: str) -> None:
@@ -126,6 +128,7 @@ def _raises(number: int) -> None:
     raise example(KINDS[number])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="nothing forks here")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_a_pool_hands_on_every_public_exception() -> None:
@@ -148,6 +151,7 @@ def _refused(number: int) -> float:
     return float(cq.solve(bars()).normal_force[0])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_a_pool_hands_on_what_a_worker_raises(start: str) -> None:
     """It waited for ever: the thread that reads the results died of an exception that could not be made again."""

@@ -53,6 +53,7 @@ def test_the_engine_of_one_process_is_the_default(bar):
     assert cq.solve(bar, engine="serial").normal_force == cq.solve(bar).normal_force
 
 
+@pytest.mark.slow
 def test_without_the_flag_nothing_of_it_is_imported():
     code = (
         "import sys, contactqp as cq; from contactqp.cli import main\n"

@@ -96,6 +96,7 @@ def outcome(function: Callable[[], Any]) -> Any:
         return error
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("name", FAMILY)
 def test_no_method_and_no_certificate_lets_an_error_of_floating_point_out(name: str) -> None:
     problem = FAMILY[name]()
@@ -120,6 +121,7 @@ def test_no_method_and_no_certificate_lets_an_error_of_floating_point_out(name: 
             assert np.array_equal(found.normal_force, expected.normal_force)
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("size", [1e-300, 1.0, 1e250])
 @pytest.mark.parametrize("name", FAMILY)
 def test_wrong_answers_are_explained_as_usual(name: str, size: float) -> None:
@@ -133,6 +135,7 @@ def test_wrong_answers_are_explained_as_usual(name: str, size: float) -> None:
     assert judged.failures == cq.certify(problem, *parts).failures
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.filterwarnings("ignore::contactqp.errors.TimeStepWarning")
 @pytest.mark.parametrize("name", [name for name in FAMILY if name not in ("bedded", "in space")])
 def test_paths_motions_and_what_is_known_of_a_problem(name: str) -> None:
@@ -163,6 +166,7 @@ def test_paths_motions_and_what_is_known_of_a_problem(name: str) -> None:
                 outcome(lambda found=found: [looked_at(one) for one in found])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("compliance", "size"), [(1.0, 1.0), (1e-150, 1.0), (1e150, 1e100), (1.0, 1e-300)])
 def test_local_problems(compliance: float, size: float) -> None:
     W, q = np.diag([2.0, 1.0, 1.0, 3.0, 1.0, 1.0]) * compliance, np.array([-3.0, 0.5, 0.1, -1.0, 0.0, 0.0]) * size

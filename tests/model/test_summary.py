@@ -212,6 +212,7 @@ def sled(feet: int = 21) -> cq.History:
     return cq.follow_path(problem, [pressed, pushed], steps=4)
 
 
+@pytest.mark.slow
 def test_a_history_with_friction_prints_its_states_its_friction_and_its_events_together() -> None:
     lines = str(sled()).splitlines()
     assert lines[0] == "9 instants; 31 events"

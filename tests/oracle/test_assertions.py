@@ -28,6 +28,7 @@ def parts(known: GalleryProblem) -> dict[str, Any]:
     )
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("known", EVERY)
 def test_exact_answers_pass(known: GalleryProblem) -> None:
     given = parts(known)
@@ -39,12 +40,13 @@ def test_exact_answers_pass(known: GalleryProblem) -> None:
     assert_multipliers(known, **negative, compression="negative")
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("known", [known for known in EVERY if not known.problem.frictional])
 def test_exact_forces_pass_beside_a_solution(known: GalleryProblem) -> None:
     assert_multipliers(known.problem, known.normal_force, tie_force=known.tie_force)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("known", [known for known in EVERY if any(known.exact.normal_force)])
 def test_the_opposite_sign_fails(known: GalleryProblem) -> None:
     # Where other answers are not excluded, another one may be meant.
@@ -57,6 +59,7 @@ def test_the_opposite_sign_fails(known: GalleryProblem) -> None:
         assert_multipliers(known, -known.normal_force, known.friction_force, known.tie_force)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("known", SLIDING)
 def test_friction_along_the_slip_fails(known: GalleryProblem) -> None:
     given = parts(known) | {"friction_force": -np.asarray(known.friction_force)}
@@ -66,7 +69,7 @@ def test_friction_along_the_slip_fails(known: GalleryProblem) -> None:
         assert_multipliers(known, known.normal_force, given["friction_force"])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(13)
 @pytest.mark.parametrize("known", EVERY)
 def test_a_moved_displacement_fails(known: GalleryProblem) -> None:
     given = parts(known)
@@ -101,6 +104,7 @@ def test_rtol_of_the_displacement_on_both_sides_of_the_limit(rtol: float) -> Non
         assert_contact_solution(bar.problem, [1 + 1.1 * rtol], [142.5], rtol=rtol)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("rtol", [1e-9, 1e-6, 1e-3])
 def test_rtol_of_the_forces_on_both_sides_of_the_limit(rtol: float) -> None:
     bar = problem("bar-and-wall")
@@ -126,6 +130,7 @@ def test_rtol_is_the_tolerance_of_the_figures() -> None:
         assert_contact_solution(truss.problem, sunk, truss.normal_force, rtol=0.9 * found.penetration)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("rtol", [1e-9, 1e-4])
 def test_rtol_of_forces_is_relative_to_the_largest_and_blind_to_the_scale_of_rows(rtol: float) -> None:
     known = problem("falling-dominoes")
@@ -140,6 +145,7 @@ def test_rtol_of_forces_is_relative_to_the_largest_and_blind_to_the_scale_of_row
         assert_multipliers(scaled, force / scale + [0, 0, 1.1 * rtol * 7 / 8], rtol=rtol)
 
 
+@pytest.mark.slow
 def test_forces_that_are_not_unique_are_held_against_what_they_do_together() -> None:
     stops = problem("redundant-stops")
     for right in ([5, 5], [10, 0], [2.5, 7.5]):
@@ -164,6 +170,7 @@ def test_a_force_at_an_open_contact_fails_where_forces_are_not_unique() -> None:
         assert_multipliers(three, [4, 5, 1])
 
 
+@pytest.mark.slow
 def test_redundant_friction_is_judged_by_cone_direction_and_resultant() -> None:
     """Two feet of one pad share its weight of 50 and its friction of 25 as they like."""
     pad = problem("pad-slides-in-space")

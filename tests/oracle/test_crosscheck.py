@@ -168,6 +168,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.skipif(sys.platform == "win32", reason="a script with a line #!")
 @pytest.mark.parametrize("how", BAD)
 def test_a_program_that_ends_badly_is_told_in_one_line(
@@ -212,6 +213,7 @@ def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     assert (tmp_path / "stiff.ccx" / "job.log").is_file()
 
 
+@pytest.mark.slow
 def test_both_pressures_and_their_difference_are_drawn(
     tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

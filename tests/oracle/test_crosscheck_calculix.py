@@ -20,6 +20,7 @@ STIFF = {NODES: "LINEAR\n1e9, 1e-6", FACES: "LINEAR\n1e9", "MORTAR": "LINEAR\n1e
 pytestmark = needs_calculix
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("element", ["hex8", "tet4", "hex20", "tet10"])
 @pytest.mark.parametrize("kind", [NODES, FACES])
 def test_blocks_that_do_not_match_are_right(tmp_path: pathlib.Path, element: str, kind: str) -> None:
@@ -54,6 +55,7 @@ def test_adhesion_is_named(tmp_path: pathlib.Path) -> None:
     assert "adhesion" in found.summary()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", [NODES, FACES])
 @pytest.mark.parametrize("push", [1e-4, 4e-3])
 def test_friction_sticks_and_slips_alike(tmp_path: pathlib.Path, kind: str, push: float) -> None:
@@ -65,6 +67,7 @@ def test_friction_sticks_and_slips_alike(tmp_path: pathlib.Path, kind: str, push
     assert tangential > 1
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", [NODES, FACES])
 def test_gaps_adjusted_nodes_and_clearances_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:
     resultants = []
@@ -81,6 +84,7 @@ def test_gaps_adjusted_nodes_and_clearances_are_those_of_calculix(tmp_path: path
     assert resultants[1] == pytest.approx(2 * resultants[0], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [NODES, FACES])
 def test_a_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path, kind: str) -> None:
     found = cq.crosscheck(write(tmp_path, press_fit(kind, STIFF[kind].replace("1e9", "1e8"))))
@@ -91,6 +95,7 @@ def test_a_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path, kind: str) ->
     assert soft.pairs[0].resultant < 0.9 * soft.pairs[0].reference_resultant
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("model", ["CPE", "CPS", "CAX"])
 @pytest.mark.parametrize("element", ["quad4", "tri3", "quad8"])
 def test_plane_and_axisymmetric_decks_are_right(tmp_path: pathlib.Path, model: str, element: str) -> None:

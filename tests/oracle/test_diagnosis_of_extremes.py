@@ -38,6 +38,7 @@ def findings(length: float, force: float, factors: tuple[float, float]) -> list[
     return [finding.kind for finding in judged.findings]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("cause", CAUSES)
 @pytest.mark.parametrize("powers", [(0, 560), (0, -560), (300, 300), (-300, 300), (-300, -300)])
 def test_a_cause_is_named_in_any_units(cause: str, powers: tuple[int, int]) -> None:
@@ -67,6 +68,7 @@ def test_no_size_of_an_answer_ends_in_somebody_elses_error(
     assert judged.table()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("factors", [(1e300, -1.0), (1e300, 1.0), (-1e200, 1e100), (1e-300, 1e150), (1.0, 1e157)])
 @pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e-8, 1e150), (1e-160, 1e-8), (1e-100, 1e100)])
 def test_a_right_answer_times_any_number_is_explained(
@@ -113,6 +115,7 @@ def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
     assert len(asked) >= 6
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("power", [-250, -170, 170, 250])
 @pytest.mark.parametrize("candidate", [(1.01, 0.99), (0.9, 1.1)])
 def test_penetrations_and_forces_whose_ratio_is_beyond_doubles_are_told_all_the_same(

@@ -67,7 +67,7 @@ def holds(enclosed: cq.ExactSolution, exact: cq.ExactSolution) -> bool:
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(84)
 @pytest.mark.parametrize("name", [name for name, entry in FAMILIES.items() if entry.solvable and "printed" not in name])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_every_interval_holds_the_exact_rational(name: str, seed: int) -> None:
@@ -194,7 +194,7 @@ def test_tangential_rows_without_friction_are_enclosed_too() -> None:
     assert enclosed.friction_force[0, 0] == 0
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["active-set", "clarabel", "osqp", "projected-gauss-seidel"])
 def test_refinement_by_any_method_ends_far_beyond_doubles(method: str) -> None:
     problem = pressed_block((10, 5))
@@ -224,6 +224,7 @@ def test_refinement_ends_when_what_is_left_no_longer_falls(monkeypatch: pytest.M
         refine(problem, digits=40)
 
 
+@pytest.mark.slow
 def test_refinement_ends_where_a_correction_has_no_answer() -> None:
     # Units 1e54 apart: a correction has no answer in doubles, and forty rounds change nothing of what is left.
     problem = cq.ContactProblem(

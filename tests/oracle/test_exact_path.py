@@ -38,7 +38,7 @@ def slider(friction: float = 0.25) -> RationalProblem:
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("name", PATHS)
 def test_the_exact_path_is_the_path_of_floats(name: str) -> None:
     """Independent of it: other code finds its events and states, in doubles."""

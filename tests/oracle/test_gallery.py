@@ -28,7 +28,7 @@ def test_the_answer_satisfies_every_condition_exactly(known: GalleryProblem) -> 
     assert is_semidefinite(known.data.stiffness)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("kind", RANDOM)
 def test_the_conditions_hold_whatever_the_seed(kind: str) -> None:
     count = 3 if kind == "large" else 30
@@ -47,7 +47,7 @@ def test_the_data_are_doubles_or_what_rounding_them_changes_is_said(known: Galle
         assert doubles(x for row in known.exact.friction_force for x in row)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(13)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_certificate_passes_the_answer_and_the_solver_finds_it(known: GalleryProblem) -> None:
     problem, right = known.problem, (known.displacement, known.normal_force, known.friction_force, known.tie_force)
@@ -89,6 +89,7 @@ def test_friction_along_the_slip_breaks_a_condition(known: GalleryProblem) -> No
     assert ("slip direction" in broken) == ("slip" in answer.contact_status)
 
 
+@pytest.mark.slow
 def test_every_kind_is_what_its_name_says() -> None:
     for known in problems(count=9):
         answer, data = known.exact, known.data
@@ -239,11 +240,13 @@ FINGERPRINTS = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", RANDOM)
 def test_random_problems_never_change(kind: str) -> None:
     assert _fingerprint(kind) == FINGERPRINTS[kind]
 
 
+@pytest.mark.slow
 def test_problems_do_not_depend_on_the_process() -> None:
     code = (
         "from contactqp.oracle.gallery.gallery import problem; import numpy.random, random; random.seed(1); "

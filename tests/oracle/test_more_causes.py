@@ -81,6 +81,7 @@ def test_gaps_in_another_unit(right: cq.Solution) -> None:
     assert "the initial gaps 0.001 times as large" in judged.diagnosis
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("offset", [0.25, -0.25])
 def test_an_offset_of_all_gaps_is_no_penalty(right: cq.Solution, offset: float) -> None:
     problem = right.problem

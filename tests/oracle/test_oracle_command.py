@@ -135,6 +135,7 @@ def test_without_python_flint_it_says_how_to_install_it() -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_without_python_flint_everything_else_is_there() -> None:
     code = (
         "import sys; sys.modules['flint'] = None; import contactqp as cq; "

@@ -139,7 +139,7 @@ def test_printed_matrices_of_floating_bodies_are_no_matter_of_rational_numbers()
         cq.exact(problem)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(54)
 @pytest.mark.parametrize("name", [name for name in FAMILIES if name != "printed_floating"])
 @pytest.mark.parametrize("seed", [101, 102])
 def test_families_of_hard_problems_against_an_independent_way(name: str, seed: int) -> None:

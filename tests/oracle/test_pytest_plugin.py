@@ -67,6 +67,7 @@ def test_a_wrong_sign_fails_with_the_diagnosis_and_nothing_else(run) -> None:  #
     assert "pytest_plugin.py" not in output
 
 
+@pytest.mark.slow
 def test_the_mark_gives_problems_by_kind_and_by_name(run) -> None:  # type: ignore[no-untyped-def]
     result = run(
         """
@@ -102,7 +103,7 @@ def test_the_mark_gives_problems_by_kind_and_by_name(run) -> None:  # type: igno
         result.stdout.fnmatch_lines([f"*{name.replace('[', '[[]')}*PASSED*"])
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mark", "words"),
     [
@@ -126,6 +127,7 @@ def test_a_mark_that_names_nothing_is_refused(run, mark: str, words: str) -> Non
     assert "During handling" not in result.stdout.str()
 
 
+@pytest.mark.slow
 def test_a_mark_on_a_test_that_takes_no_problem_is_refused(run) -> None:  # type: ignore[no-untyped-def]
     result = run("""
         import pytest
@@ -165,6 +167,7 @@ def test_the_entry_point_names_the_plugin() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_guide_shows_what_is_printed(run, pytester: pytest.Pytester) -> None:  # type: ignore[no-untyped-def]
     section = (ROOT / "docs" / "guide" / "testing.md").read_text()
     source, shown = (re.findall(rf"```{kind}\n(.*?)```", section, re.DOTALL)[0] for kind in ("python", "text"))

@@ -27,6 +27,7 @@ def _certified(name: str, seeds: range) -> Iterator[tuple[cq.ContactProblem, dic
             yield problem, {"displacement": solution.displacement, "normal_force": solution.normal_force}
 
 
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("seeds", SEEDS, ids=["one", "more"])
 @pytest.mark.parametrize("name", WELL_POSED)
 def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, seeds: range) -> None:
@@ -38,6 +39,7 @@ def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, s
             assert any("recovered" in note for note in judged.notes)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [2, 57])
 def test_of_dependent_contacts_and_ties_those_act_that_the_displacement_closes(seed: int) -> None:
     """Forces are 1e7 times what they strain: pushed across the rounding of a gap they would do 1e-12 of the energy."""
@@ -52,7 +54,7 @@ def test_of_dependent_contacts_and_ties_those_act_that_the_displacement_closes(s
     assert not cq.certify(problem, displacement=shifted).passed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(19)
 @pytest.mark.parametrize("seeds", SEEDS, ids=["one", "more"])
 @pytest.mark.parametrize("name", WELL_POSED)
 def test_displacements_alone_or_forces_alone_of_a_wrong_answer_fail(name: str, seeds: range) -> None:
@@ -73,6 +75,7 @@ def test_the_force_of_a_stiff_beam_is_recovered_from_its_displacement() -> None:
     assert judged.answer.normal_force[0] == pytest.approx(CANTILEVER_FORCE, rel=1e-6)
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(12))
 def test_frictional_answers_from_displacements(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -91,6 +94,7 @@ def test_frictional_answers_from_displacements(seed: int) -> None:
         assert without.passed, without.failures
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_frictional_answers_from_forces(seed: int) -> None:
     known = several(seed, ties=seed % 2)
@@ -149,6 +153,7 @@ def test_values_that_are_not_finite_recover_nothing_and_fail() -> None:
     assert judged.failures == ("displacement: nan at unknown 0",)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("stiffness", [0.0, 4.0])
 @pytest.mark.parametrize("friction", [None, 0.5])
 def test_rows_that_constrain_nothing_have_no_force(stiffness: float, friction: float | None) -> None:

@@ -14,6 +14,7 @@ from contactqp.pictures.contact_fields import contact_fields
 from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", ["tri3", "quad4", "tri6", "quad8"])
 @pytest.mark.parametrize("thickness", [1.0, 0.5])
 def test_a_block_under_pressure(kind, thickness):

@@ -231,6 +231,7 @@ def test_the_map_covers_the_contact_surface(kind):
     np.testing.assert_allclose(values, 1.0)
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_cube(tmp_path):
     fields = cube().fields
     result = figure(fields, colour="displacement", scale=2.0)

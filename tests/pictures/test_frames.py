@@ -132,7 +132,7 @@ def test_a_beam_is_drawn_as_its_cubic():
     assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if scene.bodies])
 def test_every_case_of_bodies_has_fields_to_draw(case):
     scene = SCENES[case]
@@ -152,7 +152,7 @@ def test_a_membrane_is_refused_by_name():
         fields_of(scene, cq.run(scene)[-1])
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(34)
 @pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if not scene.meshed])
 def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

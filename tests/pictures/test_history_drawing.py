@@ -111,6 +111,7 @@ WRONG = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("events", WRONG.values(), ids=WRONG)
 def test_the_check_of_marks_refuses_wrong_ones(events):
     path = wall_path(events="exact")
@@ -178,6 +179,7 @@ def test_ten_thousand_steps_are_drawn_without_a_look_at_one(monkeypatch, rod):
     history_figure(rod[0])
 
 
+@pytest.mark.slow
 def test_what_a_motion_was_until_it_failed_is_drawn(tmp_path, monkeypatch):
     from contactqp.analysis.motion import step_contact
 
@@ -194,6 +196,7 @@ def test_what_a_motion_was_until_it_failed_is_drawn(tmp_path, monkeypatch):
     assert (tmp_path / "failed.png").exists()
 
 
+@pytest.mark.slow
 def test_a_motion_that_left_all_numbers_is_drawn_as_far_as_there_is_room(tmp_path):
     with pytest.raises(cq.NotConverged, match="left all numbers") as failed:
         thrown_rod("newmark", duration=2.0, load=lambda t: np.full(101, 1e306 * t))
@@ -225,6 +228,7 @@ def test_a_path_that_failed_at_its_start_is_drawn_too():
     np.testing.assert_array_equal(curve(figure.axes[0], "unknown 0"), [[0.0], [0.0]])
 
 
+@pytest.mark.slow
 def test_numbers_that_are_none_are_left_out(tmp_path, rod):
     history, _ = rod
     states = list(history.motion.states)
@@ -346,7 +350,7 @@ def test_notes_are_told():
     ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
 def test_names_are_shown_as_they_are(tmp_path, suffix):
     names = dict(dof_names=["_u$a$"], contact_names=["$\\frac{$_tip"])
@@ -376,6 +380,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_friction_in_space_is_drawn_by_its_size():
     pad = cq.ContactProblem(
         stiffness=np.diag([2.0, 2.0, 0.0]),

@@ -320,6 +320,7 @@ def test_a_file_that_may_not_be_read_is_refused(tmp_path, capsys):
     assert "Permission denied" in complaint(capsys, "run", str(file))
 
 
+@pytest.mark.slow
 def test_a_windows_file_is_read(tmp_path, capsys):
     file = tmp_path / "windows.toml"
     file.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
@@ -359,6 +360,7 @@ def test_what_only_a_shipped_case_shows(old, new, words, tmp_path, capsys):
     assert words in complaint(capsys, "run", str(file))
 
 
+@pytest.mark.slow
 def test_names_that_look_like_markup_are_printed_as_they_are(tmp_path, capsys):
     file = tmp_path / "wall.toml"
     file.write_text(WALL.replace('"tip"', '"[/]"'))

@@ -174,7 +174,7 @@ WRONG = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_large_deformations_are_refused_in_one_line(name, tmp_path, capsys):
     old, new, words = WRONG[name]

@@ -72,6 +72,7 @@ OF_FRICTION = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", OF_FRICTION)
 def test_wrong_friction_and_corners_are_refused_in_one_line(name, tmp_path, capsys):
     old, new, words = OF_FRICTION[name]

@@ -15,6 +15,7 @@ from tests.decks import needs_calculix
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ["patch_two_blocks", "flat_punch", "hertz_bodies"])
 def test_the_deck_has_the_stiffness_loads_and_supports_of_the_scene(tmp_path: pathlib.Path, name: str) -> None:
     scene = cq.load_scene(CASES / f"{name}.toml")

@@ -169,6 +169,7 @@ def one_element(kind: str, seed: int) -> str:
     )
 
 
+@pytest.mark.sampled(6)
 @needs_calculix
 @pytest.mark.parametrize("kind", KINDS)
 def test_elements_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:
@@ -233,6 +234,7 @@ LOADS = {
 DIFFERENCES = {"C3D": 1e-6, "CPE": 1e-6, "CAX": 5e-4}
 
 
+@pytest.mark.sampled(8)
 @needs_calculix
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize(("model", "kind"), [

@@ -155,6 +155,7 @@ def test_a_side_on_an_obstacle():
     assert {b.name: b for b in explain(model.scene).blocks}["tangential rows E_T, friction"].included
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("pairing", ["mortar", "node-to-segment"])
 def test_a_side_on_a_side(pairing):
     shape = {key: value for key, value in BLOCK["shape"].items() if key != "grading"}

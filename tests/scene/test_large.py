@@ -69,6 +69,7 @@ def test_a_scene_runs_to_the_history_of_the_analysis():
     assert all(solution.certificate.passed for solution in history)
 
 
+@pytest.mark.slow
 def test_events_have_the_names_of_the_scene():
     history = cq.run(Scene(**ARCH, **FLOOR, **BY_LOAD))
     assert [(event.kind, event.name, event.time) for event in history.events] == [("closed", "foot", 0.3)]
@@ -76,6 +77,7 @@ def test_events_have_the_names_of_the_scene():
     assert "t.z jumps from" in history.notes[0]
 
 
+@pytest.mark.slow
 def test_small_displacements_are_another_answer():
     small = cq.run(Scene(**(ARCH | dict(deformation="small")), **BY_LOAD))[-1]
     large = cq.run(Scene(**ARCH, path={"steps": 2, "corners": [{"down": "1e-6"}]}))[-1]
@@ -160,6 +162,7 @@ def test_a_law_that_cannot_bear_a_bar_of_no_length_keeps_all_from_it():
     assert np.isfinite(DeformableModel(build(Scene(**ARCH, **BY_LOAD))).body.energy(np.array([-1.0, -0.2])))
 
 
+@pytest.mark.slow
 def test_friction_on_a_ball_is_along_the_tangents_of_now():
     ball = [{"name": "ball", "kind": "circle", "centre": ["0.1 m", "-0.9 m"], "radius": "1 m"}]
     contacts = [{"name": "foot", "node": "t", "obstacle": "ball", "friction": 0.2}]
@@ -213,6 +216,7 @@ def test_a_tripod_rubs_over_a_sphere():
     np.testing.assert_allclose(inner, [0, 12, -20] + last.normal_force[0] * out - along, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bar_that_tears_ends_with_what_there_is(tmp_path, capsys):
     """Hencky's law carries E A / e at most: 0.3679 of its modulus times its area, and the load here is 0.4."""
     file = tmp_path / "wire.toml"
@@ -250,6 +254,7 @@ def test_supports_of_a_contact_get_what_the_obstacle_gives_them():
     assert abs(forces[3]) < 1e-10
 
 
+@pytest.mark.slow
 def test_methods_take_the_steps_or_refuse():
     scene = Scene(**ARCH, path={"steps": 4, "corners": [{"down": "0.28"}]})
     ends = [cq.run(scene, method)[-1].displacement for method in ("active-set", "lemke", "clarabel")]
@@ -321,6 +326,7 @@ def test_a_report_is_made_of_them(tmp_path, capsys, name):
     assert "active-set" in table[1]
 
 
+@pytest.mark.slow
 def test_pictures_show_the_normal_of_now():
     """On a ball the plane that is drawn touches it where the node is, and lies its gap below the node."""
     ball = [{"name": "floor", "kind": "circle", "centre": ["0.3 m", "-0.9 m"], "radius": "1 m"}]
@@ -333,6 +339,7 @@ def test_pictures_show_the_normal_of_now():
     assert abs(last.displacement[0]) > 0.01
 
 
+@pytest.mark.slow
 def test_the_cable_converges_in_second_order():
     """Bars four times as long: the errors of both tensions are some sixteen times as large."""
     a = 0.6040217522897695
@@ -370,6 +377,7 @@ def test_the_weight_of_the_cable_is_carried():
     assert judgement.history.notes == ()
 
 
+@pytest.mark.slow
 def test_the_printed_force_of_the_chapter_would_not_be_met():
     """Half of d'H: 16/27 in place of 2 sqrt(3)/9 of E A h^3 / L^3."""
     scene = cq.load_scene(CASES / "von_mises_truss.toml")

@@ -35,6 +35,7 @@ def pressed(kind, model, near, held="x"):
     return judge(scene, Trial())
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("model", ["plane-strain", "plane-stress", "axisymmetric"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_uniform_pressure_is_claimed_at_the_axis_and_at_the_edge(kind, model):
@@ -82,6 +83,7 @@ supports = [
 """
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("cells", "told"), [((11, 8), True), ((11, 11), False)])
 def test_facets_as_coarse_as_the_interference_are_told(tmp_path, capsys, cells, told):
     """By the table and by --json; facets that match are worth no word."""

@@ -218,6 +218,7 @@ def reversed_wall(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("command", [["run"], ["explain", "--no-solve"]])
 def test_the_command_line_warns_once_and_refuses_with_strict(
     reversed_wall: Path, capfd: pytest.CaptureFixture[str], command: list[str]

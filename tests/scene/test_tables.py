@@ -89,6 +89,7 @@ def test_run_draws_forces_and_gaps(capsys):
     assert middle.rstrip().endswith("·")
 
 
+@pytest.mark.slow
 def test_gaps_that_rounding_leaves_are_no_picture(capsys):
     out = shown(capsys, "von_mises_arc")
     (contact,) = (line for line in out.splitlines() if line.startswith(" node      closed"))
@@ -116,6 +117,7 @@ def test_no_picture_goes_into_json(capsys):
     assert out.isascii()
 
 
+@pytest.mark.slow
 def test_a_pipe_of_another_encoding_gets_ascii_without_colours():
     environment = os.environ | {"PYTHONIOENCODING": "ascii", "NO_COLOR": "1"}
     command = [sys.executable, "-m", "contactqp", "run", str(CASES / "truss_floor.toml")]

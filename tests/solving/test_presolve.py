@@ -34,6 +34,7 @@ def repeated(n: int) -> tuple[cq.ContactProblem, cq.ContactProblem]:
     return problem_of(n, rows, gap), problem_of(n, every, np.concatenate([gap, 3 * gap, gap + 1e-9, 0.25 * gap]))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("n", SIZES)
 def test_parallel_contacts_share_the_force_of_one_and_wider_ones_have_none(n: int, method: str) -> None:
@@ -92,6 +93,7 @@ def test_contacts_out_of_reach_within_bounds_are_set_aside_and_those_at_its_end_
     assert cq.certify(problem, found.displacement, found.normal_force).passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("n", SIZES)
 def test_parallel_ties_share_their_force_with_their_sign(n: int) -> None:
     rows, gap = polytope(n)
@@ -123,6 +125,7 @@ def test_ties_that_contradict_are_proven_to_with_weights_for_every_row(n: int) -
     assert sum(w * Fraction(float(b)) for w, b in zip(weights, problem.tie_value, strict=True)) < 0
 
 
+@pytest.mark.slow
 def test_a_long_chain_of_ties_that_contradict_is_proven_in_rational_numbers() -> None:
     """Beyond what elimination in rational numbers can do, the weights of a chain are whole numbers all the same."""
     n = 300

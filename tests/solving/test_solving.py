@@ -29,6 +29,7 @@ POLISHED = [method.name for method in cq.methods() if method.polish and method.i
 CONDENSE = [True, False, "auto"]
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("condense", CONDENSE)
 @pytest.mark.parametrize("method", EXACT)
 def test_exact_methods_give_the_exact_answer(method: str, condense: bool | str) -> None:
@@ -43,6 +44,7 @@ def test_exact_methods_give_the_exact_answer(method: str, condense: bool | str) 
     assert bars.displacement == pytest.approx([41 / 31500, 19 / 63000], rel=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("condense", CONDENSE)
 @pytest.mark.parametrize("beta", [1e3, 1e4, 1e5, 1e6, 1e7, 1e8])
 def test_penalty_and_perturbed_lagrangian_give_the_penalised_answer(beta: float, condense: bool | str) -> None:
@@ -87,7 +89,7 @@ def test_a_beam_on_a_stop() -> None:
     assert solution.work.factorisations == 1
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", POLISHED)
 def test_bodies_held_by_contact_alone(method: str) -> None:
     if not _method(method).semidefinite:

@@ -49,6 +49,7 @@ def least_cost(problem: cq.ContactProblem) -> float:
     return float(found.fun)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("height", [0.068, 0.03, 0.0025])
 def test_a_membrane_over_an_obstacle_is_solved_without_condensing(height: float) -> None:
     problem = membrane(40, height)
@@ -99,6 +100,7 @@ def plate_on_a_ball(cells: int) -> cq.ContactProblem:
     return structure.assemble(held).problem([cq.pair(structure.surface("plate", "bottom"), ball)])
 
 
+@pytest.mark.slow
 def test_a_plate_with_contacts_all_over_stays_sparse() -> None:
     problem = plate_on_a_ball(40)
     assert constraints_are_many(problem) == (importlib.util.find_spec("pyamg") is not None)
@@ -188,6 +190,7 @@ def test_a_strip_is_analysed_once_and_multiplied_exactly_only_where_digits_are_m
     assert sum(size for size in products if 4 * size > entries) == 5 * entries
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     problem = transport(seed)
@@ -203,6 +206,7 @@ def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     assert upper - lower <= 1e-9 * least
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_feasible_answer_that_costs_more_is_refused(seed: int) -> None:
     """Moved along a cycle of four, everything stays met, and the multipliers are those of the truth."""
@@ -410,6 +414,7 @@ def staged(seed: int, stages: int = 6, width: int = 8, quadratic: int = 6, sprea
     return cq.ContactProblem.from_qp(stiffness, d * cost, A=rows, b=t * balance, lb=np.zeros(size))
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 9])
 def test_degenerate_vertices_are_found_in_units_of_each_unknown_and_tie(seed: int) -> None:
     """Where data round differently, forces of 1e-16 decide what closes; backends, and programs, see no such thing."""
@@ -418,12 +423,14 @@ def test_degenerate_vertices_are_found_in_units_of_each_unknown_and_tie(seed: in
     assert solution.energy == pytest.approx(beside.energy, rel=1e-9)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_programs_by_a_modelling_language_are_polished_on_sparse_systems(seed: int) -> None:
     pytest.importorskip("cvxpy")
     assert cq.solve(staged(seed, 3, 3, 2), "cvxpy").certificate.passed
 
 
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("unit", [2.0**-6, 1.0, 2.0**5])
 @pytest.mark.parametrize("seed", [8, 41, 52])
 def test_degenerate_vertices_are_found_in_all_units_of_force(seed: int, unit: float) -> None:

@@ -78,7 +78,7 @@ def stack(seed: int, decades: float) -> cq.ContactProblem:
     return cq.ContactProblem(K, np.concatenate(loads), E, gap)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(33)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_steel_on_what_is_softer_by_ten_decades(seed: int) -> None:
     problem = stack(seed, 10.0)
@@ -90,6 +90,7 @@ def test_steel_on_what_is_softer_by_ten_decades(seed: int) -> None:
     assert np.sum(solution.normal_force[floor]) == pytest.approx(-np.sum(problem.load), rel=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("decades", [3.0, 10.0])
 def test_wrong_answers_of_stiff_blocks_on_soft_ones_are_refused(decades: float) -> None:
     """What is forgiven to rounding of the stiff block's K hides neither a force nor a strain of the soft one."""
@@ -113,6 +114,7 @@ def _lattice(rng: np.random.Generator, wide: int, size: float) -> list[tuple[int
     return [(i, j, d, size * 10 ** rng.uniform(0, 1)) for i, j, d in pairs if np.max(abs(d)) == 1]
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(8))
 def test_forces_are_those_of_the_springs_whose_sums_k_rounds(seed: int) -> None:
     """A stiffness whose sums are rounded is singular to rounding only; the unrounded one, in rational numbers, is so
@@ -160,7 +162,7 @@ def test_free_motions_of_a_soft_block_tied_to_a_stiff_one_keep_the_tie() -> None
     assert motions.T @ motions == pytest.approx(np.eye(5), abs=1e-14)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("decades", [0.0, 4.6, 7.0])
 def test_stacks_of_usual_contrast_need_no_other_route(seed: int, decades: float) -> None:
@@ -235,6 +237,7 @@ def rough(seed: int, decades: float) -> cq.ContactProblem:
     return cq.ContactProblem(smooth.stiffness, load, normal, gap, tangent=tangent, friction=rng.choice([0.2, 0.6]))
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("seed", range(2, 9))
 def test_stiff_blocks_on_soft_ones_that_rub(seed: int) -> None:
     problem = rough(seed, 10.0)

@@ -68,6 +68,7 @@ def test_a_case_that_is_called_like_the_history_of_another_is_exit_2(capsys, tmp
     assert "'bar_wall.history' more than once" in err
 
 
+@pytest.mark.slow
 def test_a_path_that_was_cut_short_is_drawn_as_far_as_it_came(capsys, tmp_path, monkeypatch):
     import contactqp as cq
     from contactqp.scene import judging

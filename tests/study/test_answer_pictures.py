@@ -48,6 +48,7 @@ def test_a_structure_and_its_path() -> None:
     assert _farthest(_read(drawn.answer), ORANGE) < 8
 
 
+@pytest.mark.slow
 def test_few_arrows_keep_their_colour_beside_large_bodies() -> None:
     drawn = answer_pictures(_judged("stacked_blocks"))
     assert drawn.history is None  # one instant
@@ -105,6 +106,7 @@ def test_why_there_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "pip install matplotlib" in answer_pictures(judged).why_not
 
 
+@pytest.mark.slow
 def test_a_thumbnail_is_the_geometry_without_letters() -> None:
     small = answer_pictures(_judged("truss_floor")).thumbnail
     image = _read(small)

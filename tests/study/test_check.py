@@ -47,6 +47,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", WRITERS)
 def test_right_forces_pass_and_wrong_ones_do_not_in_every_format(capsys, tmp_path, problem, name):
     file, _, solution = problem
@@ -154,6 +155,7 @@ BAD_CANDIDATES = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", BAD_CANDIDATES)
 def test_a_candidate_that_holds_no_forces_is_exit_2(capsys, tmp_path, problem, name):
     content, words = BAD_CANDIDATES[name]

@@ -203,6 +203,7 @@ def _of(table: Sequence[dict[str, str]], method: str) -> list[dict[str, str]]:
     return [row for row in table if row["method"] == method]
 
 
+@pytest.mark.slow
 def test_the_table_is_that_of_the_rows_of_results_csv(folder: Path) -> None:
     table = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
     told = json.loads((folder / "results.json").read_text())["conclusion"]

@@ -79,6 +79,7 @@ def test_work_of_a_path_is_that_of_all_steps():
     assert STEPS in [stage.name for stage in path.stages]
 
 
+@pytest.mark.slow
 def test_a_case_without_an_answer_is_said_in_one_line(tmp_path):
     file = tmp_path / "loose.toml"
     file.write_text(PUSHED_OFF)

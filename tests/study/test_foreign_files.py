@@ -66,6 +66,7 @@ def test_directions_by_all_their_names():
     assert plain_name(".x") is None
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("names", [("1.1", "1.2", "2.1"), ("1.UX", "1.UY", "2.UX"), ("1.u1", "1.y", "2.D1")])
 def test_unknowns_spelled_otherwise_are_found_and_the_ledger_says_so(capsys, text, names):
     code, out, _ = check(capsys, respelled(text, *names))
@@ -339,6 +340,7 @@ def test_the_load_in_a_harwell_boeing_file_is_not_told_as_left_out_where_it_is_t
     assert any("right-hand sides: 1" in line for line in ledger.read)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", ["hanging_block", "klarbring_slides_back", "block_on_incline_sideways"])
 def test_what_run_prints_with_friction_is_an_answer(capsys, tmp_path, case):
     file = CASES / f"{case}.toml"
@@ -358,6 +360,7 @@ def test_what_run_prints_with_friction_is_an_answer(capsys, tmp_path, case):
     assert "friction_force: expected one or two components a contact, along the rows of E_T" in err
 
 
+@pytest.mark.slow
 def test_names_that_the_problem_does_not_have_take_no_time(tmp_path):
     """A mesh of 60 000 unknowns, a third of them held: a search among all names for each would take minutes."""
     n = 40000

@@ -71,6 +71,7 @@ FILES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", FILES)
 def test_every_format_runs_beside_case_files(capsys, tmp_path, name):
     FILES[name](tmp_path / name)

@@ -85,6 +85,7 @@ def _flattered(_: Path, data: dict[str, Any]) -> None:
     data["verdict"] |= dict(proven=None, diagnosis="the best answer there ever was")
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -134,6 +135,7 @@ def _with(name: str, key: str | None, value: Any) -> Callable[[dict[str, Any]], 
     return change
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize(
     "change",
     [

@@ -147,6 +147,7 @@ def test_without_its_libraries_no_page_is_left(
     assert result.exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
         return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))

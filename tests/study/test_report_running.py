@@ -69,6 +69,7 @@ def test_the_table_is_the_same_however_many_processes(tmp_path: Path) -> None:
     assert _timeless(one.rows) == _timeless(two.rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("methods", [METHODS[:1], pytest.param(METHODS[:2], marks=pytest.mark.slow)], ids=len)
 def test_a_journal_cut_at_every_line_gives_the_same_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, methods: Sequence[str]
@@ -226,6 +227,7 @@ def test_two_reports_into_one_folder_are_refused(tmp_path: Path) -> None:
     held.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], pytest.param(["--stability"], marks=pytest.mark.slow)], ids=["cases", "study"])
 def test_a_full_disk_is_one_line_and_exit_code_2_and_the_same_command_goes_on(
     case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], options: list[str]

@@ -246,6 +246,7 @@ def test_the_page_is_there_from_the_beginning_and_grows(pages: _Pages, tmp_path:
     assert (tmp_path / "index.html").read_text() == "<p></p>"
 
 
+@pytest.mark.slow
 def test_a_report_that_is_stopped_leaves_a_page_and_goes_on(
     pages: _Pages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

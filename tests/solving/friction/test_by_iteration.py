@@ -75,7 +75,7 @@ CASES = {
 }
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", CASES)
 def test_the_answer_is_that_of_the_factorising_way(name: str) -> None:
     problem = fresh(CASES[name])
@@ -93,7 +93,7 @@ def test_the_answer_is_that_of_the_factorising_way(name: str) -> None:
     assert solution.work.factorisations == solution.work.back_substitutions == 0
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a row an unknown", "three unknowns a row"])
 def test_the_fixed_point_comes_to_the_same_without_newton(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fresh(CASES[name])
@@ -106,6 +106,7 @@ def test_the_fixed_point_comes_to_the_same_without_newton(name: str, monkeypatch
     assert np.max(abs(solution.friction_force - reference.friction_force)) <= 1e-7 * push
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("too_much", [1.004, 1.3])
 def test_an_indefinite_stiffness_is_refused_where_no_coarse_level_shows_it(
     too_much: float, monkeypatch: pytest.MonkeyPatch
@@ -151,6 +152,7 @@ def forged(problem: cq.ContactProblem, way: str) -> tuple[Any, ...]:
     return u, normal, friction, right.tie_force
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("way", ["friction", "one force", "all forces", "direction"])
 @pytest.mark.parametrize("name", ["a row an unknown", "mortar"])
 def test_forces_that_are_one_part_in_a_hundred_off_are_refused(name: str, way: str) -> None:
@@ -175,6 +177,7 @@ def beam(springs: int, friction: float) -> cq.ContactProblem:
     return cq.ContactProblem(sp.csc_matrix(chain), load, normal, [0.0], tangent=tangent, friction=friction)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("off", [0.0, 1e-5, 0.1])
 def test_a_force_that_a_small_residual_hides_is_compared_with_the_state(off: float) -> None:
     problem = beam(60, 0.3)
@@ -188,6 +191,7 @@ def test_a_force_that_a_small_residual_hides_is_compared_with_the_state(off: flo
     assert judged.passed == (off == 0.0)
 
 
+@pytest.mark.slow
 def test_contacts_that_come_twice_share_their_forces_in_some_way() -> None:
     twice = fresh(BLOCK).replace(
         normal=sp.vstack([BLOCK.normal, BLOCK.normal]),
@@ -214,6 +218,7 @@ def test_what_is_not_iterated_on_is_said_with_the_cure() -> None:
         cq.solve(BLOCK, "clarabel")
 
 
+@pytest.mark.slow
 def test_a_limit_of_time_is_kept_and_hands_over_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fresh(BLOCK)
     right = cq.solve(problem)
@@ -230,6 +235,7 @@ def test_a_limit_of_time_is_kept_and_hands_over_what_there_is(monkeypatch: pytes
     assert 0 < near.certificate.distance < 0.1
 
 
+@pytest.mark.slow
 def test_gmres_ends_with_the_time_of_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fresh(BLOCK)
     cq.solve(problem)  # what lasts is there
@@ -253,6 +259,7 @@ def large(monkeypatch: pytest.MonkeyPatch) -> cq.ContactProblem:
     return fresh(BLOCK)
 
 
+@pytest.mark.slow
 def test_many_contacts_that_rub_are_iterated_on_and_other_algorithms_have_their_factors(
     large: cq.ContactProblem,
 ) -> None:
@@ -270,6 +277,7 @@ def test_many_contacts_that_rub_are_iterated_on_and_other_algorithms_have_their_
     assert other.normal_force == pytest.approx(solution.normal_force, abs=1e-8 * np.max(solution.normal_force))
 
 
+@pytest.mark.slow
 def test_where_the_iteration_ends_without_an_answer_the_body_is_factorised(
     large: cq.ContactProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:

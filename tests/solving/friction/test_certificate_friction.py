@@ -93,6 +93,7 @@ def test_the_natural_map_sees_wrong_answers_in_space(kind: str) -> None:
     assert not wrong.passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [40, pytest.param(150, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_right_answers_pass_and_the_other_figures_imply_the_natural_map(dimension: int, count: int) -> None:
@@ -133,6 +134,7 @@ def _transformed(known: Known, length: float, force: float, d: np.ndarray, r: np
     return Known(problem, known.displacement * length / d, *forces)
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("count", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("what", ["units", "unknowns", "rows"])
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -98,6 +98,7 @@ def test_last_row_of_table_2_2_is_rounding() -> None:
     np.testing.assert_allclose(numbers(right)[2:], [28.3006162497657699, 16.9803697498594619], 1e-12)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("beta", UP_TO_1E8)
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("name", PENALISED)
@@ -131,6 +132,7 @@ def test_perturbed_lagrangian_is_penalty_in_exact_arithmetic() -> None:
             assert perturbed(kappa, sense, 1) != slipping_on_springs(kappa, sense)[2]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_perturbed_lagrangian_is_penalty(seed: int) -> None:
     problem = random_problem(np.random.default_rng(seed))

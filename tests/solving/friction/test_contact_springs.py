@@ -20,6 +20,7 @@ def require_same(one: cq.Solution, other: cq.Solution, tolerance: float) -> None
         np.testing.assert_allclose(there, here, 0, atol=tolerance * size, err_msg=part)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("algorithm", ["tresca", "enumeration"])
 @pytest.mark.parametrize("beta", [1e3, 1e5, 1e6])
 @pytest.mark.parametrize(("friction", "origin"), [(0.3, TOUCH), (0.3, 2e-3), (0.8, TOUCH), (5.0, 0.0)])
@@ -42,6 +43,7 @@ def test_truss_on_springs(friction: float, origin: float, beta: float, algorithm
         np.testing.assert_allclose(at[0, 0], origin, 1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [15, pytest.param(40, marks=pytest.mark.slow)])
 def test_random_problems_on_springs_of_two_stiffnesses(count: int) -> None:
     """The textbook's answers pass as exact answers of the bodies on springs, and are among those that are known."""
@@ -111,7 +113,7 @@ CORNERS = [
 ]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("steps", [1, 4, 7])
 @pytest.mark.parametrize("way", ["penalty", "perturbed-lagrangian", "contact springs"])
 def test_two_masses_loaded_and_unloaded(way: str, steps: int) -> None:
@@ -131,6 +133,7 @@ def test_two_masses_loaded_and_unloaded(way: str, steps: int) -> None:
         np.testing.assert_allclose(solution.normal_force, [19.62, 9.81], 1e-12)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("pull", "status"),
     [

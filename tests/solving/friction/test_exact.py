@@ -34,6 +34,7 @@ STATES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("algorithm", [None, "tresca", "enumeration"])
 @pytest.mark.parametrize("name", STATES)
 def test_truss_on_a_rough_floor(name: str, algorithm: str | None) -> None:
@@ -83,6 +84,7 @@ PULLS = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("algorithm", ["tresca", "enumeration"])
 @pytest.mark.parametrize("name", PULLS)
 def test_two_masses_on_a_rough_floor(name: str, algorithm: str) -> None:
@@ -95,6 +97,7 @@ def test_two_masses_on_a_rough_floor(name: str, algorithm: str) -> None:
     assert " ".join(solution.contact_status) == status
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("algorithm", [None, "tresca", "enumeration"])
 def test_pad_on_an_incline(sign: float, algorithm: str | None) -> None:
@@ -187,6 +190,7 @@ def test_without_friction_where_it_closes_and_with_so_much_that_nothing_slides()
     np.testing.assert_allclose(stuck.friction_force[:, 0], tied.tie_force, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_displacement_so_far_out_that_rounding_hides_the_forces_does_not_pass() -> None:
     """Two blocks on an incline, pulled harder than friction holds: there is no equilibrium, however far they slide."""
     along, across = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
@@ -224,6 +228,7 @@ def test_forces_whose_squares_are_no_doubles(factor: float) -> None:
     np.testing.assert_allclose(other.friction_force, one.friction_force * factor, rtol=1e-14)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("friction", [0.3, 5.0])
 @pytest.mark.parametrize("pull", [0.0, 0.5, 0.99])
 def test_what_does_not_move_at_all_on_an_oblique_plane(pull: float, friction: float) -> None:

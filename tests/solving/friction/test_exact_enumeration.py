@@ -175,6 +175,7 @@ def test_what_is_no_exact_value_of_the_problem() -> None:
         cq.exact_equilibria(seven)
 
 
+@pytest.mark.slow
 def test_polyhedra_against_linear_programs_in_floating_point() -> None:
     from scipy.optimize import linprog
 

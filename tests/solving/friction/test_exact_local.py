@@ -34,6 +34,7 @@ def test_one_contact_above_the_critical_coefficient() -> None:
         assert has_local_equilibrium(problem), offset
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(20))
 def test_random_problems_with_joints_agree_with_the_enumeration_in_floats(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -48,6 +48,7 @@ def method_of(algorithm: str) -> str:
     return "clarabel" if algorithm in ("aclm", "tresca") else "active-set"
 
 
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("algorithm", [None, *ALGORITHMS])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_forces_that_a_problem_was_made_from(algorithm: str | None, dimension: int) -> None:
@@ -62,6 +63,7 @@ def test_the_forces_that_a_problem_was_made_from(algorithm: str | None, dimensio
         assert solution.certificate.natural_map <= 1e-9
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "newton"])
 def test_without_newtons_finish_an_algorithm_gets_there_itself(algorithm: str) -> None:
     # An interior point knows forces to the square root of its gap.
@@ -110,6 +112,7 @@ def test_where_tresca_cycles_undamped(algorithm: str | None) -> None:
     assert np.allclose(solution.velocity, [[0.0, -11 / 13]], atol=1e-9)
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("algorithm", [None, *ALGORITHMS])
 def test_a_ball_on_a_plane_slides_along_its_velocity(algorithm: str | None) -> None:
     """W = 1: r_N = 1, r_T = -mu q_T/|q_T|, whatever the direction; within the cone it sticks, r = -q."""
@@ -210,6 +213,7 @@ def test_joints_are_the_same_as_what_they_leave_of_the_contacts() -> None:
 QUADRATIC = [m.name for m in cq.methods() if m.kind == "quadratic program" and m.installed and m.semidefinite]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["active-set", "cvxpy", *QUADRATIC])
 @pytest.mark.parametrize("algorithm", ["aclm", "tresca"])
 def test_in_the_plane_every_quadratic_programming_method_takes_the_steps(method: str, algorithm: str) -> None:
@@ -246,6 +250,7 @@ def test_polygons_say_how_far_they_are_off() -> None:
     assert np.allclose(exact.force, [[1.0, -0.5, 0.0]], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sides", [(4, 16), pytest.param((8, 32), marks=pytest.mark.slow)], ids=["four and sixteen", "eight and more"]
 )

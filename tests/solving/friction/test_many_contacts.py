@@ -55,7 +55,7 @@ def condensed(problem: cq.ContactProblem) -> cq.ContactProblem:
     return twin
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
     problem = pushed(seed)
@@ -70,6 +70,7 @@ def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
     assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_combination_near_a_factorised_one_is_solved_by_its_factors(seed: int) -> None:
     problem, rng = pushed(seed), np.random.default_rng(seed)
@@ -121,6 +122,7 @@ def test_few_contacts_are_condensed_as_ever() -> None:
     assert not constraints_are_many(strip(120, 0.3, 0.002))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("part", ["normal_force", "friction_force", "displacement"])
 def test_wrong_answers_are_refused_by_the_comparison(part: str) -> None:
     problem = pushed(2)
@@ -156,6 +158,7 @@ def test_a_start_is_the_combination_of_the_load_before() -> None:
     assert again.work.iterations <= 2
 
 
+@pytest.mark.slow
 def test_where_newton_gives_up_the_problem_is_condensed(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = cq.solve(pushed(0))
     monkeypatch.setattr(newton, "MAX_SPARSE_STEPS", 1)

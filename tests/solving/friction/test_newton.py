@@ -20,6 +20,7 @@ def test_the_truss_is_solved_to_the_last_digits() -> None:
     assert solution.work.iterations <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_what_it_finds_is_among_all_equilibria(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -31,6 +31,7 @@ def refusal(time_limit: float | None = None) -> str:
     return str(refused.value)
 
 
+@pytest.mark.slow
 def test_every_combination_is_tried_where_there_is_time() -> None:
     assert "all 9 combinations, refined from there, fail as well" in refusal()
 
@@ -40,6 +41,7 @@ def test_combinations_are_counted_and_not_timed_and_what_was_tried_is_said(monke
     assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
 
 
+@pytest.mark.slow
 def test_a_limit_of_time_counts_instead_where_one_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
     assert "all 9 combinations, refined from there, fail as well" in refusal(time_limit=600.0)

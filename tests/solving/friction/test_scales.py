@@ -28,6 +28,7 @@ def in_own_units(
     return cq.LocalProblem(W, problem.offset * d * velocity, problem.friction, problem.dimension)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("seed", range(5))
 def test_powers_of_two_at_contacts_change_no_digit_of_a_local_answer(dimension: int, seed: int) -> None:
@@ -42,6 +43,7 @@ def test_powers_of_two_at_contacts_change_no_digit_of_a_local_answer(dimension: 
         assert getattr(scaled.certificate, figure) == getattr(plain.certificate, figure), figure
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("algorithm", [None, "newton", "nsgs", "admm"])
 @pytest.mark.parametrize("seed", range(3))
 def test_any_factor_at_contacts_and_any_unit_changes_rounding_only(algorithm: str | None, seed: int) -> None:
@@ -104,6 +106,7 @@ def test_what_rounding_leaves_of_an_offset_is_no_overlap_and_what_is_more_is_one
     assert not cq.certify_local(cq.LocalProblem(np.eye(2), [-1e-6, -1.0], 0.5, 2), [0.0, 0.0]).passed
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e6, 1e9])
 @pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
 def test_all_three_local_answers_are_found_beside_a_far_contact_in_any_unit(far: float, unit: float) -> None:
@@ -141,6 +144,7 @@ def klarbring_bodies(size: float, far: float, coupled: bool, origin: float = 0.0
     )  # fmt: skip
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("coupled", [True, False])
 @pytest.mark.parametrize("origin", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("size", [1e-2, 1e-6, 1e-9])
@@ -177,6 +181,7 @@ def rows_scaled(problem: cq.ContactProblem, factor: NDArray[np.float64]) -> cq.C
     return problem.replace(**data)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", ["any 2D", "any 3D", "made around an answer 2D", "made around an answer 3D"])
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_of_a_contact_may_be_scaled_by_any_factor(name: str, seed: int) -> None:
@@ -196,6 +201,7 @@ def test_rows_of_a_contact_may_be_scaled_by_any_factor(name: str, seed: int) -> 
 SCALES = [name for name in CONTACT_FAMILIES if name.startswith(("far_gap", "scaled_contact"))]
 
 
+@pytest.mark.sampled(24)
 @pytest.mark.parametrize("name", [*SCALES, *(f"local {name}" for name in SCALES)])
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 20))])
 def test_random_problems_of_many_scales_by_every_algorithm(name: str, seed: int) -> None:
@@ -204,6 +210,7 @@ def test_random_problems_of_many_scales_by_every_algorithm(name: str, seed: int)
     assert report.outcomes["default"] == "solved" or not report.exists
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("power", [0, 20, -20, 49])
 def test_an_unknown_without_stiffness_that_only_tangents_join_to_a_stiff_one_is_solved_in_any_unit(power: int) -> None:
     """u_0, without stiffness, is held between two walls; u_1, on a spring, slides with it along one of four contacts.

@@ -109,6 +109,7 @@ def test_a_body_too_large_to_factorise_and_a_limit_of_time(monkeypatch: pytest.M
         cq.equilibria(rough_truss())
 
 
+@pytest.mark.slow
 def test_units_and_the_scale_of_rows_change_nothing() -> None:
     """u = d v unknown by unknown, forces times F, lengths times L, the rows of contact i times r_i."""
     rng = np.random.default_rng(7)
@@ -157,6 +158,7 @@ def _breaks_coulomb(solution: cq.Solution) -> float:
     return max(float(np.max(abs(part), initial=0.0)) for part in (*parts, ties)) / size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "without"), [(28, 1), pytest.param(60, 2, marks=pytest.mark.slow)])
 def test_random_problems_against_the_law_and_against_each_other(count: int, without: int) -> None:
     """What solve returns obeys the law and is in enumeration's list; where the list is empty it refuses."""

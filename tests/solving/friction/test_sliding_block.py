@@ -33,6 +33,7 @@ def slide(time_step: float, steps: int) -> tuple[np.ndarray, list[str], float]:
     return np.array(velocities), statuses, work
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("steps", [1, 7, 50])
 def test_it_stops_where_it_must(steps: int) -> None:
     """In steps that end where it stops, the mean velocity of a step is exact: v0^2 / (2 mu g) = 0.169895 m."""
@@ -46,6 +47,7 @@ def test_it_stops_where_it_must(steps: int) -> None:
     assert work == pytest.approx(MASS * START**2 / 2, rel=1e-12), "friction takes all of its energy"
 
 
+@pytest.mark.slow
 def test_the_last_step_is_all_that_is_wrong() -> None:
     """Where it stops within a step, the distance is off by at most mu g dt^2 / 8: the mean velocity of that step."""
     for steps in (3.3, 7.5, 49.9):

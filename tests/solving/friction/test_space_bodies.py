@@ -27,6 +27,7 @@ def rigid_table(push, turn: float = 0.0, friction=0.4, legs: int = 4, weight: fl
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("way", ["by itself", "newton", "nsgs", "admm", "aclm, clarabel", "tresca, clarabel"])
 def test_a_rigid_table_held_by_friction_alone(way: str) -> None:
     """mu W = 3.2; its legs share the weight as they like, and what they carry together is the load."""
@@ -93,6 +94,7 @@ def test_a_load_that_drives_a_motion_by_rounding_only_drives_none() -> None:
     np.testing.assert_allclose(solution.displacement, u - motion * (motion @ u), atol=1e-9)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("way", ["by itself", "nsgs", "admm", "aclm, clarabel"])
 def test_a_contact_that_is_there_three_times(way: str) -> None:
     one = block(4.0 * direction(1.0))
@@ -109,6 +111,7 @@ def test_a_contact_that_is_there_three_times(way: str) -> None:
     np.testing.assert_allclose(solution.friction_force.sum(axis=0), 3.0 * direction(1.0), rtol=1e-12)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("way", WAYS)
 def test_a_tie_between_two_blocks(way: str) -> None:
     """Two blocks tied to move alike along the plane, one on ice: mu N = 3 against the pushes on both."""
@@ -187,6 +190,7 @@ def test_a_sheared_block_is_in_a_uniform_state(angle: float) -> None:
     assert set(solution.contact_status) == {"slip"}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("push", [0.002, 0.01])
 def test_plane_strain_in_space_is_plane_strain(push: float) -> None:
     """Front and back held in y: every section is the plane problem, its forces shared by the width of the elements."""
@@ -225,6 +229,7 @@ def test_polygons_of_more_and_more_sides_approach_the_cone() -> None:
         np.testing.assert_allclose(found.friction_force, cone.friction_force, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_column_in_a_corner_is_held_where_tresca_problems_alone_come_to_an_answer() -> None:
     """It stands on a bowl and along a wall, off the bowl's middle: without friction it would slide."""
     mesh = box((1.0, 1.5, 7.6), (1, 3, 2), "hex8", grading=50.0)

@@ -31,7 +31,7 @@ from tests.solving.friction.problems import (
 from tests.solving.friction.test_several import KLARBRING, ROD
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize(("friction", "most"), [(0.1, 1), (0.4, 1), (0.5, 1), (0.55, 3), (0.8, 3), (1.5, 3), (5.0, 3)])
 def test_klarbrings_family(friction: float, most: int) -> None:
     """mu_c = W_nn/|W_nt| = 1/2: up to it every load has one answer, above it some have three."""
@@ -141,7 +141,7 @@ FAMILIES = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_counted_as_enumeration_counts(name: str) -> None:
     """Up to five contacts: no several answers unsaid, and none said that are not there."""
@@ -157,6 +157,7 @@ def test_counted_as_enumeration_counts(name: str) -> None:
     assert several >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sizes",
     [((5, 1.0), (5, 0.02), (5, 0.01)), pytest.param(((6, 1.0), (6, 0.02), (7, 0.01)), marks=pytest.mark.slow)],
@@ -200,6 +201,7 @@ def test_kappa_of_one_contact() -> None:
     assert cq.critical_friction(problem.replace(friction=0.45)).unique, "by the determinants"
 
 
+@pytest.mark.slow
 def test_the_bound_for_every_load_is_never_above_the_determinants() -> None:
     """Just below kappa = 1 all determinants have one sign, and Tresca's fixed point contracts by no more than kappa."""
     rng = np.random.default_rng(0)

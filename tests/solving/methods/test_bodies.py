@@ -59,6 +59,7 @@ def test_the_reference_is_proven_and_not_trivial(dimension):
     assert reference.work.retained < problem.dimension, "the methods see the condensed problem"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", EXACT)
 def test_every_exact_method_gives_the_one_answer(method, dimension):
@@ -69,6 +70,7 @@ def test_every_exact_method_gives_the_one_answer(method, dimension):
     assert np.abs(solution.displacement - REFERENCES[dimension].displacement).max() < 1e-9 * scale
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", RAW)
 def test_a_raw_answer_is_near_or_its_certificate_says_that_it_is_not(method, dimension):
@@ -103,7 +105,7 @@ def test_a_coarse_raw_answer_is_refused():
     assert not raw.certificate.passed
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", EXACT)
 def test_a_body_that_contact_alone_holds_up(method, dimension):

@@ -67,6 +67,7 @@ def test_ties_that_repeat_and_ties_that_contradict(name: str) -> None:
         answer(name, REPEATED_TIES.problem.replace(tie_value=[0.5, -1.1]))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("example", SUPPORTED, ids=lambda example: example.name)
 # A beta of 10 beside a stiffness of 1e-7 takes eight digits of it.
 @pytest.mark.parametrize("name", [name for name in EXACT if name != "augmented, 10"])
@@ -104,6 +105,7 @@ def test_a_cycle_is_left_one_contact_at_a_time(name: str) -> None:
     assert np.all(candidate.normal_force >= 0)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("problem", GRAZING)
 @pytest.mark.parametrize("name", EXACT)
 def test_grazing_contacts_are_no_cycle(name: str, problem: ContactProblem) -> None:
@@ -173,6 +175,7 @@ def random_problem(seed: int) -> ContactProblem:
     )
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", EXACT)
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
@@ -195,7 +198,7 @@ def test_the_answer_satisfies_signorini(name: str, seed: int) -> None:
     assert np.max(np.abs(problem.tie @ u - problem.tie_value), initial=0) <= 1e-10 * size
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(-6, 6), force=st.floats(-6, 6))

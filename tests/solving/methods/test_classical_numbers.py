@@ -48,6 +48,7 @@ def test_the_registry_entries_promise_what_the_methods_do() -> None:
     assert not any(method.scale or method.polish for method in CLASSICAL), "textbook matrices in the user's own numbers"
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_methods_return_the_exact_numbers(name: str, example: Example) -> None:

@@ -92,6 +92,7 @@ def feasible_set(problem: ContactProblem) -> bool:
     return bool(np.linalg.matrix_rank(sets(problem).bodies.normal @ Z, tol=1e-10) == Z.shape[1])
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6))
 @example(seed=659)  # whole numbers that were taken for printed digits
@@ -133,6 +134,7 @@ def test_rounding_of_springs_that_multipliers_cancel_opens_nothing(seed: int) ->
     assert candidate.normal_force == pytest.approx(expected.normal_force, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 60), marks=pytest.mark.slow)])
 def test_penalty_never_cycles(seeds: range) -> None:
     # The stiffness of springs makes every principal minor positive, where Murty's rule is finite.

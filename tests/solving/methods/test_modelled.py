@@ -22,6 +22,7 @@ def example(name: str) -> Example:
     return next(example for example in EXAMPLES if example.name == name)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 @pytest.mark.parametrize("form", [np.asarray, sp.csc_array], ids=["dense", "sparse"])
 def test_signs_and_values(example: Example, form: object) -> None:
@@ -30,6 +31,7 @@ def test_signs_and_values(example: Example, form: object) -> None:
     require_answer(example, candidate, RAW)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("name", ["2.13", "tied and touching"])
 def test_every_solver_has_the_same_signs(solver: str, name: str) -> None:

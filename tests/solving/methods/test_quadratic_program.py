@@ -90,6 +90,7 @@ def test_silence(method: Method, capfd: pytest.CaptureFixture[str]) -> None:
     assert (captured.out, captured.err) == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["highs", "cvxpy"])
 def test_the_first_use_of_highs_prints_nothing(method: str) -> None:
     """HiGHS greets once a process, and does not ask whether it may."""
@@ -156,6 +157,7 @@ def test_a_time_limit_is_passed_on_or_refused(backend: Backend) -> None:
         assert backend_options(backend, Settings(time_limit=1.0))[backend.time_limit] == 1.0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["osqp", "clarabel", "highs", "scs", "qpalm"])
 def test_a_time_limit_is_kept(name: str) -> None:
     pytest.importorskip(BACKEND[name].package)

@@ -522,6 +522,7 @@ def test_no_text_of_the_page_lies_over_another(session: Any, address: str, width
         assert max(text[3] for text in texts) <= width
 
 
+@pytest.mark.slow
 def test_text_over_text_is_found(session: Any, address: str) -> None:
     _look(session, 1280, "light")
     session.get(address)

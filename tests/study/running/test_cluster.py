@@ -115,6 +115,7 @@ def _of_another_time() -> str:
     return f"another {os.getpid()}"
 
 
+@pytest.mark.slow
 def test_processes_here_and_a_cluster_exclude_each_other() -> None:
     with pytest.raises(InvalidProblem, match="got both: 2 and tcp://there:8786"):
         Running(jobs=2, dask="tcp://there:8786")

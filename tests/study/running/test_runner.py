@@ -39,6 +39,7 @@ def _halves(count: int) -> list[Cell]:
     return [_cell(f"half of {i}", do.half, i) for i in range(count)]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("workers", [ThisProcess(), Processes(1), Processes(3)])
 @pytest.mark.parametrize("alone", [False, True])
 def test_results_are_the_same_however_cells_run(workers: Workers, alone: bool) -> None:
@@ -46,6 +47,7 @@ def test_results_are_the_same_however_cells_run(workers: Workers, alone: bool) -
     assert list(found.items()) == [(f"half of {i}", Number(i / 2)) for i in range(20)]
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize(
     ("function", "message"),
     [

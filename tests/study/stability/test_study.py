@@ -143,6 +143,7 @@ def test_an_equilibrium_that_does_not_exist_is_refused() -> None:
     assert "drives a rigid motion" in row.message
 
 
+@pytest.mark.slow
 def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
         return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
