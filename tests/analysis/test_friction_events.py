@@ -56,6 +56,7 @@ def test_the_order_of_loads_decides_the_state(name: str) -> None:
     assert balance(history) < 1e-13
 
 
+@pytest.mark.slow
 def test_example_2_19_loaded_and_unloaded() -> None:
     """mu m2 g = 2.4525 N and mu (m1 + m2) g = 7.3575 N of 12 N; pushed back the second mass slides at 7.095 N."""
     history = cq.follow_path(two_masses(0.0), [WEIGHTS, pulled(12.0), WEIGHTS], events="exact")
@@ -186,6 +187,7 @@ def test_contacts_that_change_together() -> None:
     assert balance(history) < 1e-13
 
 
+@pytest.mark.slow
 def test_redundant_contacts_and_contacts_without_friction() -> None:
     twice = truss_from_rest(0.3).replace(load=[0.0, 0.0])
     twice = cq.ContactProblem(
@@ -249,6 +251,7 @@ def test_many_steps_come_to_the_same(seed: int) -> None:
     assert errors[1] < 0.3 * errors[0] + 1e-12
 
 
+@pytest.mark.slow
 def test_steps_leave_work_unexplained_where_exact_events_do_not() -> None:
     """The balance is a check that can fail: five steps a leg miss the kinks."""
     problem, loads = random_body(1)
@@ -256,6 +259,7 @@ def test_steps_leave_work_unexplained_where_exact_events_do_not() -> None:
     assert balance(cq.follow_path(problem, loads, events="exact")) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.4, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_a_block_pressed_and_pushed(friction: float) -> None:
     problem, loads = rolling_block(friction)

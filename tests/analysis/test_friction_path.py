@@ -37,7 +37,7 @@ def test_example_2_18_by_every_step_count(steps: int, options: dict[str, str]) -
     ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("steps", COUNTS)
 @pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}])
 def test_example_2_17_sticks_where_it_touched(steps: int, options: dict[str, str]) -> None:
@@ -100,7 +100,7 @@ def test_normal_first_or_tangential_first(steps: int) -> None:
     np.testing.assert_allclose([other.normal_force[0], other.friction_force[0, 0]], [0.9375, 0.0], atol=1e-14)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("events", ["exact", None])
 def test_energy_of_a_jenkins_loop(events: str | None) -> None:
     """k = 2, mu N = 0.3, amplitude 0.5: a loop costs 4 mu N (D - mu N / k) = 0.42."""
@@ -143,6 +143,7 @@ def test_contacts_closed_at_the_start_are_anchored_where_the_caller_says() -> No
         cq.follow_path(two_masses(0.0, (1e-3, 1e-3)), [WEIGHTS], events="exact")
 
 
+@pytest.mark.slow
 def test_what_falls_freely_is_anchored_where_the_step_began() -> None:
     above = two_masses(0.0).replace(gap=[1e-3, 2e-3])
     history = cq.follow_path(above, [WEIGHTS, pulled(12.0), WEIGHTS], steps=4)
@@ -151,6 +152,7 @@ def test_what_falls_freely_is_anchored_where_the_step_began() -> None:
         cq.follow_path(above, [WEIGHTS], events="exact")
 
 
+@pytest.mark.slow
 def test_steps_wait_until_they_are_looked_at_and_share_one_factorisation() -> None:
     problem, loads = rolling_block(0.3)
     history = cq.follow_path(problem, loads, steps=5)
@@ -173,7 +175,7 @@ def test_a_body_by_newton_and_by_tresca() -> None:
     assert {event.kind for event in quick.events} >= {"closed", "slip"}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.4])
 def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) -> None:
     problem, loads = rolling_block(friction)
@@ -189,7 +191,7 @@ def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) ->
     assert given > 0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 3, 8])
 def test_where_all_contacts_stick_steps_are_exact(steps: int) -> None:
     """mu = 100: nothing slips, each of many contacts sticks where it closed, and no step count moves them."""
@@ -286,13 +288,14 @@ def test_no_step_jumps_below_the_critical_friction(steps: int) -> None:
     assert cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.4), PRESSED_AND_PULLED, steps=steps).notes == ()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}, {"method": "lagrange-multiplier"}])
 def test_whatever_takes_the_steps(options: dict[str, Any]) -> None:
     history = cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.8), PRESSED_AND_PULLED, steps=4, **options)
     assert [note.split(":")[0] for note in jumps(history)] == ["step to t = 1.5"]
 
 
+@pytest.mark.slow
 def test_on_contact_springs_the_snap_is_that_of_the_bodies_on_them() -> None:
     problem = one_contact(KLARBRING, [0.0, 0.0], 0.8)
     stiff = cq.follow_path(problem, PRESSED_AND_PULLED, steps=4, method="penalty", penalty=1e6)
@@ -329,6 +332,7 @@ def test_paths_without_snaps_have_no_notes(steps: int, seeds: int) -> None:
     assert cq.follow_path(truss_from_rest(0.3).replace(friction=0.0), [[60.0, -100.0]], steps=steps).notes == ()
 
 
+@pytest.mark.slow
 def test_what_falls_and_what_is_anchored_elsewhere_jumps() -> None:
     above = two_masses(0.0).replace(gap=[1e-3, 2e-3])
     (falls,) = cq.follow_path(above, [WEIGHTS], steps=4).notes
@@ -413,6 +417,7 @@ def test_beyond_the_sliding_limit_there_is_no_path_and_what_was_is_kept(options:
     assert all(solution.certificate.passed for solution in history)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", ["active-set", "penalty"])
 def test_a_path_without_friction_keeps_what_was_before_it_ended(method: str) -> None:
     """A block that springs hold along x alone is pressed down, and then pulled up."""

@@ -48,7 +48,7 @@ def recursion(ends: np.ndarray, steps: int) -> np.ndarray:
 SQUARE = np.array([[4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 5, pytest.param(16, marks=pytest.mark.slow)])
 def test_round_a_square_every_step_is_the_law_of_that_step(steps: int) -> None:
     history = led(SQUARE, steps)
@@ -120,7 +120,7 @@ def test_round_a_circle() -> None:
     assert abs(inward) < 0.25 * 3.0 * 2.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.4])
 def test_a_jenkins_loop_in_any_direction(angle: float) -> None:
     """Amplitude D = 4: a loop costs 4 mu N (D - mu N / k) = 30, whatever the steps."""
@@ -163,6 +163,7 @@ def dragged() -> cq.History:
     return cq.follow_path(problem, corners, steps=4)
 
 
+@pytest.mark.slow
 def test_an_elastic_block_factorises_once_and_loses_energy_only(dragged: cq.History) -> None:
     assert sum(solution.work.factorisations for solution in dragged) == 1
     assert all(solution.certificate.passed for solution in dragged)
@@ -175,6 +176,7 @@ def test_an_elastic_block_factorises_once_and_loses_energy_only(dragged: cq.Hist
         np.testing.assert_allclose(now.problem.slip_origin[sticks], place[sticks], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_each_step_starts_from_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's method takes fewer iterations from the forces of the step before than from none."""
     problem = elastic_block((4, 4, 2))

@@ -41,7 +41,7 @@ def rough(*, idle_row: bool) -> cq.ContactProblem:
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 @pytest.mark.parametrize("events", [None, "exact"])
 def test_a_path_is_that_without_them(kind, events):

@@ -12,6 +12,7 @@ import contactqp as cq
 from tests.analysis.motions import SPEED, brick, rod_at_wall, sliding_block, times_of
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("restitution", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("scheme", ["moreau-jean", "paoli-schatzman"])
 def test_a_rigid_ball_comes_back_with_its_part_of_the_speed(scheme: str, restitution: float) -> None:
@@ -59,6 +60,7 @@ def test_a_sliding_block_stops_after_v_over_mu_g(scheme: str) -> None:
     assert [event.kind for event in history.events if event.time < 0.3] == ["closed", "slip"]
 
 
+@pytest.mark.slow
 def test_the_friction_of_moreau_and_jean_takes_all_kinetic_energy() -> None:
     history = cq.impact(sliding_block(), [2.0, 2.0], [0.0, 0.0], [1.0, 0.0], 0.5, 1e-3)
     assert history.energies[-1].dissipated == pytest.approx(1.0, abs=1e-12)
@@ -67,6 +69,7 @@ def test_the_friction_of_moreau_and_jean_takes_all_kinetic_energy() -> None:
     assert history[450].contact_status.tolist() == ["stick"]
 
 
+@pytest.mark.slow
 def test_a_block_that_bounces_ever_less_comes_to_rest() -> None:
     """Rebounds shrink by e until they drown in what gravity does within a step; the block slides on and stops."""
     history = cq.impact(sliding_block(), [2.0, 2.0], [0, 0], [3.0, 1.0], 2.0, 1e-3, restitution=0.7)
@@ -153,7 +156,7 @@ def test_newtons_cradle_hands_on_all_speed() -> None:
     assert [event.contact for event in history.events if event.kind == "closed"] == [0, 1, 2, 3]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_random_motions_pass_wherever_they_are_looked_at(seed: int) -> None:
     """Any stiffness, mass, rows, friction and ties: every step that is looked at has its certificate."""

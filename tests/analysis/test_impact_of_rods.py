@@ -39,6 +39,7 @@ def test_a_thrown_rod_touches_and_leaves_in_time(thrown: tuple[cq.MotionHistory,
     assert [event.name for event in history.events[:1]] == ["contact 0"]
 
 
+@pytest.mark.sampled(5)
 def test_a_thrown_rod_pushes_with_rho_c_v(thrown: tuple[cq.MotionHistory, float]) -> None:
     history, _ = thrown
     plateau = (history.times > TOUCH + 0.1) & (history.times < RELEASE - 0.1)
@@ -68,7 +69,7 @@ def test_a_rod_gains_no_energy_in_moreau_and_jeans_scheme() -> None:
     assert np.all(np.diff(totals) < 1e-9 * totals[0])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order"), [("moreau-jean", 0.45), ("modified-mass", 0.6), ("paoli-schatzman", 0.9)])
 @pytest.mark.parametrize(
     "meshes", [(50, 100, 200), pytest.param((50, 100, 200, 400), marks=pytest.mark.slow)], ids=["three", "four"]
@@ -171,6 +172,7 @@ def test_momentum_is_exchanged_exactly(scheme: str) -> None:
     assert second == pytest.approx(SPEED * LENGTH, rel=0.02)
 
 
+@pytest.mark.slow
 def test_going_on_from_a_history_is_the_same_motion() -> None:
     whole = thrown_rod("moreau-jean", duration=1.2)[0]
     half = thrown_rod("moreau-jean", duration=0.8)[0]
@@ -184,7 +186,7 @@ def test_going_on_from_a_history_is_the_same_motion() -> None:
         half.resume(-1)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["clarabel", "osqp", "lemke", "projected-gauss-seidel"])
 def test_any_method_solves_the_small_problems(method: str) -> None:
     first = thrown_rod("moreau-jean", 40, duration=0.7)[0]
@@ -192,6 +194,7 @@ def test_any_method_solves_the_small_problems(method: str) -> None:
     np.testing.assert_allclose(other.normal_forces, first.normal_forces, atol=1e-9 * FORCE)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "scheme",
     ["moreau-jean", "modified-mass", "paoli-schatzman", "deuflhard-krause-ertel", "newmark", "backward-euler"],

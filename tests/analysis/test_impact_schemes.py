@@ -99,6 +99,7 @@ def test_forces_of_the_wrong_sign_are_not_passed(monkeypatch: pytest.MonkeyPatch
     assert not history[pulls].certificate.passed
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("scheme", ["newmark", "moreau-jean", "modified-mass", "modified-mass-central"])
 def test_energy_that_a_scheme_makes_is_noted_with_the_schemes_that_make_none(scheme: str) -> None:
     """The rod's 500 J became thousands by the trapezoidal rule, and the history had no note."""

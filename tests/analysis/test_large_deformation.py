@@ -20,6 +20,7 @@ DOWN = np.array([0.0, -1.0])
 EXACT = ("active-set", "clarabel", "osqp", "lemke", "master-slave", "lagrange-multiplier", "augmented-lagrangian")
 
 
+@pytest.mark.slow
 def test_the_path_before_the_limit_is_the_closed_form():
     history = cq.large_deformation(arch(), [0.28 * DOWN], steps=14)
     w = -history.displacements[:, 1]
@@ -64,6 +65,7 @@ def test_a_method_that_approximates_finds_the_balance_of_its_springs():
     assert not last.certificate.passed
 
 
+@pytest.mark.slow
 def test_the_certificate_is_of_the_last_step_and_holds_for_the_solution():
     last = cq.large_deformation(arch(), [DOWN], node_over(FLOOR), steps=4)[-1]
     again = cq.certify(last.problem, last.displacement, last.normal_force)
@@ -318,6 +320,7 @@ def test_a_block_in_space_is_dragged_with_friction_that_opposes_its_slip():
     assert all(solution.certificate.passed for solution in history)
 
 
+@pytest.mark.slow
 def test_failures_carry_the_history_and_resume():
     floor = cq.Plane([0.0, 0.18], [0.0, 1.0])
     whole = cq.large_deformation(arch(), [[0.05, -0.28]], node_over(floor), steps=8)
@@ -422,6 +425,7 @@ def test_a_load_beyond_all_numbers_is_refused_without_a_warning():
         cq.large_deformation(arch(), [[0.0, -1e200]], steps=1)
 
 
+@pytest.mark.slow
 def test_a_body_that_nothing_holds_is_told_so():
     loose = cq.NonlinearTruss([[-1, 0], [0, 0.2], [1, 0]], [[0, 1], [1, 2]], modulus=100.0, area=1.0)
     with pytest.raises(NotConverged, match="its load may drive a motion that nothing holds"):

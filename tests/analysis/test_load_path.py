@@ -47,7 +47,7 @@ def test_work_is_elastic_energy_where_events_are_exact() -> None:
     assert history.energies[-1].total == pytest.approx(history[-1].energy + 300.0 * history[-1].displacement[0])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
 def test_exact_events_agree_with_many_steps(seed: int) -> None:
     problem = seeded_problem(seed, n=7, m=6)

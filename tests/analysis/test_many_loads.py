@@ -74,7 +74,7 @@ def test_each_case_has_the_answer_of_its_own_problem(kind: str, problems: int) -
     assert seen > 10 * problems
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.usefixtures("small_too")
 @pytest.mark.parametrize("unit", [2.0**-30, 1e-9, 1.0, 1e9])
 def test_the_bar_and_the_wall_for_many_loads_in_any_units(unit: float) -> None:
@@ -205,6 +205,7 @@ def test_influence_functions_prove_forces_that_solve_finds_too(unit: float, apar
     assert wider.normal_force[7] == pytest.approx(alone.normal_force, abs=1e-11 * np.max(alone.normal_force))
 
 
+@pytest.mark.slow
 def test_no_bound_is_below_the_true_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
     rng, seen = np.random.default_rng(1), 0

@@ -22,7 +22,7 @@ BY_ARC = dict(control="arc-length", steps=40, arc_length=0.02)
 BY_NODE = dict(control="displacement", controlled=1, target=-0.5, steps=25)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [BY_NODE, BY_ARC], ids=["displacement", "arc length"])
 def test_von_mises_truss_follows_its_closed_form_through_both_limits(how):
     history = cq.large_deformation(arch(), DOWN, **how)
@@ -53,6 +53,7 @@ def test_the_printed_force_of_the_course_has_another_limit():
     assert abs(place / RISE - 2 / 3) > 0.2
 
 
+@pytest.mark.slow
 def test_the_path_converges_quadratically():
     history = cq.large_deformation(arch(), DOWN, **(BY_ARC | dict(arc_length=0.1, steps=6)))
     found = [orders(iterations)[-1] for iterations in history.iterations if len(orders(iterations))]
@@ -112,6 +113,7 @@ def test_drawn_back_up_the_contact_opens():
     assert history.times[-1] * 3.0 == pytest.approx(-arch_load(w), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_floor_in_the_way_ends_displacement_control_with_the_history_so_far():
     floor = node_over(cq.Plane([0.0, 0.05], [0.0, 1.0]))
     with pytest.raises(NotConverged, match="unknown 1 can go no further") as failure:
@@ -121,6 +123,7 @@ def test_a_floor_in_the_way_ends_displacement_control_with_the_history_so_far():
     assert so_far.times[-1] == pytest.approx(arch_load(0.15), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_round_obstacle_is_followed_past_its_side():
     """The node slides along a ball as the load rises: unstable on its top, bent aside."""
     ball = cq.Circle([0.02, -0.9], 1.0)
@@ -230,7 +233,7 @@ def loaded(seed):
     return body, contact, load, cq.large_deformation(body, [load], contact, steps=5)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 4, 24))])
 def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
     """7 starts with an overlap; 24 snaps, a long way."""

@@ -94,7 +94,7 @@ def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode:
             require_same(cq.solve(other, "penalty", **springs), history[-1], 1e-9)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     """Elastic energy is 1/2 u'Ku + 1/2 sum l_N^2 / beta + l_T^2 / beta_T, and the balance needs both."""
@@ -114,7 +114,7 @@ def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     assert max(springs) > 1e-4 * max(elastic)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("penalty", [1e3, 1e5])
 def test_stiff_springs_lose_no_work_where_slip_turns_to_stick(penalty: float) -> None:
     problem, loads = random_body(3)
@@ -130,6 +130,7 @@ def test_springs_that_rounding_cannot_tell_from_rigid_contact_are_refused() -> N
             cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="penalty", **options)
 
 
+@pytest.mark.slow
 def test_energy_of_the_two_masses() -> None:
     """Unloaded, 12 N let go: dissipated mu m g times what the sliders slid, by the corners of the chapter's path."""
     history = cq.follow_path(

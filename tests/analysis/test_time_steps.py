@@ -151,6 +151,7 @@ def step(seed: int) -> tuple[StepProblem, StepResult]:
     return posed, StepResult(x, rng.normal(size=2), rng.normal(size=4), rng.normal(size=1), x)
 
 
+@pytest.mark.slow
 def test_the_figures_are_those_of_the_certificate() -> None:
     """Of answers that are wrong in every way: cone and slip are bounded from above, the others alike."""
     steps = [step(seed) for seed in range(20)]

@@ -42,6 +42,7 @@ SEEN_AS = {
 }
 
 
+@pytest.mark.slow
 def test_trials_are_the_same_for_the_same_seed() -> None:
     assert trial(11, 3, ("frictionless",)) == trial(11, 3, ("frictionless",))
 

@@ -43,7 +43,7 @@ class WrongObstacle(Parabola):
         return exact.potentials(z)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tri3", "quad4"])
 def test_the_flat_punch(kind):
     levels = [punch_level(kind, cells) for cells in (8, 16, 32)]
@@ -54,7 +54,7 @@ def test_the_flat_punch(kind):
     assert levels[-1].l1 < 0.15
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", ["tri3", "quad4"])
 @pytest.mark.parametrize("mesh", [on_square, on_disc])
 def test_the_free_boundary_of_the_membrane(mesh, kind):
@@ -81,6 +81,7 @@ def test_the_membrane_converges_to_no_other_radius(monkeypatch):
     assert orders(levels, ["radius"])["radius"] < 0.5
 
 
+@pytest.mark.slow
 def test_a_missed_target_is_said(capsys):
     level = hertz_level("quad4", 8)
 

@@ -94,6 +94,7 @@ def test_hard_contact_is_a_penalty_of_fifty_times_young(folder: Path) -> None:
     assert most == pytest.approx(1.0, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_hard_contact_pulls_at_open_nodes_with_e_by_70000(folder: Path) -> None:
     found = solved("node to face, HARD", folder)
     assert np.sum(found.pulls) == 3
@@ -111,6 +112,7 @@ def test_a_list_of_slave_nodes_doubles_the_edges(folder: Path) -> None:
     assert abs(residual[names.index("3.2")]) == pytest.approx(at_edge, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_mortar_hard_is_the_same_penalty(folder: Path) -> None:
     solved("mortar, HARD", folder)
     springs = replace(

@@ -37,7 +37,7 @@ def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) ->
     assert one.load.shape != other.load.shape or not np.array_equal(one.load, other.load)
 
 
-@pytest.mark.sampled(14)
+@pytest.mark.sampled(46)
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int) -> None:
@@ -49,6 +49,7 @@ def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int
             find_truth(problem)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", FLOATING)
 def test_floating_bodies_float_exactly_and_not_to_rounding(name: str) -> None:
     assert null_space(matrix(family(name, 0).stiffness)).ncols() > 0
@@ -71,7 +72,7 @@ def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str)
         assert energy <= 1e-5 * terms
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed", "method"),
     [
@@ -91,7 +92,7 @@ def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> 
     assert [bound for bound in report.bounds if bound.below] == []
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [141, 405])
 def test_the_truth_passes_however_far_a_body_moves_freely(seed: int) -> None:
     """Its strain is 1e-9, and eps of the 8 and 328 that it has moved freely is no part of that."""
@@ -266,7 +267,7 @@ def test_a_displacement_that_hardly_strains_has_a_large_rounding() -> None:
     assert errors.rounding == pytest.approx(judging.EPS * 2 * np.sqrt(2) * 2.0**30, rel=1e-6)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))
@@ -276,6 +277,7 @@ def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     assert not report.spoiled_passed
 
 
+@pytest.mark.slow
 def test_the_report_is_written_and_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reports = [judging.judge("chain_walls", seed, ("active-set", "clarabel")) for seed in range(2)]
     lines = "\n".join(counting.text(reports, ["active-set", "clarabel"], 1.0))
@@ -296,7 +298,7 @@ def test_a_start_that_is_exact_measures_no_contraction() -> None:
     assert judging.judge("interference_removed", 173, ("active-set",)).outcomes[0].verdict == "right"
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed", "method"),
     [

@@ -24,7 +24,7 @@ def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer(every: int, 
     assert any("local problems in space" in line for line in table(reports))
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "seed"),
     [
@@ -46,7 +46,7 @@ def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> 
         assert cq.exact_equilibria(contact_problem(f"{name} 2D", seed).plain)
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "seed"),
     [

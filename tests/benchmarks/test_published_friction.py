@@ -47,7 +47,7 @@ def published(local, force):
     return cq.acary_bremond_huber_error(scaled, force * (largest / size))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("skew", [0.0, 0.05])
 def test_the_score_is_the_published_error_and_sees_what_is_wrong(dimension, skew):
@@ -143,6 +143,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_less_than_the_planted_error_is_found(folder, monkeypatch):
     certify_local = cq.certify_local
 
@@ -158,6 +159,7 @@ def test_a_bound_that_is_less_than_the_planted_error_is_found(folder, monkeypatc
     assert "hdf5: a planted error of" in found[0]
 
 
+@pytest.mark.slow
 def test_the_table_of_a_folder(folder, capsys, monkeypatch):
     monkeypatch.setattr(siconos_peer, "available", lambda: False)
     assert (

@@ -193,7 +193,7 @@ def _floating_triangle(stiffness: float, gap: float, force: float) -> cq.Contact
     return cq.ContactProblem(stiffness * K, load, rows, [gap, 1.001 * gap])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("stiffness", "gap", "force"),
     [(3.1e2, 1e-6, 1e-3), (3.1e2, -0.02, 1e3), (3.1e2, 0.83, 1e6), (7.7e10, 1e-6, 1e3), (7.7e10, -1e-9, 1.0)],
@@ -273,6 +273,7 @@ def _rounded_bar(first: float, second: float, load: float, rows: list[float], ga
     return cq.ContactProblem(K, [load, 0.0, -load], [rows], [gap])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("first", "second"), [(0.1, 0.2), (0.3, 0.6), (0.7, 0.1), (1.1, 2.2)])
 @pytest.mark.parametrize("moved", [1e5, 1e7])
 def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_from_the_error(first, second, moved):

@@ -67,7 +67,7 @@ def same(one: cq.Solution, other: cq.Solution) -> None:
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("held", HELD)
 def test_the_answer_is_that_of_all_contacts(held: str) -> None:
     problem = pressed(held)
@@ -98,6 +98,7 @@ def test_what_closes_nothing_and_what_starts_from_there() -> None:
     same(cq.solve(problem.afresh(), warm_start=replace(apart, problem=problem)), all_at_once(problem))
 
 
+@pytest.mark.slow
 def test_the_next_load_needs_no_factorisation() -> None:
     problem = pressed("quarter")
     first = cq.solve(problem)
@@ -131,7 +132,7 @@ def test_explain_says_what_is_condensed_onto(monkeypatch: pytest.MonkeyPatch) ->
     assert explaining._systems(problem.afresh()).reason == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", ["none", "friction", "normal", "missing", "reversed"])
 def test_answers_of_others_are_judged_with_all_contacts(wrong: str) -> None:
     problem = pressed("supported")

@@ -265,6 +265,7 @@ def test_figures_are_invariant_under_change_of_units(seed: int, floating: bool, 
     _agree(_figures(problem, u, force), _figures(other, u * per_length, force * per_force))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 40), floating=st.booleans(), data=st.data())
 def test_figures_are_invariant_under_permutation(seed: int, floating: bool, data: st.DataObject) -> None:
@@ -419,6 +420,7 @@ def test_friction_along_what_no_unknown_feels_counts_in_the_cone(tangent: list[l
     assert beyond.cone > 1.0  # though the excess along what is felt is half of the load there
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("weak", [0.0, np.cos(np.pi / 2), 1e-13, 1e-10])
 def test_a_tangential_row_that_is_rounding_is_none(weak: float) -> None:
     """A node whose tangent is (cos 90 deg, 1) in a mesh where the second direction is held."""

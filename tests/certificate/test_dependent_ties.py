@@ -52,7 +52,7 @@ def test_of_many_dependent_ties_the_first_are_named_and_the_others_counted():
     assert notes[-1] == "3 more ties depend on others"
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
 @pytest.mark.parametrize("excess", [1e-3, 1e-6, 1e-9, -1e-9])
 @pytest.mark.parametrize("scale", [1.0, 1e5])

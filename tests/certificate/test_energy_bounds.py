@@ -85,6 +85,7 @@ def test_the_error_of_a_strain_is_relative_to_strain_where_something_moves_freel
     assert certificate.energy_error <= 2 * strain
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_stiff_chain_beside_a_bare_unknown_counts_the_rounding_of_its_strain():
     """Of a chain of 5.6e7 on springs of 800 doubles know |u|_K to ten digits; the bound is above the error."""
     K = np.zeros((4, 4))

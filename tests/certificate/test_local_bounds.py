@@ -127,6 +127,7 @@ def ball(rng: np.random.Generator) -> tuple[cq.LocalProblem, Any]:
     return cq.LocalProblem(W, velocity.ravel() - W @ force.ravel(), mu, 3), force
 
 
+@pytest.mark.slow
 def test_in_space_bounds_hold_against_forces_that_problems_are_made_around() -> None:
     rng, claimed = np.random.default_rng(6), {"global": 0, "local": 0, None: 0}
     for _ in range(80):

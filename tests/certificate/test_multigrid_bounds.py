@@ -98,7 +98,7 @@ def test_the_bounds_are_above_the_truth_and_not_far_above(truth, size, kind):
     assert any("force_bound" in reason for reason in certificate.reasons)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)
 def test_our_own_answer_is_bounded_as_closely(truth):
     solution = cq.solve(fresh(truth.problem))
@@ -108,7 +108,7 @@ def test_our_own_answer_is_bounded_as_closely(truth):
     assert push <= certificate.force_error <= 100 * push
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)
 def test_the_dual_norm_is_above_the_truth(truth):
     problem = fresh(truth.problem)
@@ -143,7 +143,7 @@ def test_a_run_ends_where_nothing_is_left_to_gain():
         assert way.least_eigenvalue > 0.99
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", ["a row an unknown", "three unknowns a row", "mortar"], indirect=True)
 def test_wrong_answers_are_refused(truth):
     u, force = truth.solution.displacement, truth.solution.normal_force
@@ -176,6 +176,7 @@ def test_a_closed_contact_that_is_missing_is_refused_though_forces_balance(truth
     assert push <= certificate.force_error <= 100 * push
 
 
+@pytest.mark.slow
 def test_friction_has_figures_and_no_bounds(monkeypatch):
     monkeypatch.setenv(CHOICE, "pyamg")
     problem = on_paraboloid((8, 8, 6))

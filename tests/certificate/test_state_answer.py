@@ -17,6 +17,7 @@ def _worst_figure(certificate: cq.Certificate) -> float:
     return max(float(getattr(certificate, name)) for name in FIGURES)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("family", "seed"), [("tip 2D", 0), ("stops 2D", 1), ("tip 3D", 8), ("stops 3D", 2)])
 def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) -> None:
     problem, part = rough_stops(family, seed), 2e-4
@@ -28,7 +29,7 @@ def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) 
     assert any(failure.startswith("state: ") for failure in certificate.failures)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_right_answers_of_slender_bodies_pass_to_rounding(family: str) -> None:
     for seed in range(4):
@@ -235,7 +236,7 @@ def test_beside_a_gap_that_a_body_crosses_rigidly_forces_are_not_nothing(gap: fl
     assert not cq.certify(problem, fallen - [0.0, 0.0, 0.0, 1.0], *forces).passed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("off", "passes"), [(0.0, True), (1e-17, True), (-3e-17, True), (1e-6, False), (-1e-6, False)])
 def test_where_nothing_is_stiff_lengths_are_held_against_the_largest(off: float, passes: bool) -> None:
     problem = cq.ContactProblem(

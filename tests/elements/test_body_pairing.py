@@ -104,7 +104,7 @@ def test_rows_of_a_contact_are_orthonormal(pairing_of, scene):
     np.testing.assert_allclose(product, np.tile(np.eye(d), (len(frames), 1, 1)), atol=bend)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("kind", ["quad4", "tri3"])
 def test_the_gap_between_parallel_sheets_is_their_distance(pairing_of, kind):

@@ -120,7 +120,7 @@ def ring(kind, model, cells):
     return (u.reshape(-1, 2) * direction).sum(axis=1), stress_at_nodes(body, u), lame(r, model)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("model", ["plane-strain", "plane-stress", "axisymmetric"])
 @pytest.mark.parametrize("kind", PLANE)
 def test_the_thick_cylinder_converges_to_lames(kind, model):
@@ -163,7 +163,7 @@ def sphere_error(kind, cells):
     return error(u, exact.ravel())
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SOLID)
 def test_the_thick_sphere_converges_to_lames(kind):
     """Timoshenko & Goodier 1970, art. 136."""

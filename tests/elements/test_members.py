@@ -281,6 +281,7 @@ def test_wherever_the_free_boundary_is_every_method_gives_the_answer_by_hand(met
         assert hand.force.max() <= node_load, "no point reaction at the free boundary"
 
 
+@pytest.mark.slow
 def test_the_free_boundary_converges_with_the_first_order_as_a_node_and_the_second_from_the_forces():
     x_1, h, node, balance, energy = THIRD.free_boundary, [], [], [], []
     for elements in MESHES:

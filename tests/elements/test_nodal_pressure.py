@@ -82,7 +82,7 @@ def moments(surface, pressure):
     return total[surface.nodes]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_linear_pressure_is_exact_at_every_node(model, kind):
     """The trapezoid under an eccentric load, on a flat side of uneven facets. A mean belongs to the middle of its
@@ -226,7 +226,7 @@ def test_forces_that_facets_share_unevenly_are_right_together(kind):
     assert error[on_axis] <= (0.2 if kind in LINEAR else 0.03)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_uniform_pressure_on_a_floor(model, kind):
     """Facets of different sizes, the axis and the ends included. The corners of hex20 would have to pull: its answer is
@@ -243,7 +243,7 @@ def test_a_uniform_pressure_on_a_floor(model, kind):
     np.testing.assert_allclose(pressure, 7.0, rtol=0.08 if kind == "hex20" else 1e-11)
 
 
-@pytest.mark.sampled(15)
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("kind", PLANE_KINDS)
 def test_a_uniform_pressure_between_facets_of_two_bodies(kind, model):
@@ -305,7 +305,7 @@ def test_lames_press_fit_on_linear_facets_that_match():
     assert found.notes == ()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("mortar", [False, True])
 def test_facets_as_coarse_as_their_interference_are_told(mortar):
     """On 11 and 8 linear facets the pressure is off by several times itself, and nine times finer ones have the right

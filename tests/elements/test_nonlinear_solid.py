@@ -44,7 +44,7 @@ def turn(d, angle):
     return Q if d == 2 else Q @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]])
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("kind", "model", "law"), CASES)
 def test_force_and_tangent_are_the_derivatives_of_the_energy(kind, model, law):
     part = solid(kind, model, law)
@@ -90,7 +90,7 @@ def test_a_homogeneous_deformation_is_exact_on_a_distorted_mesh(kind, model, law
     np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * abs(force).max())
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("angle", [0.4, np.pi / 2, 3.0])
 @pytest.mark.parametrize(("kind", "model", "law"), CASES)
 def test_a_rigid_rotation_costs_nothing(kind, model, law, angle):
@@ -180,6 +180,7 @@ def test_a_block_is_pressed_flat_by_a_plane(law):
     assert history[-1].certificate.passed
 
 
+@pytest.mark.slow
 def test_a_soft_block_on_a_ball_bends_around_it_with_quadratic_convergence():
     part = Body(rectangle(2.0, 1.0, (8, 4), corner=(-1.0, 0.0)), Material(1.0, 0.3), "plane-strain", name="block")
     X = part.mesh.points

@@ -96,7 +96,7 @@ def test_the_paraboloid_measures_hertz_gap_along_its_axis():
     assert bowl.distance([[2.0, 1.5]]).tolist() == [1.0]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("inside", [False, True])
 def test_the_normal_distance_of_the_paraboloid_is_the_least_of_a_fine_sample(inside):
     obstacle = cq.Paraboloid([0.0, 0.0], [0.0, 1.0], 2.0, inside=inside, measure="normal")

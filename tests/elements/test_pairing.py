@@ -41,6 +41,7 @@ def test_the_two_bars_of_example_2_13():
     assert rows.gap == F(1, 1000)
 
 
+@pytest.mark.slow
 @given(DIRECTION, DIRECTION)
 def test_moving_a_node_changes_its_gap_by_the_row(normal, motion):
     """gap(x + u) = gap(x) - E_N u, and moving along a tangent leaves the gap."""
@@ -53,6 +54,7 @@ def test_moving_a_node_changes_its_gap_by_the_row(normal, motion):
         assert np.isclose(plane.distance([x + t])[0], rows.gap)
 
 
+@pytest.mark.slow
 @given(DIRECTION)
 def test_tangents_are_orthonormal(normal):
     n = np.array(normal) / np.linalg.norm(normal)
@@ -60,6 +62,7 @@ def test_tangents_are_orthonormal(normal):
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-14)
 
 
+@pytest.mark.slow
 @given(DIRECTION, DIRECTION, DIRECTION)
 def test_two_nodes_slip_by_their_relative_motion_only(direction, motion, common):
     rows = between_nodes([0.0, 0.0, 0.0], [1.0, 1.0, 1.0], direction)

@@ -67,7 +67,7 @@ def test_discs_converge_to_their_area(name, kind):
         assert mesh.points[mesh.nodes("pole")].tolist() == [[0.0, -R]]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("kind", SOLID)
 @pytest.mark.parametrize("part", BALLS)
 def test_balls_converge_to_their_volume(part, kind):
@@ -82,7 +82,7 @@ def test_balls_converge_to_their_volume(part, kind):
         np.testing.assert_allclose(mesh.points[mesh.nodes("pole")], [[0.0, 0.0, -R]], atol=1e-15)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("kind", SOLID)
 @pytest.mark.parametrize("part", CYLINDERS)
 def test_cylinders_converge_to_their_volume(part, kind):

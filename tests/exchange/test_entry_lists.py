@@ -136,7 +136,7 @@ def test_abaqus_refusals(tmp_path: Path, text: str, kind: type[Exception], messa
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sti", "mtx"])
 def test_mutations_are_refused_in_one_line_or_read(tmp_path: Path, kind: str) -> None:
     """A byte changed, a piece cut out or doubled, the rest cut off: one line of an own error, or a matrix."""

@@ -142,6 +142,7 @@ LOCAL = (
 )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("storage", [None, *STORAGES])
 @pytest.mark.parametrize("joints", [False, True])
 def test_a_local_problem_comes_back_bit_for_bit(tmp_path, storage, joints):
@@ -151,6 +152,7 @@ def test_a_local_problem_comes_back_bit_for_bit(tmp_path, storage, joints):
     assert all(same(getattr(problem, name), getattr(back, name)) for name in LOCAL)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("storage", [None, *STORAGES])
 @pytest.mark.parametrize("joints", [False, True])
 def test_a_global_problem_comes_back_bit_for_bit(tmp_path, storage, joints):

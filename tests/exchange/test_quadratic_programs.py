@@ -211,7 +211,6 @@ def test_run_says_the_energy_and_how_well_it_is_known(tmp_path: Path, capsys: py
     assert "P.mat" in table
 
 
-@pytest.mark.slow
 def test_explain_says_what_a_program_is_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("explain", str(matlab(tmp_path / "P.mat")), "--json") == 0
     found = json.loads(capsys.readouterr().out)

@@ -225,6 +225,7 @@ def test_a_siconos_file_with_a_fault(tmp_path, fault):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("text", [GOOD, *(local_text(matrix) for matrix in (BLOCKS, COLUMNS, TRIPLES))])
 def test_text_that_ends_early_is_refused_wherever_it_ends(tmp_path, text):
     file, words = tmp_path / "cut.dat", text.split()

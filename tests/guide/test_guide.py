@@ -76,6 +76,7 @@ def test_the_rod_of_the_example_bounces_and_every_scheme_leaves_the_energy_of_th
         ), scheme
 
 
+@pytest.mark.slow
 def test_the_arch_of_the_example_snaps_onto_its_floor() -> None:
     scope: dict[str, object] = {}
     exec(compile(block("large_deformation", "python"), "large_deformation.md", "exec"), scope)

@@ -70,6 +70,7 @@ def test_a_solver_that_does_not_exist_is_refused(monkeypatch):
         cq.solve(pressed_block(3))
 
 
+@pytest.mark.sampled(2)
 @needs_pardiso
 @pytest.mark.parametrize("free", [False, True])
 def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
@@ -157,6 +158,7 @@ def test_a_body_whose_motions_are_stated_is_factorised_once():
     assert np.allclose(stated.normal_force, unstated.normal_force, rtol=0, atol=1e-9 * np.max(unstated.normal_force))
 
 
+@pytest.mark.slow
 def test_motions_that_are_stated_wrongly_or_in_part_stay_hints():
     problem = floating_block()
     reference = cq.solve(problem).normal_force
@@ -228,7 +230,7 @@ def floating_in_space(cells=(10, 10, 7), supports=(), **changes):
 QUARTER = (Support("block", "left", 0), Support("block", "front", 1))
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["superlu", pytest.param("pardiso", marks=needs_pardiso)])
 @pytest.mark.parametrize(
     ("problem", "motions"),
@@ -276,7 +278,7 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
     assert np.sum(reaction[1::2]) == pytest.approx(np.sum(held.load[1::2]), rel=1e-10)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("bare", [False, True])
 def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
     """Six motions that are looked for take one each."""
@@ -412,6 +414,7 @@ def test_one_analysis_serves_two_matrices_with_the_same_entries():
     assert first.beside(sp.identity(n, format="csr")) is None
 
 
+@pytest.mark.slow
 @needs_pardiso
 def test_the_library_of_the_package_mkl_is_the_one_that_pypardiso_finds() -> None:
     """Where another were taken, two of them with threads of their own would be loaded in one process."""

@@ -28,7 +28,7 @@ def assert_conflict(problem: cq.ContactProblem, proof: Conflict) -> None:
         assert abs(sum(terms)) <= Fraction(1, 2**48) * sum(abs(x) for x in terms)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
 def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:

@@ -112,7 +112,7 @@ def test_a_force_a_hundredth_off_is_refused(name, monkeypatch):
     assert not cq.certify(problem, other.displacement, other.normal_force).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_load_that_nothing_holds_is_refused_in_the_same_words(friction, monkeypatch):
     lifted = free_block((8, 8, 4))

@@ -60,7 +60,7 @@ def in_forked_child(work: Callable[[], Any]) -> Any:
         child.join()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [bars, rubbing])
 def test_a_problem_is_solved_in_a_child_while_a_thread_of_the_parent_works_on_it(make) -> None:
     problem = make()

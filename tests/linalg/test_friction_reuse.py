@@ -23,6 +23,7 @@ def block():
     return structure.assemble(held).problem([pairs], friction=0.3)
 
 
+@pytest.mark.slow
 def test_a_path_whose_contacts_keep_their_states_factorises_once_a_direction_of_slip(block, monkeypatch):
     """Solve and certificate share a system, and steps in which all stick share one."""
     made = []
@@ -37,6 +38,7 @@ def test_a_path_whose_contacts_keep_their_states_factorises_once_a_direction_of_
     assert len(made) <= 2 * len(closed)
 
 
+@pytest.mark.slow
 def test_steps_that_go_on_as_before_start_from_where_the_last_two_lead(block, monkeypatch):
     """Forces of contacts that keep their states grow with the load: continued, they are the answer but for rounding."""
     starts = []

@@ -48,7 +48,7 @@ CASES = {
 }
 
 
-@pytest.mark.sampled(9)
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 @pytest.mark.parametrize("name", CASES)
@@ -70,6 +70,7 @@ def test_the_answer_is_that_of_the_factorising_way(name):
     assert solution.work.factorisations == solution.work.back_substitutions == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_contacts_that_come_twice_share_their_force_in_some_way():
@@ -80,6 +81,7 @@ def test_contacts_that_come_twice_share_their_force_in_some_way():
     assert together == pytest.approx(reference.normal_force, rel=1e-6, abs=1e-7 * np.max(together))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_a_body_without_contact_is_one_linear_system():
@@ -108,6 +110,7 @@ def test_early_systems_are_not_solved_to_the_end(monkeypatch):
     assert exact >= 1.3 * rough
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_sets_that_come_back_are_solved_more_accurately(monkeypatch):
@@ -236,6 +239,7 @@ def test_unloading_starts_from_rest(factor):
     assert np.max(abs(unloaded.displacement)) <= 2 * factor * np.max(abs(loaded.displacement))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 @pytest.mark.parametrize("factor", [1e-200, 1e200])
@@ -279,6 +283,7 @@ def test_the_hint_is_checked_and_kept():
         problem.replace(near_null_space=np.full((n, 1), np.nan))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("bed", [1e2, 1e5, 1e8])
 def test_contacts_where_nothing_arrives_hold_up_no_set(monkeypatch: pytest.MonkeyPatch, bed: float) -> None:
     """Half of the nodes stand on stiff springs: at the far side forces are 1e-20 and less, and their signs rounding."""

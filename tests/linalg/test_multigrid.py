@@ -56,6 +56,7 @@ def test_the_v_cycle_is_symmetric_and_its_spectrum_ends_at_one(name, part):
     assert spectrum[-1] <= 1 + 1e-12
 
 
+@pytest.mark.slow
 def test_a_held_face_does_not_spoil_the_preconditioner_as_the_mesh_is_refined():
     """Without the rows' stiffness it does: the same run with M for the free body takes ever more steps."""
     steps = {}

@@ -49,7 +49,7 @@ def _tangents(problem: cq.ContactProblem) -> np.ndarray:
     return np.column_stack([vertical - 2, vertical - 1]).ravel()
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @needs_pyamg
 @pytest.mark.usefixtures("small_is_large")
 @pytest.mark.parametrize("method", ON_FACTORS)

@@ -58,6 +58,7 @@ def test_copies_are_problems_without_what_was_computed():
         assert cq.solve(twin).normal_force == force
 
 
+@pytest.mark.slow
 def test_paths_of_one_body_in_threads():
     base = on_paraboloid((6, 6, 4))
     expected = cq.follow_path(base.replace(stiffness=base.stiffness), [base.load], steps=3).normal_forces

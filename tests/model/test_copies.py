@@ -43,13 +43,14 @@ def _without_the_ways_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(copy, "dispatch_table", own)
 
 
+@pytest.mark.slow
 def test_every_public_class_has_an_example() -> None:
     public = {kind for name in cq.__all__ if isinstance(kind := getattr(cq, name), type)}
     found = {kind for _, value in parts(objects()) for kind in type(value).__mro__}
     assert public - found == set(), "add one to tests.public_objects"
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("way", WAYS)
 def test_every_object_is_the_same_after_a_copy(way: str) -> None:
     for name, value in objects().items():
@@ -74,6 +75,7 @@ def test_what_is_compared_tells_objects_apart() -> None:
     assert content(cq.NotCertified("a", one)) != content(cq.NotCertified("a", other))
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("kind", sorted(errors(), key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
 def test_exceptions_keep_their_message_and_what_they_carry(kind: type[BaseException], way: str) -> None:

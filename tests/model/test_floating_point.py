@@ -135,7 +135,7 @@ def test_wrong_answers_are_explained_as_usual(name: str, size: float) -> None:
     assert judged.failures == cq.certify(problem, *parts).failures
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::contactqp.errors.TimeStepWarning")
 @pytest.mark.parametrize("name", [name for name in FAMILY if name not in ("bedded", "in space")])
 def test_paths_motions_and_what_is_known_of_a_problem(name: str) -> None:
@@ -212,6 +212,7 @@ def shapes(size: float) -> dict[str, Callable[[], Any]]:
     }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("size", [1e-320, 1e-160, 1.0, 1e160, 1e300])
 @pytest.mark.parametrize("name", shapes(1.0))
 def test_what_bodies_and_obstacles_compute_too(name: str, size: float) -> None:

@@ -282,6 +282,7 @@ DOORS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("mask", [True, False])
 def test_masked_arrays_are_refused_wherever_arrays_are_read(door: str, mask: bool) -> None:
@@ -318,6 +319,7 @@ NUMBERS: dict[str, Callable[[Any], Any]] = {
 NO_NUMBER = ("1", b"1", np.datetime64("2020-01-01"), np.timedelta64(3, "s"), 1 + 0j, object(), [None], {"a": 1})
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("door", [*COUNTS, *NUMBERS])
 @pytest.mark.parametrize("value", NO_NUMBER, ids=lambda value: type(value).__name__)
 def test_what_is_no_number_is_refused_in_one_line(door: str, value: Any) -> None:

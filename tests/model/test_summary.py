@@ -150,6 +150,7 @@ def test_notebooks_get_html_in_which_names_are_escaped() -> None:
     assert "<td>a&lt;b</td><td>closed</td><td>30.255</td>" in shown
 
 
+@pytest.mark.slow
 def test_notebooks_show_what_print_does_of_histories_certificates_and_comparisons() -> None:
     solution = cq.solve(TRUSS)
     judged = cq.certify(TRUSS, solution.displacement, 1.01 * solution.normal_force)

@@ -58,7 +58,7 @@ def test_uncorrupted_answers_are_accepted() -> None:
         assert judged.diagnosis == "nothing is wrong with this answer", base.name
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one_contact_opened_that_pushes", "random_noise"])
 def test_no_cause_is_guessed_where_none_explains_the_answer(name: str) -> None:
     """Some of these answers are right but for one value; of noise nothing is to be said but what it violates."""

@@ -47,6 +47,7 @@ def test_the_exact_answer_is_right_to_its_printed_digits(tmp_path: pathlib.Path)
     assert pair.total.tolist() == pytest.approx([0.0, 0.0, 5.0], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_springs_that_a_deck_states_are_told_apart(tmp_path: pathlib.Path) -> None:
     deck = write(tmp_path, STACK)
     penalty = cq.solve(cq.read_deck(deck).problem("penalty")).displacement[: len(exact(deck))]
@@ -108,6 +109,7 @@ def test_supports_that_moved_are_told(tmp_path: pathlib.Path) -> None:
     assert "4 supports moved: 15.z by -0.021, the deck prescribes -0.02" in found.findings[0]
 
 
+@pytest.mark.slow
 def test_two_pairs_are_judged_one_by_one(tmp_path: pathlib.Path) -> None:
     other = "\n".join(f"{n + 20}, {10 + x}., {y}., {z}" for n, x, y, z in (
         (1, 0, 0, 0.0), (2, 1, 0, 0.0), (3, 1, 1, 0.0), (4, 0, 1, 0.0), (5, 0, 0, 1.0), (6, 1, 0, 1.0), (7, 1, 1, 1.0),
@@ -203,6 +205,7 @@ def test_the_command_says_right_wrong_or_not_installed(
     assert (code, len(error.splitlines())) == (3, 1)
 
 
+@pytest.mark.slow
 @needs_calculix
 def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     found = cq.crosscheck(write(tmp_path, STACK), reference="penalty", error_tolerance=1e-3)
@@ -213,7 +216,6 @@ def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     assert (tmp_path / "stiff.ccx" / "job.log").is_file()
 
 
-@pytest.mark.slow
 def test_both_pressures_and_their_difference_are_drawn(
     tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

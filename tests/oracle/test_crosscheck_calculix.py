@@ -49,6 +49,7 @@ def test_a_mortar_is_right_where_its_master_reaches_further(tmp_path: pathlib.Pa
     assert found.passed, found.summary()
 
 
+@pytest.mark.slow
 def test_adhesion_is_named(tmp_path: pathlib.Path) -> None:
     found = cq.crosscheck(write(tmp_path, two_blocks("hex8", NODES, "LINEAR\n1e7, 100., 1.", above=0.0011)))
     assert found.word == "wrong"
@@ -67,7 +68,7 @@ def test_friction_sticks_and_slips_alike(tmp_path: pathlib.Path, kind: str, push
     assert tangential > 1
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [NODES, FACES])
 def test_gaps_adjusted_nodes_and_clearances_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:
     resultants = []
@@ -95,7 +96,7 @@ def test_a_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path, kind: str) ->
     assert soft.pairs[0].resultant < 0.9 * soft.pairs[0].reference_resultant
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("model", ["CPE", "CPS", "CAX"])
 @pytest.mark.parametrize("element", ["quad4", "tri3", "quad8"])
 def test_plane_and_axisymmetric_decks_are_right(tmp_path: pathlib.Path, model: str, element: str) -> None:

@@ -88,6 +88,7 @@ def test_every_interval_holds_the_exact_rational(name: str, seed: int) -> None:
     assert np.all(enclosed.radius.normal_force[pushing] <= 1e-12 * enclosed.doubles.normal_force[pushing])
 
 
+@pytest.mark.slow
 def test_intervals_that_are_a_little_too_narrow_would_be_seen() -> None:
     problem = pressed_block((10, 5))
     enclosed, exact = cq.exact(problem, enclose=True), cq.exact(problem, enclose=False)
@@ -194,7 +195,7 @@ def test_tangential_rows_without_friction_are_enclosed_too() -> None:
     assert enclosed.friction_force[0, 0] == 0
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["active-set", "clarabel", "osqp", "projected-gauss-seidel"])
 def test_refinement_by_any_method_ends_far_beyond_doubles(method: str) -> None:
     problem = pressed_block((10, 5))
@@ -224,7 +225,6 @@ def test_refinement_ends_when_what_is_left_no_longer_falls(monkeypatch: pytest.M
         refine(problem, digits=40)
 
 
-@pytest.mark.slow
 def test_refinement_ends_where_a_correction_has_no_answer() -> None:
     # Units 1e54 apart: a correction has no answer in doubles, and forty rounds change nothing of what is left.
     problem = cq.ContactProblem(

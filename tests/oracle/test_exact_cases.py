@@ -68,6 +68,7 @@ PUBLISHED = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_the_exact_answer_equals_the_published_rational(name: str) -> None:
     answer, (displacement, push, rub, _) = exact(name), PUBLISHED[name]
@@ -107,7 +108,7 @@ def _values(scene: Scene, answer: cq.ExactSolution, claim: Expectation) -> tuple
     return None
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("name", [name for name in NODES if name not in NOT_COVERED])
 def test_what_a_case_claims_is_exactly_so(name: str) -> None:
     scene = cq.load_scene(CASES / f"{name}.toml")

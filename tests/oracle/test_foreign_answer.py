@@ -173,6 +173,7 @@ def test_an_answer_to_a_problem_without_one_has_no_right_values() -> None:
     assert judged.contacts == () or judged.contacts[0].right_normal_force is None
 
 
+@pytest.mark.slow
 def test_of_several_equilibria_the_nearest_is_set_beside() -> None:
     """Klarbring's (1990) contact, mu above the critical: open, stick and slip are all right."""
     data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])

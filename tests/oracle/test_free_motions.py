@@ -35,6 +35,7 @@ def stack() -> cq.ExactSolution:
     return cq.exact(cq.load_scene(CASES / "stacked_blocks.toml"))
 
 
+@pytest.mark.slow
 def test_a_stack_that_may_slide_has_its_forces_to_many_digits(stack: cq.ExactSolution) -> None:
     assert not stack.rational
     assert len(stack.free_motions) == 3

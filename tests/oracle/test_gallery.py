@@ -38,6 +38,7 @@ def test_the_conditions_hold_whatever_the_seed(kind: str) -> None:
     assert {name: names for name, names in broken.items() if names} == {}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_data_are_doubles_or_what_rounding_them_changes_is_said(known: GalleryProblem) -> None:
     assert known.data.rounded() == (() if known.rounding == 0 else ("friction",))
@@ -129,6 +130,7 @@ def test_some_problem_has_more_closed_rows_than_unknowns() -> None:
     assert more
 
 
+@pytest.mark.slow
 def test_frictional_problems_come_in_the_plane_and_in_space_and_in_every_state() -> None:
     found = problems("frictional", count=12)
     assert {known.data.directions for known in found} == {1, 2}

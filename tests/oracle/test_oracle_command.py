@@ -170,6 +170,7 @@ def test_data_of_bodies_say_whose_numbers_they_are() -> None:
     assert np.max([c["normal_force"]["radius"] for c in data["contacts"]]) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_table_of_thousands_of_unknowns_is_left_to_json(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "oracle", CASES / "membrane_paraboloid.toml")
     assert code == 0

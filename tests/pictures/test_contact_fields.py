@@ -34,6 +34,7 @@ def test_a_block_under_pressure(kind, thickness):
     assert (fields.units.length, fields.units.force) == ("mm", "N")
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", ["quad4", "tri3", "quad8", "tri6"])
 def test_the_pressure_of_a_cylinder_is_that_of_the_full_circle(kind):
     """Its force is 2 pi r p da, so force over the area of the meridian is none."""
@@ -44,6 +45,7 @@ def test_the_pressure_of_a_cylinder_is_that_of_the_full_circle(kind):
     np.testing.assert_allclose(found.pairings[0].pressure(found.solution.normal_force), pairing.pressure, rtol=1e-14)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", ["hex8", "tet4", "hex27", "tet10"])
 def test_a_cube_under_pressure(kind):
     fields = cube(kind).fields

@@ -62,6 +62,7 @@ def test_positions_and_values_are_those_of_the_fields(kind, scale):
     np.testing.assert_allclose(triangles(fields, "von mises", scale).values, PRESSURE, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_friction_tilts_the_arrows_and_not_the_pressure():
     found = block()
     solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])

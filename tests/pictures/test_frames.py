@@ -132,7 +132,7 @@ def test_a_beam_is_drawn_as_its_cubic():
     assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
 
 
-@pytest.mark.sampled(11)
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if scene.bodies])
 def test_every_case_of_bodies_has_fields_to_draw(case):
     scene = SCENES[case]
@@ -211,6 +211,7 @@ def test_an_obstacle_far_away_is_left_to_the_legend():
     assert f"foot: open, force 0 N, gap {gap:.3f} m" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+@pytest.mark.slow
 def test_the_file_is_written(tmp_path):
     draw_structure(fields("bar_wall"), tmp_path / "case.pdf")
     assert (tmp_path / "case.pdf").read_bytes().startswith(b"%PDF")

@@ -111,7 +111,7 @@ WRONG = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("events", WRONG.values(), ids=WRONG)
 def test_the_check_of_marks_refuses_wrong_ones(events):
     path = wall_path(events="exact")
@@ -145,6 +145,7 @@ def rod():
     return thrown_rod("moreau-jean")
 
 
+@pytest.mark.slow
 def test_a_thrown_rod(rod):
     history, step = rod
     figure = history_figure(history, time_unit="s")
@@ -271,6 +272,7 @@ def test_each_colour_of_a_curve_has_dashes_of_its_own():
     assert len(set(looks)) == 4
 
 
+@pytest.mark.slow
 def test_labels_of_many_events_stand_free_and_count_all():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

@@ -16,6 +16,7 @@ pytest.importorskip("matplotlib")
 CASE = Path(__file__).parents[2] / "cases" / "membrane_ball.toml"
 
 
+@pytest.mark.slow
 def test_a_membrane_over_a_ball() -> None:
     scene = cq.load_scene(CASE)
     solution = cq.solve(scene.problem())

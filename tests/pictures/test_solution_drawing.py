@@ -77,6 +77,7 @@ def test_a_solution_plots_itself_into_a_file(tmp_path) -> None:
     assert (tmp_path / "chain.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_a_history_is_drawn_over_its_load_and_one_of_an_instant_as_its_solution() -> None:
     problem = chain(3)
     path = cq.follow_path(problem, [problem.load], steps=4)

@@ -306,6 +306,7 @@ def written(folder, text=GOOD, mesh=MESH):
     return str(file)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("command", [["run"], ["explain", "--no-solve"]], ids=" ".join)
 def test_the_good_file_is_good(command, tmp_path, capsys):
     accept(capsys, written(tmp_path), *command)

@@ -81,6 +81,7 @@ def test_wrong_friction_and_corners_are_refused_in_one_line(name, tmp_path, caps
     refuse(capsys, str(file), words)
 
 
+@pytest.mark.slow
 def test_the_good_path_with_friction_is_good(tmp_path, capsys):
     file = tmp_path / "rubbing.toml"
     file.write_text(RUBBING)

@@ -90,6 +90,7 @@ def test_it_is_drawn(case: Path) -> None:
     assert [(member.kind, member.nodes) for member in members] == [("beam", (0, 1)), ("torsional spring", (1,))]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("wrong", "right", "message"),
     [

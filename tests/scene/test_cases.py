@@ -57,7 +57,7 @@ def test_what_a_case_claims_holds(name):
         assert all(row.ok for row in rows), [row for row in rows if not row.ok]
 
 
-@pytest.mark.sampled(19)
+@pytest.mark.sampled(34)
 @pytest.mark.parametrize("method", EXACT_METHODS)
 @pytest.mark.parametrize("name", TOUCHING)
 def test_every_exact_method_gives_the_exact_answer(name, method):
@@ -168,7 +168,7 @@ def test_the_last_row_of_table_2_1_is_one_place_of_the_gap_times_the_penalty():
     assert f"{perturbed.normal_force[0]:.6g}" == "30.255"
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ["bar_wall.toml", "truss_floor_printed.toml", "two_bars.toml"])
 def test_the_perturbed_lagrangian_is_the_penalty_method(name):
     problem = SCENES[name].problem()
@@ -178,6 +178,7 @@ def test_the_perturbed_lagrangian_is_the_penalty_method(name):
         assert perturbed.normal_force == pytest.approx(penalty.normal_force, rel=1e-11)
 
 
+@pytest.mark.slow
 def test_four_orders_of_the_same_loads_end_in_three_states():
     names = ("", "_vertical_first", "_horizontal_first", "_overload")
     ends = [cq.run(SCENES[f"truss_friction{name}.toml"])[-1] for name in names]
@@ -198,7 +199,7 @@ def test_the_truss_slips_to_the_same_place_in_any_number_of_steps(steps):
     assert end.met, [row for row in end.expectations if not row.ok]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_masses.toml", "two_masses_penalty.toml"])
 @pytest.mark.parametrize("steps", [1, 7, pytest.param(99, marks=pytest.mark.slow)])
 def test_the_events_of_two_masses_do_not_depend_on_the_steps(name, steps):
@@ -224,6 +225,7 @@ def test_two_masses_in_steps_end_where_exact_events_lead():
     assert set(found) == {"active-set", "penalty"}
 
 
+@pytest.mark.slow
 def test_the_wrong_numbers_of_the_chapter_are_not_ours():
     """Example 2.18 prints 0.8357 mm and 31.337 kN, 2.19 prints 2.787 N and 7.878 N."""
     rows = [

@@ -234,7 +234,7 @@ LOADS = {
 DIFFERENCES = {"C3D": 1e-6, "CPE": 1e-6, "CAX": 5e-4}
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(30)
 @needs_calculix
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize(("model", "kind"), [

@@ -269,6 +269,7 @@ def test_a_path_by_the_penalty_method():
     assert ends.work == pytest.approx(ends.elastic + ends.dissipated, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_what_is_printed_of_steps_that_jump(capsys):
     """Klarbring's node with mu = 0.8 is pressed by 1 N and pushed: at 0.8 N it can neither stick nor slide on."""
     matrix = {"name": "K", "unknowns": ["1.x", "1.z"], "unit": "N/m", "rows": [[1, -2], [-2, 5]]}

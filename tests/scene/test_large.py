@@ -162,7 +162,6 @@ def test_a_law_that_cannot_bear_a_bar_of_no_length_keeps_all_from_it():
     assert np.isfinite(DeformableModel(build(Scene(**ARCH, **BY_LOAD))).body.energy(np.array([-1.0, -0.2])))
 
 
-@pytest.mark.slow
 def test_friction_on_a_ball_is_along_the_tangents_of_now():
     ball = [{"name": "ball", "kind": "circle", "centre": ["0.1 m", "-0.9 m"], "radius": "1 m"}]
     contacts = [{"name": "foot", "node": "t", "obstacle": "ball", "friction": 0.2}]
@@ -268,6 +267,7 @@ def test_methods_take_the_steps_or_refuse():
     assert report_methods(scene)[0] == ("active-set",)
 
 
+@pytest.mark.slow
 def test_a_path_that_breaks_off_keeps_its_names():
     with pytest.raises(NotConverged, match=r"t\.z can go no further") as failure:
         cq.run(Scene(**ARCH, **FLOOR, **BY_NODE))
@@ -367,6 +367,7 @@ def _stands(node, inner):
     return not place or int(place) < inner[bar]
 
 
+@pytest.mark.slow
 def test_the_weight_of_the_cable_is_carried():
     (judgement,) = [judge(cq.load_scene(CASES / CHAIN), Trial())]
     model = DeformableModel(build(judgement.scene))

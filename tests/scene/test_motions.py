@@ -69,6 +69,7 @@ def test_run_gives_the_motion():
     assert history.velocities[-1, 0] == pytest.approx(-1.5, rel=1e-14)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("by", ["1", "1.x"])
 def test_a_ball_comes_back(by):
     motion = BALL["motion"] | {"velocities": [{"of": by, "value": ["3 m/s"]}]}
@@ -370,6 +371,7 @@ def test_knobs_reach_the_scheme():
         assert cq.run(scene).velocities[-1, 0] == pytest.approx(speed, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_units_of_the_scene_do_not_matter():
     found = cq.run(cq.load_scene(CASES / "bars_colliding.toml"))
     other = cq.load_scene(CASES / "bars_colliding.toml").model_copy(

@@ -35,7 +35,7 @@ def pressed(kind, model, near, held="x"):
     return judge(scene, Trial())
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("model", ["plane-strain", "plane-stress", "axisymmetric"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_uniform_pressure_is_claimed_at_the_axis_and_at_the_edge(kind, model):

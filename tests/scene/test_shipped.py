@@ -21,6 +21,7 @@ def test_every_case_of_the_checkout_is_shipped_and_has_a_title() -> None:
     assert all(case.title for case in shipped_cases())
 
 
+@pytest.mark.slow
 def test_a_name_is_found_from_any_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert cq.run("bar_wall")[-1].force_at("tip") == pytest.approx(142.5)
@@ -48,6 +49,7 @@ def test_a_misspelled_name_is_answered_with_the_nearest(capsys) -> None:
     assert "there is none of that name; of the cases that come with contactqp: bar_wall, bar_wall_path" in err
 
 
+@pytest.mark.slow
 def test_cases_are_listed_and_found_by_words(capsys) -> None:
     code, out, err = run(capsys, "cases")
     assert (code, err) == (0, "")

@@ -88,6 +88,7 @@ def block(height: float, normal: int, side: str = "bottom") -> cq.Scene:
     )  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("height", "normal", "side", "doubt"),
     [

@@ -97,6 +97,7 @@ def test_gaps_that_rounding_leaves_are_no_picture(capsys):
     assert contact.rstrip().endswith("·")
 
 
+@pytest.mark.slow
 def test_run_draws_the_course_of_a_path_and_of_a_pressure(capsys):
     (row,) = (line for line in shown(capsys, "truss_floor").splitlines() if "load factor 0 to 1" in line)
     picture = row.split()[1]
@@ -164,6 +165,7 @@ def test_of_values_that_share_a_letter_the_furthest_is_drawn():
     assert line == "·····█····"
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("letters", [BLOCKS, ASCII], ids=["blocks", "ascii"])
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(values=st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=40), width=st.integers(1, 30))

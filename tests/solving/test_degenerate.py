@@ -213,6 +213,7 @@ def test_contacts_on_pins_that_are_tied_to_what_floats(method: str) -> None:
     assert solved > 20
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("unit", [1.0, 4.0**40, 4.0**-150])
 def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None:
     """Force on the stop and force in the tie are one, and the least is none on the stop, in any unit."""

@@ -165,6 +165,7 @@ def test_a_tie_against_a_wall_conflicts() -> None:
         cq.solve(problem)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", EXACT)
 def test_ties_have_forces_with_the_sign_of_equilibrium(method: str) -> None:
     tied = cq.ContactProblem(
@@ -288,6 +289,7 @@ def test_random_problems_are_solved_and_proven(seed: int, rigid: int) -> None:
     assert solution.certificate.proven
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 10_000), power=st.integers(0, 12))
 def test_a_warm_start_changes_nothing_but_the_work(seed: int, power: int) -> None:

@@ -81,6 +81,7 @@ def strip_on_a_floor(length: int) -> cq.ContactProblem:
     return cq.ContactProblem(K, load, E, np.full(length, 0.05))
 
 
+@pytest.mark.slow
 def test_a_long_strip_stays_sparse_and_a_short_one_does_not() -> None:
     assert not constraints_are_many(strip_on_a_floor(200))
     long = strip_on_a_floor(800)
@@ -120,6 +121,7 @@ def test_a_set_that_only_shrinks_does_so_by_layers(monkeypatch: pytest.MonkeyPat
     assert by_layers.normal_force == pytest.approx(one_by_one.normal_force, rel=1e-12, abs=1e-16)
 
 
+@pytest.mark.slow
 def test_backends_identify_where_no_hierarchy_does(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = cq.solve(membrane(60, 0.03))
     monkeypatch.setattr(sparse_run, "held_by_hierarchy", lambda _: False)
@@ -127,6 +129,7 @@ def test_backends_identify_where_no_hierarchy_does(monkeypatch: pytest.MonkeyPat
     assert found.normal_force == pytest.approx(expected.normal_force, rel=1e-12, abs=1e-16)
 
 
+@pytest.mark.slow
 def test_repeated_bounds_share_their_force() -> None:
     """Two rows on one unknown are no fixing rows: neither is eliminated, and both forces are found."""
     problem = membrane(50, 0.03)
@@ -190,7 +193,7 @@ def test_a_strip_is_analysed_once_and_multiplied_exactly_only_where_digits_are_m
     assert sum(size for size in products if 4 * size > entries) == 5 * entries
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     problem = transport(seed)
@@ -311,6 +314,7 @@ def test_optimal_control_agrees_with_condensing() -> None:
     assert abs(solution.displacement[2::3]).max() <= 0.8 * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_conflicts_are_proven_and_named() -> None:
     n = 20
     rows = np.vstack([np.ones((1, n)), -np.eye(n)])
@@ -320,6 +324,7 @@ def test_conflicts_are_proven_and_named() -> None:
     assert caught.value.proof.excess == pytest.approx(n - 1)
 
 
+@pytest.mark.slow
 def test_an_energy_that_falls_for_ever_is_told_with_the_direction() -> None:
     n = 20
     load = np.ones(n)
@@ -373,6 +378,7 @@ def test_rows_that_contradict_by_rounding_are_believed_and_not_proven() -> None:
     assert solution.displacement[0] == pytest.approx(0.3, rel=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("backend", ["clarabel", "piqp"])
 def test_backends_are_polished_on_sparse_systems(backend: str) -> None:
     pytest.importorskip(backend)
@@ -460,6 +466,7 @@ def test_forces_of_rounding_are_measured_by_what_lengths_would_make() -> None:
         assert not cq.certify(problem, **(answer | {name: wrong})).passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("factor", [2.0**-40, 2.0**40])
 def test_units_change_nothing(factor: float) -> None:
     problem = transport(5)

@@ -54,6 +54,7 @@ def test_a_path_is_drawn_to_a_file_of_its_own(capsys, tmp_path):
     assert names(tmp_path)[2:] == ["b.bar_wall.svg", "b.jenkins_loop.history.svg", "b.jenkins_loop.svg"]
 
 
+@pytest.mark.slow
 def test_a_path_without_a_picture_asked_for_has_none(capsys, tmp_path):
     run(capsys, "run", CASES / "jenkins_loop.toml", "--vtu", tmp_path / "a.vtu")
     assert names(tmp_path) == ["a.vtu"]

@@ -38,6 +38,7 @@ def _farthest(image: Any, colour: tuple[int, int, int]) -> int:
     return min(max(abs(a - b) for a, b in zip(found, colour, strict=True)) for _, found in counts)
 
 
+@pytest.mark.slow
 def test_a_structure_and_its_path() -> None:
     drawn = answer_pictures(_judged("two_bars_path"))
     for picture in (drawn.answer, drawn.history):

@@ -226,6 +226,7 @@ def test_the_table_is_that_of_the_rows_of_results_csv(folder: Path) -> None:
             assert line["wrong"] == sum(row["flag_wrong"] == "true" for row in raw)
 
 
+@pytest.mark.slow
 def test_the_terminal_ends_with_the_same_table(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ def test_stages_sum_to_the_total(wall):
     assert all(stage.seconds > 0 for stage in wall.stages)
 
 
+@pytest.mark.slow
 def test_a_bar_needs_no_factorisation_and_nothing_optional(wall):
     assert (wall.failure, wall.certified, wall.instants) == (None, True, 1)
     assert (wall.factorisations, wall.back_substitutions) == (0, 0)  # its one unknown is the contact's

@@ -38,6 +38,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     return telling.telling_cases(tmp_path_factory.mktemp("report"))
 
 
+@pytest.mark.slow
 def test_hertz_comes_at_three_sizes(files: tuple[Path, ...]) -> None:
     sizes = [load_scene(file).problem().dimension for file in files[-3:]]
     assert sizes == pytest.approx(list(telling.HERTZ), rel=0.06)

@@ -75,7 +75,7 @@ CASES = {
 }
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_answer_is_that_of_the_factorising_way(name: str) -> None:
     problem = fresh(CASES[name])
@@ -106,7 +106,7 @@ def test_the_fixed_point_comes_to_the_same_without_newton(name: str, monkeypatch
     assert np.max(abs(solution.friction_force - reference.friction_force)) <= 1e-7 * push
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("too_much", [1.004, 1.3])
 def test_an_indefinite_stiffness_is_refused_where_no_coarse_level_shows_it(
     too_much: float, monkeypatch: pytest.MonkeyPatch
@@ -218,7 +218,6 @@ def test_what_is_not_iterated_on_is_said_with_the_cure() -> None:
         cq.solve(BLOCK, "clarabel")
 
 
-@pytest.mark.slow
 def test_a_limit_of_time_is_kept_and_hands_over_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fresh(BLOCK)
     right = cq.solve(problem)

@@ -76,7 +76,7 @@ def partly(request: pytest.FixtureRequest) -> Partly:
     return Partly(solution, np.hypot(places[:, 0], places[:, 1]), float(P), float(Q / (FRICTION * P)))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 def test_the_circle_that_sticks(partly: Partly) -> None:
     """To half of an element: all inside of c sticks, nothing does that is nearer to the rim."""
     assert 0.4 < partly.driven < 0.9

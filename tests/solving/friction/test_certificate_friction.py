@@ -134,7 +134,7 @@ def _transformed(known: Known, length: float, force: float, d: np.ndarray, r: np
     return Known(problem, known.displacement * length / d, *forces)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("what", ["units", "unknowns", "rows"])
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -160,6 +160,7 @@ def test_the_natural_map_is_invariant(what: str, dimension: int, count: int) -> 
         assert there == pytest.approx(here, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_exact_answers_of_stiff_and_floating_problems_pass() -> None:
     rng = np.random.default_rng(8)
     for _ in range(15):

@@ -36,7 +36,7 @@ def solved(name: str, problem: cq.ContactProblem, **more: object) -> cq.Solution
     return cq.solve(problem, method, **(options | more))
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("name", EXACT)
 def test_truss_on_a_rough_floor(name: str, state: str) -> None:
@@ -72,7 +72,7 @@ def test_the_systems_that_the_chapter_prints() -> None:
     assert not lifted.passed
 
 
-@pytest.mark.sampled(11)
+@pytest.mark.sampled(48)
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("pull", PULLS)
 def test_two_masses_on_a_rough_floor(pull: str, name: str) -> None:
@@ -88,7 +88,7 @@ def test_two_masses_on_a_rough_floor(pull: str, name: str) -> None:
     assert " ".join(solution.contact_status) == status
 
 
-@pytest.mark.sampled(9)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("name", EXACT)
 def test_pad_on_an_incline(name: str, sign: float) -> None:
@@ -110,7 +110,7 @@ def test_mirrored_tangents_mirror_the_friction(name: str) -> None:
     np.testing.assert_allclose(other.friction_force, -one.friction_force, 1e-14)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", EXACT)
 def test_a_contact_that_cannot_slide_or_is_there_twice(name: str) -> None:
     fixed = solved(name, rough_truss(0.3, 0.0, tangent=[[0.0, 0.0]]))
@@ -125,7 +125,7 @@ def test_a_contact_that_cannot_slide_or_is_there_twice(name: str) -> None:
         np.testing.assert_allclose(twice.friction_force.sum(), once.friction_force[0, 0], 1e-11)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", EXACT)
 def test_without_friction_at_some_contacts(name: str) -> None:
     """The second mass on ice slides freely: 12 N go to the first, which slips."""
@@ -185,7 +185,7 @@ def test_uzawa_arrives_or_says_that_it_does_not() -> None:
     np.testing.assert_allclose(rates, 0.5, rtol=0.05)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("pull", list(PULLS)[1:] + list(PULLS)[:1])
 def test_uzawa_where_contacts_rest_at_zero(pull: str) -> None:
     """Gaps of zero: a penetration relative to itself is 1 until it is the rounding of the displacements."""
@@ -269,6 +269,7 @@ def test_a_warm_start_saves_the_free_solution() -> None:
     np.testing.assert_array_equal(warm.displacement, cold.displacement)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_sparse_stiffness_and_other_units(count: int) -> None:
     import scipy.sparse as sp

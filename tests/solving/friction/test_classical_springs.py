@@ -62,6 +62,7 @@ TABLE_2_2 = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("beta", TABLE_2_2)
 @pytest.mark.parametrize("name", PENALISED)
 def test_rough_contact_of_table_2_2(name: str, beta: float) -> None:

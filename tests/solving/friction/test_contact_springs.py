@@ -133,7 +133,7 @@ def test_two_masses_loaded_and_unloaded(way: str, steps: int) -> None:
         np.testing.assert_allclose(solution.normal_force, [19.62, 9.81], 1e-12)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("pull", "status"),
     [

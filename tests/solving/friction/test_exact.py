@@ -54,6 +54,7 @@ def test_truss_on_a_rough_floor(name: str, algorithm: str | None) -> None:
     assert (judged.proven, judged.scope) == (True, "global")
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", CONVEX, ids=lambda m: m.name)
 def test_every_exact_method_solves_the_convex_steps(method) -> None:
     assert method.exact

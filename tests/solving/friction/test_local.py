@@ -366,6 +366,7 @@ def test_all_answers_of_klarbrings_contact() -> None:
     assert any(np.allclose(cq.solve(problem).force, one.force, atol=1e-12) for one in found)
 
 
+@pytest.mark.slow
 def test_enumeration_takes_unsymmetric_operators_and_joints() -> None:
     for seed in range(4):
         problem, r, u = made(seed, contacts=4, dimension=2, skew=0.05)

@@ -70,7 +70,7 @@ def test_sparse_systems_find_what_condensed_ones_do(seed: int) -> None:
     assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_combination_near_a_factorised_one_is_solved_by_its_factors(seed: int) -> None:
     problem, rng = pushed(seed), np.random.default_rng(seed)
@@ -90,6 +90,7 @@ def test_a_combination_near_a_factorised_one_is_solved_by_its_factors(seed: int)
         assert here == pytest.approx(there, abs=1e-11 * float(np.max(abs(there), initial=0.0)))
 
 
+@pytest.mark.slow
 def test_newton_factorises_the_first_combination_and_changes_it() -> None:
     problem = strip(1000, 0.05, 0.05)
     solution = cq.solve(problem)
@@ -122,7 +123,7 @@ def test_few_contacts_are_condensed_as_ever() -> None:
     assert not constraints_are_many(strip(120, 0.3, 0.002))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["normal_force", "friction_force", "displacement"])
 def test_wrong_answers_are_refused_by_the_comparison(part: str) -> None:
     problem = pushed(2)
@@ -141,6 +142,7 @@ def test_wrong_answers_are_refused_by_the_comparison(part: str) -> None:
         assert any(text.startswith("state:") for text in refused.failures), refused.failures
 
 
+@pytest.mark.slow
 def test_an_equilibrium_with_another_law_of_friction_is_refused() -> None:
     """Forces of twice the coefficient balance the bodies: the figures see the cone, and the comparison the distance."""
     problem = pushed(4)

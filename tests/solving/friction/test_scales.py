@@ -67,6 +67,7 @@ def test_published_errors_are_reported_and_judge_nothing(seed: int) -> None:
     assert certificate.siconos_error == cq.siconos_local_error(scaled, r / factor[:, None])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("part", [1e-3, 1e-6])
 @pytest.mark.parametrize("contact", [1, 2, 4])
 def test_a_wrong_force_is_refused_in_any_unit_and_beside_a_contact_that_is_far(contact: int, part: float) -> None:
@@ -144,7 +145,7 @@ def klarbring_bodies(size: float, far: float, coupled: bool, origin: float = 0.0
     )  # fmt: skip
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(18)
 @pytest.mark.parametrize("coupled", [True, False])
 @pytest.mark.parametrize("origin", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("size", [1e-2, 1e-6, 1e-9])
@@ -181,7 +182,7 @@ def rows_scaled(problem: cq.ContactProblem, factor: NDArray[np.float64]) -> cq.C
     return problem.replace(**data)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("name", ["any 2D", "any 3D", "made around an answer 2D", "made around an answer 3D"])
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_of_a_contact_may_be_scaled_by_any_factor(name: str, seed: int) -> None:
@@ -210,7 +211,7 @@ def test_random_problems_of_many_scales_by_every_algorithm(name: str, seed: int)
     assert report.outcomes["default"] == "solved" or not report.exists
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [0, 20, -20, 49])
 def test_an_unknown_without_stiffness_that_only_tangents_join_to_a_stiff_one_is_solved_in_any_unit(power: int) -> None:
     """u_0, without stiffness, is held between two walls; u_1, on a spring, slides with it along one of four contacts.

@@ -46,7 +46,7 @@ def test_a_block_sticks_below_its_bound_and_slides_along_the_push_beyond(way: st
     assert slid.certificate.passed
 
 
-@pytest.mark.sampled(11)
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_on_unequal_springs_it_does_not_slide_along_the_push(way: str) -> None:
     """K_T = [[5, 1], [1, 2]]: pushed by K_T s + mu N s/|s| it slides by s, whatever the push's own direction."""
@@ -131,7 +131,7 @@ def test_frames_and_scales_of_contacts_mean_nothing(seed: int) -> None:
     np.testing.assert_allclose(solution.friction_force * factors[:, None], there, atol=1e-12)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("way", ["by itself", "nsgs", "admm", "aclm, clarabel", "tresca, clarabel"])
 def test_scales_of_unknowns_mean_nothing(seed: int, way: str) -> None:
@@ -210,7 +210,7 @@ def _in_space(problem: cq.ContactProblem, angles: np.ndarray) -> cq.ContactProbl
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_what_stays_in_a_plane_is_the_plane_s_answer(seed: int) -> None:
     rng, compared = np.random.default_rng(seed), 0

@@ -40,6 +40,7 @@ def test_a_rigid_table_held_by_friction_alone(way: str) -> None:
     assert solution.free_motions == ()
 
 
+@pytest.mark.slow
 def test_a_table_that_is_pushed_or_turned_too_much_has_no_equilibrium() -> None:
     """A push of 3.3 exceeds mu W = 3.2; a moment of 4.6 exceeds mu W sqrt(2) = 4.525, and 4.5 does not."""
     for angle in (0.0, 0.7, -2.0):
@@ -111,7 +112,7 @@ def test_a_contact_that_is_there_three_times(way: str) -> None:
     np.testing.assert_allclose(solution.friction_force.sum(axis=0), 3.0 * direction(1.0), rtol=1e-12)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("way", WAYS)
 def test_a_tie_between_two_blocks(way: str) -> None:
     """Two blocks tied to move alike along the plane, one on ice: mu N = 3 against the pushes on both."""
@@ -170,6 +171,7 @@ def test_some_contacts_on_ice() -> None:
     assert solution.certificate.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("angle", [0.0, 0.6, 2.2])
 def test_a_sheared_block_is_in_a_uniform_state(angle: float) -> None:
     """nu = 0: pressure p = E 0.04, shear t = mu p where it slides; G = 1/2, its top leads by h t / G, the rest is slip.
@@ -207,6 +209,7 @@ def test_plane_strain_in_space_is_plane_strain(push: float) -> None:
     np.testing.assert_allclose(one.energy, other.energy, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_pushed_elastic_block_turned_by_a_quarter() -> None:
     """8 x 8 x 4 hexahedra, 81 contacts, partly sliding; pushed along y instead of x all turns with the push."""
     one, other = (cq.solve(elastic_block(push=push)) for push in ((0.005, 0.0), (0.0, 0.005)))
@@ -219,6 +222,7 @@ def test_a_pushed_elastic_block_turned_by_a_quarter() -> None:
     assert np.max(abs(one.friction_force[:, 1])) > 0.1 * np.max(abs(one.friction_force[:, 0]))
 
 
+@pytest.mark.slow
 def test_polygons_of_more_and_more_sides_approach_the_cone() -> None:
     """Tresca's steps with discs against those with inscribed polygons, without a finish: the last step's own error."""
     problem = elastic_block((4, 4, 2), push=(0.006, 0.003))

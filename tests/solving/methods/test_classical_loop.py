@@ -175,7 +175,7 @@ def random_problem(seed: int) -> ContactProblem:
     )
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
@@ -198,7 +198,7 @@ def test_the_answer_satisfies_signorini(name: str, seed: int) -> None:
     assert np.max(np.abs(problem.tie @ u - problem.tie_value), initial=0) <= 1e-10 * size
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(-6, 6), force=st.floats(-6, 6))

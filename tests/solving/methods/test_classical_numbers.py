@@ -48,7 +48,7 @@ def test_the_registry_entries_promise_what_the_methods_do() -> None:
     assert not any(method.scale or method.polish for method in CLASSICAL), "textbook matrices in the user's own numbers"
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(19)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_methods_return_the_exact_numbers(name: str, example: Example) -> None:
@@ -175,6 +175,7 @@ def test_the_sign_printed_in_eq_2_29_is_a_negative_spring() -> None:
     require_near("force", penalised("perturbed-lagrangian", bar(300.0), 157500.0).normal_force, [71.25], 1e-14)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("beta", [0.0, *UP_TO_1E8])
 @pytest.mark.parametrize("example", [e for e in EXAMPLES if e.name[:2] == "2."], ids=lambda example: example.name)
 def test_simultaneous_augmented_lagrangian_is_exact_for_every_beta(example: Example, beta: float) -> None:
@@ -182,6 +183,7 @@ def test_simultaneous_augmented_lagrangian_is_exact_for_every_beta(example: Exam
     require_answer(example, candidate, 1e-12)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 def test_uzawa_arrives(example: Example) -> None:
     candidate = solve_augmented_lagrangian(example.problem, Settings(tolerance=1e-11, options={"update": "uzawa"}))

@@ -22,7 +22,7 @@ def example(name: str) -> Example:
     return next(example for example in EXAMPLES if example.name == name)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 @pytest.mark.parametrize("form", [np.asarray, sp.csc_array], ids=["dense", "sparse"])
 def test_signs_and_values(example: Example, form: object) -> None:

@@ -46,6 +46,7 @@ def test_every_row_of_the_table_is_a_method_with_a_command_that_installs_it() ->
         assert method.polish, method.name
 
 
+@pytest.mark.sampled(3)
 @every_backend
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
 @pytest.mark.parametrize("form", [np.asarray, sp.csc_array], ids=["dense", "sparse"])

@@ -47,7 +47,7 @@ def test_results_are_the_same_however_cells_run(workers: Workers, alone: bool) -
     assert list(found.items()) == [(f"half of {i}", Number(i / 2)) for i in range(20)]
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "message"),
     [
@@ -101,6 +101,7 @@ def test_what_is_timed_runs_alone_in_one_process(tmp_path: Path) -> None:
     assert len({result.value for result in run_cells(places, Processes(2), alone=True).values()}) == 1
 
 
+@pytest.mark.slow
 def test_side_by_side_each_has_one_thread_and_alone_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     cell = _cell("threads", do.threads)
@@ -121,6 +122,7 @@ def test_two_cells_of_one_name_are_refused() -> None:
         run_cells([*_halves(1), *_halves(1)], ThisProcess())
 
 
+@pytest.mark.slow
 def test_what_the_journal_has_is_not_run_again(tmp_path: Path) -> None:
     calls = tmp_path / "calls"
     cells = [_cell(f"cell {i}", do.noted, calls, float(i)) for i in range(6)]
@@ -153,6 +155,7 @@ def test_a_crash_is_kept_too(tmp_path: Path) -> None:
     assert len(file.read_text().splitlines()) == 2  # what is run under, and the crash once
 
 
+@pytest.mark.slow
 def test_no_process_stays_behind() -> None:
     places = run_cells([_cell(str(i), do.where) for i in range(4)], Processes(2))
     assert not any(_alive(int(result.value)) for result in places.values())

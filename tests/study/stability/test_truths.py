@@ -199,6 +199,7 @@ def test_21684_is_one_ulp_of_the_gap_times_beta() -> None:
     assert f"{row.largest_force:.3f}" == "21.684"
 
 
+@pytest.mark.slow
 def test_the_best_beta_is_the_predicted_one() -> None:
     best = best_penalty_of_truss()
     assert best.penalty == pytest.approx(math.sqrt(76650.7811 * 30.2549928 / 2.0**-62), rel=1e-6)
