@@ -182,7 +182,7 @@ class Spring:
         return sp.csc_array([[self.slope]])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [Spring(jump=1e-3), Spring(jump=1e-5), Spring(tangent=0.3)])
 def test_a_force_that_jumps_or_does_not_belong_to_its_tangent_is_no_rounding(body: Spring) -> None:
     assert cq.large_deformation(Spring(), [[0.5]], steps=1)[-1].displacement == pytest.approx([0.5])

@@ -232,7 +232,7 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "bodies", "seed"),
     [(1, 4, 2), (3, 4, 2), *(pytest.param(steps, 12, 5, marks=pytest.mark.slow) for steps in (1, 3, 10))],

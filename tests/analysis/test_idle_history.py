@@ -64,7 +64,7 @@ def test_a_path_is_that_without_them(kind, events):
     assert cq.certify(last.problem, last.displacement, last.normal_force, tie_force=last.tie_force).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("events", [None, "exact"])
 def test_a_path_with_friction_is_that_without_them(events):
     loads = [[1.0, -3.0, 0.0, -1.0], [3.0, -3.0, 0.0, -1.0]]

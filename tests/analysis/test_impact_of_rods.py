@@ -105,6 +105,7 @@ def test_backward_euler_loses_what_it_loses_without_contact() -> None:
     assert energies[-1].drift == pytest.approx(energies[-1].total - energies[0].total)
 
 
+@pytest.mark.slow
 def test_penalty_overlaps_by_its_force_and_blows_up_when_stiff() -> None:
     soft, _ = thrown_rod("penalty", courant=0.5, penalty=9000.0)
     assert soft.energies[-1].total == pytest.approx(500.0, rel=0.01)

@@ -163,6 +163,7 @@ def test_a_motion_that_leaves_all_numbers_fails_with_its_history() -> None:
     assert np.all(np.isfinite(history.displacements))
 
 
+@pytest.mark.slow
 def test_a_method_that_gives_up_fails_with_the_history_until_then(monkeypatch: pytest.MonkeyPatch) -> None:
     from contactqp.analysis.motion import step_contact
 

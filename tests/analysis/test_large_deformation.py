@@ -114,6 +114,7 @@ def test_convex_methods_refuse_indefinite_tangents():
         cq.large_deformation(arch(), [0.5 * DOWN], steps=5, method="clarabel")
 
 
+@pytest.mark.slow
 def test_an_unstable_equilibrium_is_told():
     """A straight column of two bars between lateral springs; load control along the axis of symmetry
     finds the straight column, which no longer is a minimum."""

@@ -245,6 +245,7 @@ def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
     assert conditions(body, contact, 1.01 * load, last) > 1e-3, "the answer to another load"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     body, contact, load, history = loaded(seed)

@@ -103,6 +103,7 @@ def test_the_truth_passes_however_far_a_body_moves_freely(seed: int) -> None:
     assert not any(bound.below for bound in report.bounds)
 
 
+@pytest.mark.slow
 def test_strain_that_is_nothing_beside_the_load_makes_no_answer_wrong() -> None:
     """The load acts where the contact does: contact forces strain 1e-8 of what they are worth where they act."""
     report = judging.judge("pushed_rigidly", 12, ("lagrange-multiplier",))

@@ -172,6 +172,7 @@ def test_enormous_files_do_not_fill_the_memory(written):
         assert (code, out, err.count("\n")) == (2, "", 1), (name, code, err)
 
 
+@pytest.mark.slow
 def test_an_archive_that_grows_is_refused_before_it_does(tmp_path, capsys, written):
     root, _ = written
     (tmp_path / "bomb.npz").write_bytes(bomb(b"\x93NUMPY\x01\x00"))

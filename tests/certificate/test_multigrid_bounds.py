@@ -159,7 +159,7 @@ def test_wrong_answers_are_refused(truth):
     assert unknown.energy_error is None
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", ["a row an unknown", "three unknowns a row", "mortar", "ties"], indirect=True)
 def test_a_closed_contact_that_is_missing_is_refused_though_forces_balance(truth):
     """The answer of the problem without its strongest contact: equilibrium holds, the contact is penetrated."""

@@ -46,6 +46,7 @@ def test_commands_cases_files_and_methods_are_completed(tmp_path: Path, line: st
     assert offered(tmp_path, line) == found
 
 
+@pytest.mark.slow
 def test_the_line_that_is_documented_makes_a_function_for_the_shell() -> None:
     page = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
     assert 'eval "$(_CONTACTQP_COMPLETE=bash_source contactqp)"' in page

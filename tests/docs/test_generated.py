@@ -22,7 +22,7 @@ from docs.generating.parts import DOCS, PARTS, with_part
 from docs.generating.tables import table
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("page", PARTS, ids=lambda page: page.name)
 def test_a_generated_part_is_what_is_generated_now(page: Path) -> None:
     """Otherwise: python -m docs.generating."""

@@ -109,6 +109,7 @@ def test_a_rigid_rotation_costs_nothing(kind, model, law, angle):
     np.testing.assert_allclose(turned, straight @ Q.T, atol=1e-11 * abs(straight).max())
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("kind", "model", "law"), CASES)
 def test_at_rest_the_tangent_is_the_linear_stiffness(kind, model, law):
     part = solid(kind, model, law)

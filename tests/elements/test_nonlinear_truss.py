@@ -209,6 +209,7 @@ def test_bad_trusses_are_refused(change, message):
         NonlinearTruss(**(data | change))
 
 
+@pytest.mark.slow
 def test_many_bars_are_one_sparse_matrix():
     """A chain of 1e5 bars: (2 + 1) pairs a node, in a second."""
     n = 100_001

@@ -22,6 +22,7 @@ def block(page: str, language: str, place: int = 0) -> str:
     return str(found[place])
 
 
+@pytest.mark.slow
 def test_the_body_example_presses_a_block_on_a_paraboloid() -> None:
     scope: dict[str, object] = {}
     exec(compile(block("bodies", "python"), "bodies.md", "exec"), scope)

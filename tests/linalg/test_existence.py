@@ -40,7 +40,7 @@ def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -
     assert caught.value.proof.excess == pytest.approx(part, rel=1e-3)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
 def test_ties_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
@@ -60,7 +60,7 @@ def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_a_proof_travels_with_its_exception() -> None:
     assert copy.proof.normal.tolist() == [1.0, 1.0]
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_rounding_of_a_load_drives_nothing(method: str) -> None:
     """F sin(pi) = 4e-14 on an unknown that nothing holds, beside F: whatever comes of it, it is no absence."""

@@ -110,6 +110,7 @@ def test_the_largest_eigenvalue_is_not_underestimated():
     assert exact <= largest_eigenvalue(K.__matmul__, np.diag(K)) <= 1.1 * exact * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_steps_of_conjugate_gradients_tell_the_energy_of_the_error_and_the_spectrum():
     problem = SMALL["a row an unknown"]()
     K, n = problem.stiffness.toarray(), problem.dimension

@@ -50,7 +50,7 @@ def test_every_public_class_has_an_example() -> None:
     assert public - found == set(), "add one to tests.public_objects"
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_every_object_is_the_same_after_a_copy(way: str) -> None:
     for name, value in objects().items():

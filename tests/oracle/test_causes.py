@@ -66,6 +66,7 @@ def test_springs_that_also_pull() -> None:
     assert "about 1e+04" in judged.diagnosis
 
 
+@pytest.mark.slow
 def test_a_pyramid_for_the_cone() -> None:
     """mu N = 3 on each axis: pushed by (4, 5) on springs of 2 the block slides by (0.5, 1)."""
     problem = block([4.0, 5.0])

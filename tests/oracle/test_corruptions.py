@@ -11,6 +11,7 @@ from tests.oracle.corruptions import KINDS, PROBLEMS, Base, Kind, corpus, fricti
 NAMED = [kind for kind in KINDS.values() if kind.named is not None]
 
 
+@pytest.mark.slow
 def test_the_corpus_is_large_and_mixed() -> None:
     assert len(KINDS) >= 40
     assert len({kind.named for kind in NAMED}) >= 25

@@ -49,7 +49,7 @@ def test_a_cause_is_named_in_any_units(cause: str, powers: tuple[int, int]) -> N
     assert findings(length, force, CAUSES[cause]) == expected
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(13)
 @pytest.mark.parametrize("friction", [False, True])
 @pytest.mark.parametrize("factors", [(1e300, -1.0), (1.0, 1e300), (1.7e308, 1.7e308), (5e-324, 1.0), (-1.0, 1.7e308)])
 @pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e-8, 1e150), (1e-160, 1e-8), (1e120, 1e-120)])
@@ -96,6 +96,7 @@ def test_what_is_proportional_is_told_from_what_is_not() -> None:
     assert _proportion(np.array([1.0, 0.0]), np.array([0.0, 1.0])) is None
 
 
+@pytest.mark.slow
 def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -116,7 +117,7 @@ def test_certificates_of_a_diagnosis_are_counted_where_no_right_answer_is_known(
     assert len(asked) >= 6
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("power", [-250, -170, 170, 250])
 @pytest.mark.parametrize("candidate", [(1.01, 0.99), (0.9, 1.1)])
 def test_penetrations_and_forces_whose_ratio_is_beyond_doubles_are_told_all_the_same(

@@ -31,7 +31,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_gallery(tmp_path_factory.mktemp("somewhere") / "gallery", EVERY)
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(51)
 @pytest.mark.parametrize("known", EVERY)
 def test_problems_come_back_to_the_last_bit(exported: Path, known: GalleryProblem) -> None:
     back, ledger = read_problem_folder(exported / known.name)

@@ -220,6 +220,7 @@ def test_the_surface_of_a_cube(kind):
     assert np.isclose(np.linalg.norm(np.diff(np.concatenate(lines), axis=1), axis=2).sum(), 4 * (2 + 1 + 1))
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", ["hex8", "tet4", "hex20", "tet10", "hex27"])
 def test_the_map_covers_the_contact_surface(kind):
     fields = cube(kind).fields

@@ -212,6 +212,7 @@ def test_a_motion_that_left_all_numbers_is_drawn_as_far_as_there_is_room(tmp_pat
     assert (tmp_path / "left.svg").exists()
 
 
+@pytest.mark.slow
 def test_the_start_alone_is_a_point(rod):
     history, _ = rod
     first = cq.MotionHistory(replace(history.motion, states=history.motion.states[:1]), tuple, history._resume)
@@ -320,6 +321,7 @@ def test_loads_on_many_unknowns_are_drawn_with_their_work():
     assert work == pytest.approx(history.energies[-1].work)
 
 
+@pytest.mark.slow
 def test_times_of_a_motion_have_their_unit_or_say_what_they_are_stated_in():
     drop = cq.ContactProblem(stiffness=[[0.0]], load=[-9.81], normal=[[-1.0]], gap=[1.0])
     fall = cq.impact(drop, mass=[1.0], displacement=[0.0], velocity=[0.0], duration=0.1, time_step=1e-2)

@@ -26,7 +26,7 @@ def read(file: Path) -> dict[str, Any]:
     return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
-@pytest.mark.sampled(67)
+@pytest.mark.slow
 @pytest.mark.parametrize("file", sorted(CASES.glob("*.toml")), ids=lambda file: file.stem)
 def test_every_case_fits_the_schema(validator: Any, file: Path) -> None:
     assert [error.message for error in validator.iter_errors(read(file))] == []

@@ -361,6 +361,7 @@ THREE = dict(
 )
 
 
+@pytest.mark.slow
 def test_a_case_says_whether_there_are_other_answers():
     words = [{"quantity": "uniqueness", "value": word, "derivation": "by hand"} for word in
              ("one answer", "several answers", "forces not unique; several answers")]  # fmt: skip

@@ -236,6 +236,7 @@ def test_a_bar_that_tears_ends_with_what_there_is(tmp_path, capsys):
     assert (tmp_path / "wire.history.png").exists()
 
 
+@pytest.mark.slow
 def test_supports_of_a_contact_get_what_the_obstacle_gives_them():
     """The node of the arch may not move aside: an inclined floor pushes it against its support."""
     floor = dict(

@@ -360,6 +360,7 @@ def test_a_box_falls_in_space():
     assert all(row.ok for row in found), found
 
 
+@pytest.mark.slow
 def test_knobs_reach_the_scheme():
     for scheme, knobs, speed in (
         ("paoli-schatzman", {"restitution": "1/4"}, -0.75),

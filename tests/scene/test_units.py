@@ -84,6 +84,7 @@ def test_a_float_means_the_digits_it_is_printed_with():
     assert read_number(0.1) == F(1, 10)
 
 
+@pytest.mark.slow
 @given(st.fractions(min_value=0, max_value=10**6, max_denominator=10**6))
 def test_roots_are_exact_where_they_are_rational_and_close_elsewhere(value):
     square, _ = split_number(f"sqrt({value * value})", roots=True)

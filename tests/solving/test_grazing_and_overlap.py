@@ -31,6 +31,7 @@ def chains(seed: int) -> cq.ContactProblem:
     return cq.ContactProblem(K * scale, load * scale, rows, gap)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", [532, 554, 918, *range(12)])
 def test_which_contacts_push_is_decided_beneath_the_rounding_of_doubles(seed):
     """Of the seeds that are named, refinement used to stop before it could tell."""

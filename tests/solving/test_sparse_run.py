@@ -420,7 +420,7 @@ def staged(seed: int, stages: int = 6, width: int = 8, quadratic: int = 6, sprea
     return cq.ContactProblem.from_qp(stiffness, d * cost, A=rows, b=t * balance, lb=np.zeros(size))
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 9])
 def test_degenerate_vertices_are_found_in_units_of_each_unknown_and_tie(seed: int) -> None:
     """Where data round differently, forces of 1e-16 decide what closes; backends, and programs, see no such thing."""

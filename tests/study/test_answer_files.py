@@ -163,6 +163,7 @@ def test_a_trial_without_an_answer_has_no_picture(capsys, tmp_path):
     assert names(tmp_path) == ["loose.toml"]
 
 
+@pytest.mark.slow
 def test_a_table_of_contacts_over_a_path_is_written(capsys, tmp_path):
     path = str(CASES / "jenkins_loop.toml")
     code, out, _ = run(capsys, "run", path, "--csv", tmp_path / "a.csv")

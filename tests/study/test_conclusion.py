@@ -244,6 +244,7 @@ def test_the_terminal_ends_with_the_same_table(
         assert f"{question} {answer}" in " ".join(out.split())
 
 
+@pytest.mark.slow
 def test_times_of_brief_reports_come_in_rounds(folder: Path) -> None:
     table = rows.from_csv((folder / "results.csv").read_text())
     assert len(table) > 20

@@ -324,7 +324,7 @@ def test_a_right_answer_is_right_and_a_spoiled_one_wrong(tmp_path, seed, candida
     assert not verdict(tmp_path / "wrong", spoiled, form, candidate).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("seed", PROBLEMS)
 def test_a_sign_that_is_not_told_is_wrong(tmp_path, seed):
     """The same file, right with --compression negative, is wrong without it."""

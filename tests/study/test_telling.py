@@ -62,6 +62,7 @@ def test_final_answers_come_once_and_knobs_are_swept(files: tuple[Path, ...]) ->
     assert {s.value for s in polished} == {DEFAULT_TOLERANCE}
 
 
+@pytest.mark.slow
 def test_of_a_large_body_final_answers_alone(files: tuple[Path, ...]) -> None:
     problem = load_scene(files[-1]).problem()
     counts = {method.name: len(list(brief_settings(problem, method))) for method in chosen_methods(None)}

@@ -177,7 +177,7 @@ def beam(springs: int, friction: float) -> cq.ContactProblem:
     return cq.ContactProblem(sp.csc_matrix(chain), load, normal, [0.0], tangent=tangent, friction=friction)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("off", [0.0, 1e-5, 0.1])
 def test_a_force_that_a_small_residual_hides_is_compared_with_the_state(off: float) -> None:
     problem = beam(60, 0.3)

@@ -27,7 +27,7 @@ def rigid_table(push, turn: float = 0.0, friction=0.4, legs: int = 4, weight: fl
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("way", ["by itself", "newton", "nsgs", "admm", "aclm, clarabel", "tresca, clarabel"])
 def test_a_rigid_table_held_by_friction_alone(way: str) -> None:
     """mu W = 3.2; its legs share the weight as they like, and what they carry together is the load."""

@@ -317,6 +317,7 @@ def test_a_telephone_does_not_scroll_sideways(browser: Any) -> None:
     assert not browser.execute_script("return document.querySelector('#all-all .scrollbar')?.height.baseVal.value")
 
 
+@pytest.mark.slow
 def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any) -> None:
     _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
     opened = browser.execute_script("return document.querySelectorAll('details[open]').length")
@@ -443,6 +444,7 @@ def _apart(one: list[Any], other: list[Any]) -> bool:
     return bool(right <= left2 + 1 or right2 <= left + 1 or bottom <= top2 + 1 or bottom2 <= top + 1)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("width", [1280, 400])
 def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width: int) -> None:
     """Sentence, table and chart stand in one window, and no text over another; on a telephone one below another."""
@@ -508,6 +510,7 @@ def _overlapping(texts: list[list[Any]]) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("width", [1280, 400])
 def test_no_text_of_the_page_lies_over_another(session: Any, address: str, width: int) -> None:
     _look(session, width, "light")

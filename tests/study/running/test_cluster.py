@@ -104,6 +104,7 @@ def test_a_bad_address_is_one_line(address: str, monkeypatch: pytest.MonkeyPatch
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_workers_with_another_contactqp_are_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("contactqp.study.running.workers.source_digest", _of_another_time)

@@ -181,6 +181,7 @@ def test_processes_leave_when_their_parent_is_killed() -> None:
     _wait_for(lambda: not _alive(child))
 
 
+@pytest.mark.slow
 def test_a_child_starts_again_after_its_death() -> None:
     child = Child({})
     first = child.ask(do.where, (), 60.0)
