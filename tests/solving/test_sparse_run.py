@@ -1,4 +1,4 @@
-"""The active set on sparse systems: many constraints, linear programs, vertices where many rows meet."""
+"""The active set on sparse systems: many constraints, vertices where many rows meet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.optimize import linprog
 
 import contactqp as cq
 from contactqp.elements.material import Material
@@ -20,6 +19,7 @@ from contactqp.linalg.iteration import constraints_are_many
 from contactqp.solving import sparse_run
 from contactqp.solving.methods import inexact_active_set
 from contactqp.solving.solve import _routes
+from tests.solving.test_linear_programs import transport
 
 
 def membrane(nodes: int, height: float) -> cq.ContactProblem:
@@ -30,23 +30,6 @@ def membrane(nodes: int, height: float) -> cq.ContactProblem:
     K = sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one))
     size = nodes * nodes
     return cq.ContactProblem(K, np.full(size, h * h), sp.identity(size, format="csr"), np.full(size, height))
-
-
-def transport(seed: int, sources: int = 6, sinks: int = 7) -> cq.ContactProblem:
-    """Carry goods from sources to sinks for the least cost: K = 0, and degenerate as integers make it."""
-    rng = np.random.default_rng(seed)
-    supply, demand = np.full(sources, float(sinks)), np.full(sinks, float(sources))
-    rows = sp.vstack([sp.kron(sp.identity(sources), np.ones(sinks)), sp.kron(np.ones(sources), sp.identity(sinks))])
-    cost = rng.integers(1, 10, sources * sinks).astype(float)
-    size = sources * sinks
-    nothing = sp.csr_matrix((size, size))
-    return cq.ContactProblem.from_qp(nothing, cost, A=rows, b=np.r_[supply, demand], lb=np.zeros(size))
-
-
-def least_cost(problem: cq.ContactProblem) -> float:
-    program = problem.to_qp()
-    found = linprog(program.q, A_eq=program.A, b_eq=program.b, bounds=(0.0, None))
-    return float(found.fun)
 
 
 @pytest.mark.sampled(3)
@@ -193,51 +176,6 @@ def test_a_strip_is_analysed_once_and_multiplied_exactly_only_where_digits_are_m
     assert sum(size for size in products if 4 * size > entries) == 5 * entries
 
 
-@pytest.mark.sampled(4)
-@pytest.mark.parametrize("seed", range(12))
-def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
-    problem = transport(seed)
-    solution = cq.solve(problem)
-    certificate = solution.certificate
-    assert certificate.passed, certificate
-    least = least_cost(problem)
-    assert solution.energy == pytest.approx(least, rel=1e-12)
-    assert certificate.energy_bounds is not None
-    lower, upper = certificate.energy_bounds
-    assert lower <= least * (1 + 1e-9)
-    assert upper >= least * (1 - 1e-9)
-    assert upper - lower <= 1e-9 * least
-
-
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("seed", range(8))
-def test_a_feasible_answer_that_costs_more_is_refused(seed: int) -> None:
-    """Moved along a cycle of four, everything stays met, and the multipliers are those of the truth."""
-    problem = transport(seed)
-    solution = cq.solve(problem)
-    u = solution.displacement.reshape(6, 7).copy()
-    carried = np.argwhere(u > 0.5)
-    first = carried[0]
-    second = next(other for other in carried if other[0] != first[0] and other[1] != first[1])
-    moved = 1e-3
-    u[tuple(first)] -= moved
-    u[tuple(second)] -= moved
-    u[first[0], second[1]] += moved
-    u[second[0], first[1]] += moved
-    cost = problem.energy(u.ravel()) - solution.energy
-    answer = dict(normal_force=solution.normal_force, tie_force=solution.tie_force)
-    assert cq.certify(problem, displacement=u.ravel(), **answer).passed == (abs(cost) < 1e-9)
-
-
-def test_multipliers_that_do_not_balance_are_refused() -> None:
-    problem = transport(3)
-    solution = cq.solve(problem)
-    tie = solution.tie_force.copy()
-    tie[2] += 1e-6
-    answer = dict(displacement=solution.displacement, normal_force=solution.normal_force, tie_force=tie)
-    assert not cq.certify(problem, **answer).passed
-
-
 def test_a_far_unknown_on_a_soft_spring_hides_no_residual_elsewhere() -> None:
     """One unknown goes 4e4 on a spring of 1e-8, another has a spring of one; forces elsewhere are some 1e-4."""
     n = 20
@@ -314,7 +252,6 @@ def test_optimal_control_agrees_with_condensing() -> None:
     assert abs(solution.displacement[2::3]).max() <= 0.8 * (1 + 1e-12)
 
 
-@pytest.mark.slow
 def test_conflicts_are_proven_and_named() -> None:
     n = 20
     rows = np.vstack([np.ones((1, n)), -np.eye(n)])
