@@ -45,6 +45,7 @@ def small_too(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.usefixtures("small_too")
 @pytest.mark.parametrize("problems", [1, pytest.param(4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["plain", "ties", "redundant", "floats", "friction", "never closes"])

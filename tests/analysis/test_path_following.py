@@ -267,6 +267,7 @@ def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     assert found.fun == pytest.approx(last.energy, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 7))])
 def test_arc_length_meets_load_control_where_nothing_snaps(seed):
     body, contact, load, by_load = loaded(seed)

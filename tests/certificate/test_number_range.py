@@ -130,6 +130,7 @@ def test_a_driven_motion_has_the_units_of_the_problem() -> None:
     assert proof.work == pytest.approx(4e90)
 
 
+@pytest.mark.slow
 def test_what_doubles_cannot_hold_is_refused_by_name() -> None:
     with pytest.raises(cq.InvalidProblem, match=r"displacement: that of unknown 0 is beyond 1.8e308"):
         cq.solve(cq.ContactProblem([[1e-200]], [1e200], [[-1.0]], [1.0]))

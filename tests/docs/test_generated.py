@@ -62,7 +62,7 @@ def test_every_case_is_in_the_gallery_with_a_picture() -> None:
     assert re.findall(r"^## (.+)$", text, re.MULTILINE) == [physics.capitalize() for physics in PHYSICS]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

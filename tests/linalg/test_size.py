@@ -91,6 +91,7 @@ def test_factors_that_do_not_fit_are_not_begun(monkeypatch: pytest.MonkeyPatch) 
     assert cq.solve(problem).certificate.proven
 
 
+@pytest.mark.slow
 @needs_pyamg
 @needs_pardiso
 @pytest.mark.usefixtures("small_is_large")

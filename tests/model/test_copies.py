@@ -58,6 +58,7 @@ def test_every_object_is_the_same_after_a_copy(way: str) -> None:
         assert content(again) == content(value), name
 
 
+@pytest.mark.slow
 def test_every_object_that_others_lead_to_can_be_sent_alone() -> None:
     """One of each class, so that what is only reached through another one is tested too."""
     kinds: dict[type, tuple[str, Any]] = {}

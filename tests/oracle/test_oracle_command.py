@@ -123,6 +123,7 @@ def test_no_equilibrium_is_exit_1_and_proven(capsys: pytest.CaptureFixture[str],
     assert "proven in rational numbers" in err
 
 
+@pytest.mark.slow
 def test_without_python_flint_it_says_how_to_install_it() -> None:
     code = (
         "import sys; sys.modules['flint'] = None; "

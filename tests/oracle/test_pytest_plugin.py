@@ -146,6 +146,7 @@ def test_a_problem_without_a_mark_says_what_is_missing(run) -> None:  # type: ig
     result.stdout.fnmatch_lines(["*contact_problem: mark the test with @pytest.mark.contact_gallery*"])
 
 
+@pytest.mark.slow
 def test_others_are_neither_slowed_nor_warned(run) -> None:  # type: ignore[no-untyped-def]
     """A run that asks for nothing of ours has imported nothing but the plugin."""
     result = run("""

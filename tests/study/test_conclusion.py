@@ -252,6 +252,7 @@ def test_times_of_brief_reports_come_in_rounds(folder: Path) -> None:
     assert all(row.linear_solve_seconds and row.linear_solve_seconds > 0 for row in table)
 
 
+@pytest.mark.slow
 def test_the_machine_is_told_with_its_threads_and_load(folder: Path) -> None:
     told = json.loads((folder / "results.json").read_text())
     assert {"platform", "processor", "cores", "python"} <= set(told["machine"])

@@ -225,6 +225,7 @@ def test_a_bad_case_or_folder_is_refused_before_anything_is_solved(tmp_path: Pat
     assert sorted(file.name for file in tmp_path.iterdir()) == ["broken.toml"]
 
 
+@pytest.mark.slow
 def test_without_cases_those_of_the_folder_here_or_those_that_come_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

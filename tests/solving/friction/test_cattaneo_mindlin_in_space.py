@@ -86,7 +86,7 @@ def test_the_circle_that_sticks(partly: Partly) -> None:
     assert np.max(partly.radius[partly.solution.normal_force > 0]) < partly.a + ELEMENT
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(3)
 def test_the_traction_along_the_push(partly: Partly) -> None:
     """q / p at the nodes, to 4 % of mu in the middle, where no element straddles a rim.
 
@@ -106,6 +106,7 @@ def test_the_traction_along_the_push(partly: Partly) -> None:
     assert partly.solution.certificate.passed
 
 
+@pytest.mark.sampled(3)
 def test_the_formula_tells_partial_slip_from_sticking(partly: Partly) -> None:
     """Without the inner term, or with that of a cylinder (a square root), the middle would be off by far more."""
     right = partly.ratio(np.zeros(1))[0]
