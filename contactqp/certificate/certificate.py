@@ -259,9 +259,9 @@ def _worded(
         worst = int(np.argmax(known.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, known, worst, error_tolerance))
     failures += measured.state.failures
-    said = _notes(problem, measured.grazing, known)
+    notes = _notes(problem, measured.grazing, known)
     if measured.dependent:
-        said += messages.of_dependent_ties(problem, measured.dependent)
+        notes += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),
@@ -271,7 +271,7 @@ def _worded(
         reasons=known.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(measured.grazing)),
         failures=tuple(failures),
-        notes=(*said, *measured.others.notes, *measured.state.notes),
+        notes=(*notes, *measured.others.notes, *measured.state.notes),
         uniqueness=measured.others.findings,
         contraction=measured.others.contraction,
         tolerance=tolerance,
@@ -290,31 +290,31 @@ def _worded(
 
 def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate besides its verdict."""
-    said: list[str] = []
+    notes: list[str] = []
     if grazing.any():
-        said += messages.of_grazing(
+        notes += messages.of_grazing(
             [problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[: messages.MOST_NAMED]]
         )
     if known.redundant and not problem.frictional:
-        said.append(
+        notes.append(
             messages.FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else "")
         )
     if problem.asymmetry > 0:
-        said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+        notes.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if known.cleared > WORTH_SAYING:
         unsure = "" if problem.near_null_space is not None else "; stated in near_null_space, they are taken as exact"
-        said.append(
+        notes.append(
             f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
             f"{known.cleared:.2g} of the forces there{unsure}"
         )
     if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
-        said.append(
+        notes.append(
             f"{known.free_distance / known.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
             "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
         )
     if problem.rigid_change > 0:
-        said.append(messages.of_printing(problem))
-    return (*said, *messages.of_estimates(known)) if known.estimated else tuple(said)
+        notes.append(messages.of_printing(problem))
+    return (*notes, *messages.of_estimates(known)) if known.estimated else tuple(notes)
 
 
 def _residuals_and_bounds(

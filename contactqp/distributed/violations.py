@@ -170,7 +170,7 @@ def _friction_data(
 ) -> CoulombData | None:
     """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective.
 
-    Parameters are those of `contactqp.certificate.coulomb_law.rubbing_of`.
+    Parameters are those of `contactqp.certificate.coulomb_law.coulomb_data`.
     """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
