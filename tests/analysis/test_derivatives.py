@@ -182,6 +182,7 @@ def membrane(twice: list[int]) -> cq.ContactProblem:
     return cq.ContactProblem(K, np.full(3600, -0.01), sp.vstack([rows, rows[twice]]), np.full(3600 + len(twice), 0.5))
 
 
+@pytest.mark.slow
 def test_many_contacts_are_not_condensed() -> None:
     problem, direction = membrane([]), np.linspace(0.0, 1e-3, 3600)
     solution = cq.solve(problem)

@@ -314,7 +314,7 @@ def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> Non
     assert found.displacement == pytest.approx(expected.displacement, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1e-19, 1e-9, 1.0, 1e19])
 def test_units_of_rows_hide_no_driven_motion_of_a_program(unit: float) -> None:
     rows = np.array([[0.0, 0, 1, 2, -2, 0, 0], [0, 0, 2, -1, 2, -2, 2], [0, 1, 0, 0, 0, 2, -2]])

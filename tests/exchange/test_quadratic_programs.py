@@ -37,7 +37,7 @@ def test_qpbenchmarks_files_are_read_with_ranges_and_bounds(tmp_path: Path) -> N
     assert cq.solve(problem).certificate.proven
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -124,6 +124,7 @@ def test_sets_that_come_back_are_solved_more_accurately(monkeypatch):
     assert blind.normal_force == pytest.approx(wise.normal_force, abs=1e-7 * np.max(wise.normal_force))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 def test_a_known_solution_is_a_place_to_start_from():

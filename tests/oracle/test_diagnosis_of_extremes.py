@@ -148,6 +148,7 @@ def test_free_motions_beside_rows_whose_sizes_leave_the_range_of_doubles(capfd: 
     assert capfd.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_questions_with_friction_that_have_no_answer_try_few_combinations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two rough pairs between which a soft chain hangs: other gaps have no equilibrium, which took seconds to find."""
     soft, softer, link = 2.2595258997171186e-12, 1.2789769243681803e-11, 0.01330566406250

@@ -140,6 +140,7 @@ def test_a_mark_on_a_test_that_takes_no_problem_is_refused(run) -> None:  # type
     result.stdout.fnmatch_lines(["*contact_gallery: the test takes no argument 'contact_problem'*"])
 
 
+@pytest.mark.slow
 def test_a_problem_without_a_mark_says_what_is_missing(run) -> None:  # type: ignore[no-untyped-def]
     result = run("def test_one(contact_problem): pass")
     result.assert_outcomes(errors=1)

@@ -126,6 +126,7 @@ def test_a_deck_of_steps_is_judged_at_its_end(tmp_path: pathlib.Path) -> None:
     assert len(set(verdict.ledger)) == len(list(verdict.ledger))  # each line once, although three steps are solved
 
 
+@pytest.mark.slow
 def test_a_pair_that_nothing_reaches_changes_no_slip(tmp_path: pathlib.Path) -> None:
     faces = "*SURFACE, NAME=SIDE\n2, S3\n*SURFACE, NAME=FAR\n1, S5\n"
     pair = "*SURFACE INTERACTION, NAME=OTHER\n*CONTACT PAIR, INTERACTION=OTHER, TYPE=NODE TO SURFACE\nSIDE, FAR\n"

@@ -373,7 +373,7 @@ def test_programs_by_a_modelling_language_are_polished_on_sparse_systems(seed: i
     assert cq.solve(staged(seed, 3, 3, 2), "cvxpy").certificate.passed
 
 
-@pytest.mark.sampled(9)
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [2.0**-6, 1.0, 2.0**5])
 @pytest.mark.parametrize("seed", [8, 41, 52])
 def test_degenerate_vertices_are_found_in_all_units_of_force(seed: int, unit: float) -> None:

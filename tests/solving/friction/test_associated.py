@@ -101,7 +101,7 @@ def _relaxed(known: Known) -> Known:
     return Known(problem, known.displacement, known.normal_force, known.friction_force, known.tie_force)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_answers_that_problems_were_made_around(dimension: int) -> None:
     rng = np.random.default_rng(20 + dimension)

@@ -219,6 +219,7 @@ def test_the_best_beta_is_the_predicted_one() -> None:
             assert row.error_force == pytest.approx(row.predicted_error_force, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_perturbed_lagrangian_has_no_valley() -> None:
     soft, stiff = (stability_row("penalty", value, "perturbed-lagrangian") for value in (1e8, 1e20))
     assert soft.error_force == pytest.approx(soft.predicted_modelling, rel=1e-6)
