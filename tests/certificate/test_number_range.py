@@ -130,7 +130,6 @@ def test_a_driven_motion_has_the_units_of_the_problem() -> None:
     assert proof.work == pytest.approx(4e90)
 
 
-@pytest.mark.slow
 def test_what_doubles_cannot_hold_is_refused_by_name() -> None:
     with pytest.raises(cq.InvalidProblem, match=r"displacement: that of unknown 0 is beyond 1.8e308"):
         cq.solve(cq.ContactProblem([[1e-200]], [1e200], [[-1.0]], [1.0]))
@@ -314,7 +313,7 @@ def test_units_of_contacts_and_ties_hide_no_answer(name: str, power: int) -> Non
     assert found.displacement == pytest.approx(expected.displacement, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("unit", [1e-19, 1e-9, 1.0, 1e19])
 def test_units_of_rows_hide_no_driven_motion_of_a_program(unit: float) -> None:
     rows = np.array([[0.0, 0, 1, 2, -2, 0, 0], [0, 0, 2, -1, 2, -2, 2], [0, 1, 0, 0, 0, 2, -2]])

@@ -236,7 +236,7 @@ def test_refused_dat(tmp_path: Path, text: str, message: str) -> None:
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("text", [FRD, DAT])
 def test_mutations_are_refused_in_one_line_or_read(tmp_path: Path, text: str) -> None:
     """A byte changed, a piece cut out or doubled, the rest cut off: one line of an own error, or an answer."""
