@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import SceneError
+from contactqp.errors import SceneError, counted
 from contactqp.solving.methods import Method
 from contactqp.study import rows
 from contactqp.study.rows import Row
@@ -248,8 +248,9 @@ def _time(line: MethodLine, smallest: int | None = None) -> str:
     where = ""
     if smallest is not None:
         overhead = "" if smallest >= BODY else ", where nearly all of it is overhead"
-        where = f" on bodies of {smallest} unknowns and more{overhead}"
-    return f", in the time of {line.linear_solves:.2g} linear solves{where}"
+        where = f" on bodies of {counted('unknown', smallest)} and more{overhead}"
+    digits = ".2g" if line.linear_solves < 99.5 else ".0f"
+    return f", in the time of {line.linear_solves:{digits}} linear solves{where}"
 
 
 # Times that differ by less are those of equals: what a machine scatters by from one run to the next.

@@ -97,7 +97,7 @@ def report(
     print()
     for text in result.summary.unmet_lines():
         print(textwrap.fill(f"not met: {text}", WIDTH, subsequent_indent="  "))
-    print(f"{len(result.rows)} rows; {result.summary}")
+    print(textwrap.fill(f"{len(result.rows)} rows; {result.summary}", WIDTH))
     print(f"written: {', '.join(map(str, result.files))}")
     if old is not None:
         print(f"\nsince {compare}:\n{changes(old, read_report(Path(output) / 'results.json'))}")
