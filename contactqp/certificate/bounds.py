@@ -292,7 +292,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
-    error, scale = _force_error(problem, change, condensation, pair, known)
+    error, scale = _force_error(problem, answer, condensation, pair, known)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -362,28 +362,28 @@ def _free_distance(
 
 
 def _force_error(
-    problem: ContactProblem, change: Extended, condensation: Condensation, pair: AdmissiblePair, known: Bounds
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, known: Bounds
 ) -> tuple[float, float]:
-    """Return the bound (3) relative to |l*|_W, and |l*|_W; `change` (m,) are the answer's forces less the pair's.
+    """Return the bound (3) on the distance of the answer's forces from the pair's relative to |l*|_W, and |l*|_W.
 
-    Forces beneath the rounding of the data are zero: a load that is one unit in its last place larger changes |l*|_W by
-    as much as it changes |u*|_K.
-
-    Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
-    itself both are known, and the larger error is the bound.
+    Forces beneath the rounding of the data are zero: one unit in the last place of a load changes |l*|_W by as much as
+    |u*|_K. Where ties act on a stiffness that needs none, W is also taken without them, of contact forces alone and
+    with those of ties; from the solution itself all are known, and the largest error is the bound.
     """
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
-    errors: list[float] = []
-    scales: list[float] = []
-    for tied in (True, False) if both else (True,):
-        scale, uncertain = force_norm(problem, condensation, pair.force, tied)
+    changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
+    errors, scales = list[float](), list[float]()
+    for tied, with_ties in ((True, False), (False, False), (False, True))[: 3 if both else 1]:
+        (scale, uncertain), error = (
+            force_norm(problem, condensation, contact, tied, tie if with_ties else None)
+            for contact, tie in ((pair.force, pair.tie_force), changes)
+        )
         if not tied and scales[0] > 0 and uncertain > FEW_DIGITS * scale:
             continue  # without its ties K is singular to rounding, and has no such norm
         scale = 0.0 if scale <= vanishing else scale
-        error = sum(force_norm(problem, condensation, change, tied)) + pair.dual_radius
-        errors.append(_relative(error, scale, pair.dual_radius + uncertain))
+        errors.append(_relative(sum(error) + pair.dual_radius, scale, pair.dual_radius + uncertain))
         scales.append(scale)
     return max(errors), scales[0]
 

@@ -23,7 +23,12 @@ from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import balance, kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
-from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties
+from contactqp.certificate.idle_rows import (
+    acting_rows,
+    dependent_sparse_ties,
+    dependent_ties,
+    with_forces_without_law,
+)
 from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
@@ -46,6 +51,8 @@ ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
 MOTIONS_OF_A_BODY = 6
+# A gap of this part of the largest length is none that other lengths have left as their rounding.
+NO_ROUNDING = 1e-9
 # Changes of the forces that are less than this part of them are as good as none.
 WORTH_SAYING = 1e-9
 AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
@@ -131,8 +138,12 @@ def certificate_of(
             theirs = rows.answer(answer)
             judged = _judged(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
             whole: Certificate = rows.certificate(judged, answer)
-            return whole
-        return _judged(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
+        else:
+            whole = _judged(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
+        everywhere = problem.friction is not None and bool((problem.friction > 0).all())
+        if problem.has_idle_rows or not (answer.friction_force is None or everywhere):
+            whole = with_forces_without_law(problem, answer, whole)
+        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +270,7 @@ def _worded(
         worst = int(np.argmax(known.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, known, worst, error_tolerance))
     failures += measured.state.failures
-    notes = _notes(problem, measured.grazing, known)
+    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, known))
     if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
@@ -286,6 +297,21 @@ def _worded(
         radius=known.radius if known.proven else None,
         violations=found,
     )
+
+
+def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> Iterator[str]:
+    """Yield a note where gaps that are no rounding of the lengths around them count as nothing.
+
+    Loads beside springs so weak that hold what contacts alone would leave loose make it so.
+    """
+    size = abs(problem.gap)
+    hidden = (size > 0) & (size <= found.nothing.normal)
+    if hidden.any():
+        lengths = np.concatenate([size[np.isfinite(size)], abs(problem.normal @ answer.displacement)])
+        hidden &= size > NO_ROUNDING * lengths.max()
+    if hidden.any():
+        i = int(np.argmax(np.where(hidden, size, 0.0)))
+        yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
 
 
 def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:

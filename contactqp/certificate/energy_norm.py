@@ -81,20 +81,28 @@ def energy_norms(
 
 
 def force_norm(
-    problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
+    problem: ContactProblem,
+    condensation: Condensation,
+    force: Extended,
+    tied: bool = True,
+    tie_force: Extended | None = None,
 ) -> tuple[float, float]:
-    """Return |d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
+    """Return |d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error.
+
+    On untied bodies forces of ties (k,) may act beside them.
+    """
     d = force.double()
-    if not d.any():
+    if not (d.any() or (tie_force is not None and tie_force.double().any())):
         return 0.0, 0.0
-    if (tied is False or not problem.ties) and not condensation.rigid.count:
+    if (tied is False or not problem.ties) and not condensation.rigid.count and tie_force is None:
         operator = condensation.delassus
         if operator.smallest_pivot >= REGULAR:
             square, size = operator.squared_norm(d)
             rounding = PIVOTS_FLATTER * condensation.lost_digits / operator.smallest_pivot * size
             if rounding <= FEW_DIGITS * square and square > 0:  # squares of very small forces are zero
                 return float(np.sqrt(square)), float(rounding / np.sqrt(square))
-    load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
+    held = extend(np.zeros(problem.ties)) if tie_force is None else tie_force
+    load = extended_rows(problem).contact_force(force, held)
     u, error = response(problem, condensation, load, tied)
     norm, rounding = energy_norm(problem, u)
     return norm, error + rounding

@@ -17,15 +17,22 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import contact_entries, vector_measure
+from contactqp.certificate.energy_norm import energy_norm, response
+from contactqp.certificate.number_range import near_one
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import independent_rows
 from contactqp.linalg.existence import Conflict
+from contactqp.linalg.extended import extend
+from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
 from contactqp.linalg.measures import force_measure, forces_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Nothing, Violations
+from contactqp.model.solution import Answer, Certificate, Nothing, Violations
+
+# Forces whose response has less than this part of the intrinsic size of problem and answer are nothing.
+NOTHING = 1e-12
 
 # What `Violations` has for every contact.
 _OF_CONTACTS = (
@@ -219,6 +226,72 @@ class ActingRows:
                 value, force = whole.tie_value[i], answer.tie_force[i]
                 what = f"its value is {value:.6g}, its force {force:.6g}"
                 yield f"tie: {whole.tie_name(i)} acts on nothing that moves; {what}"
+
+
+def forces_without_law(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector, Vector]:
+    """Return what forces that the law makes zero do to the unknowns (n,), and their normal and tangential sizes (m,).
+
+    Normal forces and friction of contacts that never close, and friction where the coefficient is zero.
+    """
+    never = np.isinf(problem.gap)
+    push, friction = np.where(never, answer.normal_force, 0.0), np.zeros(problem.contacts)
+    load = problem.normal.T @ push
+    if answer.friction_force is not None and problem.tangent is not None:
+        smooth = never | (True if problem.friction is None else problem.friction <= 0)
+        stray = np.where(smooth[:, None], answer.friction_force, 0.0)
+        load, friction = load + problem.tangent.T @ stray.ravel(), np.linalg.norm(stray, axis=1)
+    return np.asarray(load), abs(push), np.asarray(friction)
+
+
+def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate: Certificate) -> Certificate:
+    """Return a certificate in whose errors of the forces those count that the law makes zero.
+
+    Other bounds compare with an answer that has none, and do not see them. They are measured by the energy of the
+    bodies' response, beside that of the contact forces and the strain; where the bodies are not condensed by |D E'l|
+    with D = 1/sqrt(K_jj).
+    """
+    load, push, friction = forces_without_law(problem, answer)
+    if certificate.violations is None or not load.any():
+        return certificate
+    rows = acting_rows(problem)
+    acting, theirs = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
+    size, pushed, strain = _energies(acting, theirs, load)
+    scale = max(pushed, strain)
+    if not size > NOTHING * certificate.violations.intrinsic_size:
+        return certificate
+    part = size / scale if scale > 0 else np.inf
+    failures = certificate.failures
+    if not part <= certificate.error_tolerance:
+        worst = int(np.argmax(np.maximum(push, friction)))
+        why = "its gap is infinite" if np.isinf(problem.gap[worst]) else "its coefficient of friction is zero"
+        where = f"{problem.contact_name(worst)} has a force that the law makes zero, as {why}"
+        failures = (*failures, f"force_error: {part:.2g} of the contact forces; {where}")
+    bound = certificate.force_bound
+    if bound is not None:
+        bound = bound + friction
+    error = None if certificate.force_error is None else certificate.force_error + part
+    return replace(
+        certificate,
+        force_error=error,
+        force_bound=bound,
+        distance=None if certificate.distance is None else certificate.distance + part,
+        failures=failures,
+        passed=not failures,
+    )
+
+
+def _energies(problem: ContactProblem, answer: Answer, load: Vector) -> tuple[float, float, float]:
+    """Return sizes of the response to a load, to the contact forces, and of the displacement [root of energy]."""
+    push = problem.normal.T @ answer.normal_force
+    strain, _ = energy_norm(problem, extend(answer.displacement))
+    if systems_of(problem) is not Systems.CONDENSED or near_one(problem) is not None:
+        return float(np.linalg.norm(problem.own_scale * load)), float(np.linalg.norm(problem.own_scale * push)), strain
+    condensation = condense(problem)
+    found = []
+    for one in (load, push):
+        u, left = response(problem, condensation, extend(one), tied=True)
+        found.append(energy_norm(problem, u)[0] + left)
+    return found[0], found[1], strain
 
 
 def acting_rows(problem: ContactProblem) -> ActingRows | None:

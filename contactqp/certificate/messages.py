@@ -134,6 +134,15 @@ FORCES_NOT_UNIQUE = (
 )
 
 
+def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
+    """Return that lengths up to a floor count as nothing, the gap of a contact among them."""
+    return (
+        f"the gap of {problem.contact_name(contact)}, {abs(problem.gap[contact]):.3g}, is not told from zero: lengths "
+        f"up to {floor:.3g} count as nothing beside the loads, as the stiffness there is very small; contacts may be "
+        "exchanged within them; springs that are stiffer, or none at all, tell them apart"
+    )
+
+
 def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]) -> tuple[str, ...]:
     """Return a message for each dependent tie: `dependent` has its number and those of the ties it depends on."""
     said = []

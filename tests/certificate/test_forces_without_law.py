@@ -1,0 +1,117 @@
+"""Forces that the law makes zero, and those of ties, are judged by the energy of the response to them.
+
+A slender beam hides them from figures that compare them with |K||u|, and bounds compare with an answer without them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+ELEMENTS, LENGTH, BENDING, LOAD = 400, 2000.0, 2.1e5 * 20**4 / 12, 400.0  # steel, 20 mm x 20 mm, in N and mm
+TIP, MIDDLE = 2 * ELEMENTS - 2, ELEMENTS - 2
+STRAY = 30.0
+
+
+def cantilever() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Deflections and slopes of a cantilever under an even load."""
+    h = LENGTH / ELEMENTS
+    element = BENDING / h**3 * np.array([
+        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+    ])  # fmt: skip
+    K = np.zeros((2 * ELEMENTS + 2,) * 2)
+    for k in range(ELEMENTS):
+        K[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] += element
+    return K[2:, 2:], np.tile([-LOAD / ELEMENTS, 0.0], ELEMENTS)
+
+
+def row(unknown: int, sign: float = 1.0) -> np.ndarray[Any, Any]:
+    found = np.zeros((1, 2 * ELEMENTS))
+    found[0, unknown] = sign
+    return found
+
+
+def on_a_stop(**more: Any) -> cq.ContactProblem:
+    K, load = cantilever()
+    return cq.ContactProblem(K, load, **({"normal": row(MIDDLE, -1.0), "gap": [1.0]} | more))
+
+
+def refused_for_its_force(certificate: Any) -> bool:
+    return not certificate.passed and any("force_error" in failure for failure in certificate.failures)
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_friction_of_a_smooth_contact_is_an_error_of_the_forces(others: bool) -> None:
+    """Beside it other contacts are smooth, too, or one is rough."""
+    rows = {"normal": np.vstack([row(MIDDLE, -1.0), row(MIDDLE // 2 * 2 + 40, -1.0)]), "gap": [1.0, 50.0]}
+    problem = on_a_stop(tangent=np.vstack([row(TIP), row(TIP - 40)]), friction=[0.0, 0.3 if others else 0.0], **rows)
+    solution = cq.solve(problem)
+    u, push, rub = solution.displacement, solution.normal_force, np.zeros((2, 1))
+    assert cq.certify(problem, u, push, rub).passed
+    assert cq.certify(problem, u, push, rub + np.array([[1e-9], [0.0]])).passed
+    for size in (STRAY, -STRAY, 1e-2):
+        certificate = cq.certify(problem, u, push, rub + np.array([[size], [0.0]]))
+        assert refused_for_its_force(certificate), size
+        assert "contact 0 has a force that the law makes zero" in " ".join(certificate.failures)
+        if certificate.force_bound is not None:
+            assert certificate.force_bound[0] >= abs(size)
+
+
+@pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
+def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
+    problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -1.0)]), gap=[1.0, np.inf])
+    solution = cq.solve(problem)
+    assert cq.certify(problem, solution.displacement, solution.normal_force + np.array([0.0, 1e-9])).passed
+    certificate = cq.certify(problem, solution.displacement, solution.normal_force + np.array([0.0, force]))
+    assert refused_for_its_force(certificate)
+    assert "contact 1 has a force that the law makes zero, as its gap is infinite" in " ".join(certificate.failures)
+    assert certificate.force_error is not None
+    assert certificate.force_error > 1e-5
+
+
+@pytest.mark.parametrize("force", [STRAY, 1e-2])
+def test_forces_of_ties_are_forces(force: float) -> None:
+    problem = on_a_stop(gap=[2.0], tie=row(TIP), tie_value=[-20.0])
+    solution = cq.solve(problem)
+    K, load = cantilever()
+    held = np.vstack([row(MIDDLE, -1.0), row(TIP)])
+    system = np.block([[K, held.T], [held, np.zeros((2, 2))]])
+    forces = np.linalg.solve(system, np.concatenate([load, [2.0, -20.0]]))[-2:]
+    assert forces == pytest.approx([solution.normal_force[0], solution.tie_force[0]], rel=1e-4)
+    given = solution.displacement, solution.normal_force
+    assert cq.certify(problem, *given, tie_force=solution.tie_force).passed
+    assert cq.certify(problem, *given, tie_force=solution.tie_force + 1e-9).passed
+    assert refused_for_its_force(cq.certify(problem, *given, tie_force=solution.tie_force + force))
+
+
+def test_ties_that_depend_on_each_other_share_as_they_like() -> None:
+    problem = on_a_stop(gap=[2.0], tie=np.vstack([row(TIP), 2.0 * row(TIP)]), tie_value=[-20.0, -40.0])
+    solution = cq.solve(problem)
+    other = solution.tie_force + np.array([2e3, -1e3])
+    assert cq.certify(problem, solution.displacement, solution.normal_force, tie_force=other).passed
+    assert refused_for_its_force(
+        cq.certify(problem, solution.displacement, solution.normal_force, tie_force=other + np.array([0.0, 5.0]))
+    )
+
+
+def machine(spring: float) -> cq.ContactProblem:
+    """A rigid machine on three feet, its middle one 0.1 mm low, held by weak springs; N and mm."""
+    rows = [[-1.0, 500.0], [-1.0, 0.0], [-1.0, -500.0]]
+    return cq.ContactProblem(np.diag([spring, 1e6 * spring]), [-1e5, 3e6], rows, [0.0, 0.1, 0.0])
+
+
+def test_gaps_that_weak_springs_hide_are_told() -> None:
+    hidden = [note for note in cq.solve(machine(1e-7)).certificate.notes if "not told from zero" in note]
+    assert len(hidden) == 1
+    assert "the gap of contact 1, 0.1, is not told from zero" in hidden[0]
+    solution = cq.solve(machine(1.0))
+    assert not any("not told from zero" in note for note in solution.certificate.notes)
+    assert solution.normal_force[1] == 0.0
+    floating = cq.solve(machine(0.0))  # no springs at all are as good
+    assert not any("not told from zero" in note for note in floating.certificate.notes)
+    assert floating.normal_force == pytest.approx([53000.0, 0.0, 47000.0])
