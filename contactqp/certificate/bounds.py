@@ -370,12 +370,14 @@ def _force_error(
     |u*|_K. Where ties act on a stiffness that needs none, W is also taken without them, of contact forces alone and
     with those of ties; from the solution itself all are known, and the largest error is the bound.
     """
-    both = pair.exact and problem.ties > 0 and not condensation.rigid.count
+    norms = [(True, False)]
+    if pair.exact and problem.ties > 0 and not condensation.rigid.count:
+        norms += [(False, False), (False, True)]
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     errors, scales = list[float](), list[float]()
-    for tied, with_ties in ((True, False), (False, False), (False, True))[: 3 if both else 1]:
+    for tied, with_ties in norms:
         (scale, uncertain), error = (
             force_norm(problem, condensation, contact, tied, tie if with_ties else None)
             for contact, tie in ((pair.force, pair.tie_force), changes)

@@ -30,7 +30,7 @@ import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size
+from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, force_size
 from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
@@ -381,14 +381,27 @@ class _Comparison:
         if refined.redundant:
             of_contact = np.zeros_like(of_contact)
         worst = int(np.argmax(of_contact))
+        force = self._bodies.response_norm(normal, rubbed), size
         return _Distance(
             (apart, strain),
-            (self._bodies.response_norm(normal, rubbed), size),
+            max(force, self._with_ties(refined, normal, rubbed), key=lambda one: _part(one[0], one[1], 0.0)),
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
+
+    def _with_ties(self, refined: RefinedState, normal: Vector, rubbed: Array) -> tuple[float, float]:
+        """Return the distance of all forces, those of ties included, on untied bodies, and their size."""
+        if not self._problem.ties:
+            return 0.0, 1.0
+        other = refined.friction_force.double().reshape(-1, self._width)
+        tie = refined.tie_force.double()
+        whole = self._bodies.untied_norm(refined.normal_force.double(), other, tie)
+        apart = self._bodies.untied_norm(normal, rubbed, (extend(self._answer.tie_force) - refined.tie_force).double())
+        if whole is None or apart is None or whole[1] > FEW_DIGITS * whole[0]:
+            return 0.0, 1.0  # without its ties K is singular to rounding, and has no such norm
+        return apart[0], whole[0]
 
     def pushed_by_loads(self) -> float:
         """Return the strain by loads of their unknowns, the others held [square root of energy]; infinite without.

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from contactqp.certificate.energy_norm import energy_norm, rigid_rounding
+from contactqp.certificate.energy_norm import energy_norm, response, rigid_rounding
 from contactqp.certificate.figures import kept_residuals
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.extended import extend
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration
 from contactqp.linalg.measures import row_sizes
@@ -51,6 +51,9 @@ class Bodies(Protocol):
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
 
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> tuple[float, float] | None:
+        """Return the energy norm of the response of untied bodies to all forces, and its error; None: not known."""
+
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
 
@@ -84,6 +87,14 @@ class CondensedBodies:
         x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
         return float(np.sqrt(max(float(load @ x), 0.0)))
 
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> tuple[float, float] | None:
+        """Return the energy norm of the response of untied bodies to all forces, and a bound on its error."""
+        rows = extended_rows(self._problem)
+        load = rows.contact_force(extend(normal), extend(tie)) + rows.friction_force(extend(friction.ravel()))
+        u, left = response(self._problem, self._condensation, load, tied=False)
+        norm, rounding = energy_norm(self._problem, u)
+        return norm, rounding + left
+
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
         return rigid_rounding(self._problem, self._condensation.rigid, displacement)
@@ -112,6 +123,9 @@ class SparseBodies:
         assert self._problem.tangent is not None
         load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
         return self._rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
+
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> None:
+        """Return None: ties are in the factors."""
 
     def rounding(self, displacement: Vector) -> float:
         """Return 0, since no body floats."""
@@ -184,6 +198,9 @@ class IteratedBodies:
         while run.square() > RESPONSE_LEFT * run.gained and run.steps < MOST_STEPS and run.step():
             iteration.krylov_iterations += 1
         return float(np.sqrt(run.gained + run.square()))
+
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> None:
+        """Return None: it would take as many steps again."""
 
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""

@@ -115,3 +115,15 @@ def test_gaps_that_weak_springs_hide_are_told() -> None:
     floating = cq.solve(machine(0.0))  # no springs at all are as good
     assert not any("not told from zero" in note for note in floating.certificate.notes)
     assert floating.normal_force == pytest.approx([53000.0, 0.0, 47000.0])
+
+
+@pytest.mark.parametrize("force", [STRAY, 1e-2])
+def test_forces_of_ties_are_forces_with_friction_too(force: float) -> None:
+    problem = on_a_stop(gap=[2.0], tie=row(TIP), tie_value=[-20.0], tangent=row(MIDDLE - 40), friction=[0.3])
+    solution = cq.solve(problem)
+    given = solution.displacement, solution.normal_force, solution.friction_force
+    assert cq.certify(problem, *given, tie_force=solution.tie_force).passed
+    assert cq.certify(problem, *given, tie_force=solution.tie_force + 1e-9).passed
+    certificate = cq.certify(problem, *given, tie_force=solution.tie_force + force)
+    assert not certificate.passed
+    assert any("state: the contact forces are" in failure for failure in certificate.failures)
