@@ -376,18 +376,18 @@ def _force_error(
     nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
-    errors, scales = list[float](), list[float]()
+    found: list[tuple[float, float, float]] = []
     for tied, with_ties in norms:
         (scale, uncertain), error = (
             force_norm(problem, condensation, contact, tied, tie if with_ties else None)
             for contact, tie in ((pair.force, pair.tie_force), changes)
         )
-        if not tied and scales[0] > 0 and uncertain > FEW_DIGITS * scale:
+        if not tied and found[0][1] > 0 and uncertain > FEW_DIGITS * scale:
             continue  # without its ties K is singular to rounding, and has no such norm
-        scale = 0.0 if scale <= vanishing else scale
-        errors.append(_relative(sum(error) + pair.dual_radius, scale, pair.dual_radius + uncertain))
-        scales.append(scale)
-    return max(errors), scales[0]
+        found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
+    whole = next((scale for _, scale, _ in found if scale > 0), 0.0)  # of ties where no contact has a force
+    errors = (_relative(error, scale or whole, pair.dual_radius + uncertain) for error, scale, uncertain in found)
+    return max(errors), whole
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:

@@ -89,6 +89,22 @@ def test_forces_of_ties_are_forces(force: float) -> None:
     assert refused_for_its_force(cq.certify(problem, *given, tie_force=solution.tie_force + force))
 
 
+@pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("force", [1e-6, 1.0, 1e6])
+def test_forces_of_ties_are_told_where_no_contact_has_one(length: float, force: float) -> None:
+    """Two springs in line, the first node moved by a tie, the second far from its stop."""
+    K = np.array([[3.0, -2.0], [-2.0, 2.0]]) * force / length
+    problem = cq.ContactProblem(
+        K, [0.0, 0.1 * force], [[0.0, 1.0]], [9.0 * length], tie=[[1.0, 0.0]], tie_value=[length]
+    )
+    solution = cq.solve(problem)
+    assert solution.tie_force[0] == pytest.approx((0.1 - 1.0) * force)
+    given = solution.displacement, solution.normal_force
+    for part, passes in ((1e-12, True), (1e-4, False)):
+        certificate = cq.certify(problem, *given, tie_force=solution.tie_force * (1 + part))
+        assert certificate.passed is passes
+
+
 def test_ties_that_depend_on_each_other_share_as_they_like() -> None:
     problem = on_a_stop(gap=[2.0], tie=np.vstack([row(TIP), 2.0 * row(TIP)]), tie_value=[-20.0, -40.0])
     solution = cq.solve(problem)
