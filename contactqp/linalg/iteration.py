@@ -130,6 +130,18 @@ def condense_anyway(problem: ContactProblem) -> None:
     problem._computed.constraints_are_many[problem.frictional] = False
 
 
+# Contacts and ties that are condensed in a second or two where sparse systems have failed.
+MOST_CONDENSED = 2500
+
+
+def may_be_condensed(problem: ContactProblem) -> bool:
+    """Return whether bodies that are stiff all over have few enough contacts and ties to condense them all.
+
+    Sparse systems know the energy of slender ones to fewer digits.
+    """
+    return problem.contacts + problem.ties <= MOST_CONDENSED and bool(problem.diagonal.all())
+
+
 def _constraints_are_many(problem: ContactProblem) -> bool:
     if not (problem.contacts or problem.ties):
         return False

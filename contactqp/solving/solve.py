@@ -33,6 +33,7 @@ from contactqp.linalg.iteration import (
     condense_anyway,
     contacts_are_many,
     factorised,
+    may_be_condensed,
     may_be_factorised,
     systems_of,
 )
@@ -245,12 +246,12 @@ def _solve(
             if not may_be_factorised(problem):
                 raise
             with factorised(problem):
-                return _factorised_after(error, solve(problem, method, warm_start=warm_start, **same))
+                return _after(error, "factorised", solve(problem, method, warm_start=warm_start, **same))
         if systems is Systems.SPARSE:
-            if not problem.frictional:
+            if not (problem.frictional or may_be_condensed(problem)):
                 raise  # the other routes condense
             condense_anyway(problem)
-            return solve(problem, method, warm_start=warm_start, **same)
+            return _after(error, "condensed", solve(problem, method, warm_start=warm_start, **same))
         # With friction the default has tried all algorithms where none converges.
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
@@ -292,11 +293,10 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
 CERTIFIED = "its answer is certified"
 
 
-def _factorised_after(error: NotCertified | NotConverged, found: Solution) -> Solution:
-    """Return a solution found by factorising with the message and the work of the iteration that failed."""
-    first = error.solution
-    spent = first.work if isinstance(first, Solution) else Work()
-    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"factorised: {CERTIFIED}")))
+def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
+    """Return a solution found in another way with the message and the work of what failed before."""
+    spent = first.work if isinstance(first := error.solution, Solution) else Work()
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: {CERTIFIED}")))
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:

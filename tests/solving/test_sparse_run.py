@@ -441,3 +441,27 @@ def test_pardiso_is_switched_off_in_sparse_saddle_points_too(monkeypatch: pytest
     found = cq.solve(problem, condense=False)
     assert found.certificate.passed
     assert found.work.solver == "superlu"
+
+
+@pytest.mark.slow
+def test_slender_bodies_with_many_contacts_are_condensed_where_sparse_systems_know_too_few_digits() -> None:
+    """A cantilever of 700 elements between obstacles above and below every node: kappa(K) is some 1e13."""
+    n = 700
+    h = 1.0 / n
+    element = np.array([
+        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+    ]) / h**3  # fmt: skip
+    K = sp.lil_matrix((2 * n + 2, 2 * n + 2))
+    for k in range(n):
+        K[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] += element
+    load = np.zeros(2 * n)
+    load[::2] = -1.0 / n
+    below = sp.csr_matrix((-np.ones(n), (np.arange(n), 2 * np.arange(n))), shape=(n, 2 * n))
+    x = np.arange(1, n + 1) / n
+    gap = np.concatenate([np.where(abs(x - 0.5) < 0.2, 1e-3, 3e-2), np.ones(n)])
+    problem = cq.ContactProblem(sp.csr_matrix(K.tocsr()[2:, 2:]), load, sp.vstack([below, -below]), gap)
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.work.routes[-1] == "condensed: its answer is certified"
+    assert np.allclose(solution.normal_force, cq.solve(problem, condense=True).normal_force, rtol=1e-5, atol=1e-9)
