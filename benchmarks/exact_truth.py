@@ -57,7 +57,8 @@ class Truth:
     tie_force: np.ndarray  # (k,) one of those that fit, rounded
     stiffness: fmpq_mat
     compliance: fmpq_mat  # (m, m) W, of the tied bodies
-    untied: fmpq_mat | None  # (m, m) E K^-1 E', where K is regular and there are ties
+    tie: fmpq_mat  # (k, 1) the same, exactly
+    untied: fmpq_mat | None  # (m + k, m + k) [E; A] K^-1 [E; A]', where K is regular and there are ties
     nullity: int  # of K
     free: int  # motions that neither K, A nor a closed contact resists
     pivots: int  # 0 where a guess was right
@@ -120,8 +121,11 @@ class Truth:
         """The error that remains when the truth is rounded to floats: no float answer can be expected to do better."""
         return self.errors(*self.rounded()).worst
 
-    def errors(self, displacement: np.ndarray, force: np.ndarray) -> Errors:
-        """The errors of floats, relative; against the size of the problem where the truth is tiny."""
+    def errors(self, displacement: np.ndarray, force: np.ndarray, tie_force: np.ndarray | None = None) -> Errors:
+        """The errors of floats, relative; against the size of the problem where the truth is tiny.
+
+        A bound may count forces of ties, too: where they are given it is compared with the error of all forces.
+        """
         if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(force))):
             return Errors(np.inf, np.inf, {"energy_error": (np.inf,), "force_error": (np.inf,)}, None)
         rounding = self._rounding(displacement)
@@ -132,16 +136,19 @@ class Truth:
         energy, pushed = _norm(self.stiffness, du), _norm(self.compliance, dl)
         scales = [self.size if tiny else size for tiny, size in zip(self.tiny, self._sizes, strict=True)]
         # Where ties may take a part of what contacts push with, forces are compared by what the tied bodies feel.
-        loose = (
-            []
-            if self.untied is None or not self.unique_forces
-            else [_ratio(_norm(self.untied, dl), _norm(self.untied, self.force))]
-        )
+        loose, whole = [], 0.0
+        if self.untied is not None and tie_force is not None:
+            change, every = stack(dl, column(tie_force) - self.tie), stack(self.force, self.tie)
+            whole = _ratio(_norm(self.untied, change), _norm(self.untied, every))
+        if self.untied is not None and self.unique_forces:
+            loose = [_ratio(*(_norm(self.untied, stack(part, self.tie * 0)) for part in (dl, self.force)))]
         contact = abs(floats(dl)) if self.unique_forces else None
         readings = {
             "energy_error": self._readings(energy, 0, []),
             "force_error": self._readings(pushed, 1, loose),
         }
+        if whole > 0:
+            readings["force_error"] += (max(whole, *readings["force_error"]),)
         sizes = _ratio(energy, scales[0]), _ratio(pushed, scales[1])
         # The rounding of K along rigid motions has the same size.
         return Errors(*sizes, readings, contact, rounding if self.projected else 0.0, rounding)
@@ -251,11 +258,11 @@ def _candidates(reduced: Reduced, guesses: Iterable[np.ndarray]) -> Iterator[tup
             closed = tuple(i for i, (lam, w) in enumerate(pairs) if lam > 0 or w < 0)
 
 
-def _tie_force(problem: Any, reduced: Reduced, u: fmpq_mat, force: fmpq_mat) -> np.ndarray:
+def _tie_force(problem: Any, reduced: Reduced, u: fmpq_mat, force: fmpq_mat) -> fmpq_mat:
     data = reduced.data
     missing = data.f - data.K * u - data.E.transpose() * force
     solved = solve_any(matrix(problem.tie).transpose(), missing) if problem.ties else None
-    return floats(solved[0]) if solved else np.zeros(problem.ties)
+    return solved[0] if solved else column(np.zeros(problem.ties))
 
 
 def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pivots: int) -> Truth:
@@ -263,12 +270,14 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
     gap = data.gap(u).entries()
     closed = [i for i, w in enumerate(gap) if w == 0]
     rows = stack(take(data.E, closed), data.A)
+    tie = _tie_force(problem, reduced, u, force)
     held = stack(data.K, data.A, take(data.E, [i for i in closed if force[i, 0] > 0]))
     return Truth(
         displacement=u,
         force=force,
         unique_forces=rows.nrows() == 0 or rows.rank() == rows.nrows(),
-        tie_force=_tie_force(problem, reduced, u, force),
+        tie_force=floats(tie),
+        tie=tie,
         stiffness=data.K,
         compliance=reduced.W,
         untied=_untied_compliance(reduced),
@@ -286,7 +295,8 @@ def _untied_compliance(reduced: Reduced) -> fmpq_mat | None:
     data = reduced.data
     if not data.ties or data.K.rank() < data.unknowns:
         return None
-    return data.E * data.K.solve(data.E.transpose())
+    every = stack(data.E, data.A)
+    return every * data.K.solve(every.transpose())
 
 
 def condition(problem: Any, nullity: int) -> float:

@@ -155,7 +155,7 @@ def _outcome(problem: cq.ContactProblem, method: str, truth: Truth, threshold: f
     solution = returned if returned is not None else getattr(error, "solution", None)
     true = None
     if solution is not None:
-        errors = truth.errors(solution.displacement, solution.normal_force)
+        errors = truth.errors(solution.displacement, solution.normal_force, solution.tie_force)
         true = errors.worst
         bounds += bounded(method, truth, solution.certificate, errors)
     raw_wrong = _raw_is_wrong(method, solution, error, truth, threshold, bounds)
@@ -190,7 +190,7 @@ def _raw_is_wrong(
     if solution is None or not find(method.split()[0]).exact:
         return False
     if solution.raw is not None:
-        errors = truth.errors(solution.raw.displacement, solution.raw.normal_force)
+        errors = truth.errors(solution.raw.displacement, solution.raw.normal_force, solution.raw.tie_force)
         bounds += bounded(f"raw {method}", truth, solution.raw.certificate, errors)
         return bool(solution.raw.claimed and errors.worst > threshold)
     if find(method.split()[0]).kind == "active set" or isinstance(error, cq.NotConverged):
@@ -257,7 +257,7 @@ def _spoil(
             certificate = cq.certify(problem, u, force, tie_force=truth.tie_force)
         except cq.InvalidProblem as error:  # the problem is refused, whatever the answer
             return (), str(error)
-        errors = truth.errors(u, force)
+        errors = truth.errors(u, force, truth.tie_force)
         bounds += bounded(name, truth, certificate, errors)
         if certificate.passed and errors.worst > threshold:
             passed.append((name, errors.worst))
