@@ -115,5 +115,5 @@ def test_a_process_that_is_interrupted_says_so_and_goes(tmp_path):
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert said.split("\n") == ["", "contactqp: interrupted", ""]
+    assert said.removeprefix("\n") == "contactqp: interrupted\n"  # behind the ^C of a terminal, as a rule
     assert list(tmp_path.iterdir()) == []
