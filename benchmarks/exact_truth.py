@@ -280,7 +280,7 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
         tie=tie,
         stiffness=data.K,
         compliance=reduced.W,
-        untied=_untied_compliance(reduced),
+        untied=_untied_compliance(problem, reduced),
         nullity=data.K.nrows() - data.K.rank(),
         free=data.K.nrows() - held.rank(),
         pivots=pivots,
@@ -291,11 +291,11 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
     )
 
 
-def _untied_compliance(reduced: Reduced) -> fmpq_mat | None:
+def _untied_compliance(problem: Any, reduced: Reduced) -> fmpq_mat | None:
     data = reduced.data
     if not data.ties or data.K.rank() < data.unknowns:
         return None
-    every = stack(data.E, data.A)
+    every = stack(data.E, matrix(problem.tie))
     return every * data.K.solve(every.transpose())
 
 

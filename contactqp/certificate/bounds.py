@@ -373,8 +373,7 @@ def _force_error(
     norms = [(True, False)]
     if pair.exact and problem.ties > 0 and not condensation.rigid.count:
         norms += [(False, False), (False, True)]
-    nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
-    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
+    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.rounding, known.force_rounding, 2 * pair.undecided)
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     found: list[tuple[float, float, float]] = []
     for tied, with_ties in norms:
@@ -385,9 +384,10 @@ def _force_error(
         if not tied and found[0][1] > 0 and uncertain > FEW_DIGITS * scale:
             continue  # without its ties K is singular to rounding, and has no such norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
-    whole = next((scale for _, scale, _ in found if scale > 0), 0.0)  # of ties where no contact has a force
-    errors = (_relative(error, scale or whole, pair.dual_radius + uncertain) for error, scale, uncertain in found)
-    return max(errors), whole
+    (_, size, uncertain), *_ = found
+    if size == 0:  # contacts have no force: those of ties are compared as they are, too
+        return max(error for error, *_ in found) + pair.dual_radius + uncertain, size
+    return max(_relative(error, scale, pair.dual_radius + unsure) for error, scale, unsure in found), size
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:
