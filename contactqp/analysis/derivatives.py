@@ -138,6 +138,16 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     By the stiffness it is on the pattern of K, symmetric, so that its sum of products with dK is the rate along dK; by
     the rows on the pattern of these. Quantities and parameters are those of `derivative`.
 
+    Parameters
+    ----------
+    solution : Solution
+    of : str
+        The quantity, a name of `derivative`'s `of`.
+    weights : array in the shape of the quantity, finite
+        With what each of its entries counts in the sum.
+    with_respect_to : str
+        The parameter, a name of `derivative`'s `with_respect_to`.
+
     Raises
     ------
     InvalidProblem

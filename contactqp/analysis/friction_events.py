@@ -113,6 +113,15 @@ class ExactPath:
         """Follow a leg, or a part of it, from a pseudo-time on; `events` and `segments` are those of this leg until it
         ended or the path did, their times fractions of the leg.
 
+        Parameters
+        ----------
+        start, end : (n,) arrays [force]
+            The loads at both ends.
+        time : float
+            The pseudo-time at the start, for the messages of errors.
+        lasts : float
+            The pseudo-time that the leg takes; one for a whole leg.
+
         Raises
         ------
         NoEquilibrium, SeveralEquilibria, NotConverged

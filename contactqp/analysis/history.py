@@ -74,10 +74,17 @@ class Event:
 class History(ReadOnly, Printed, Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
-    Solutions may be a sequence that expands each one, with its certificate, on first access. With friction each
-    solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since;
-    with contact springs, where their sliders were then.
-    `linear` says that nothing changes its state between two instants.
+    With friction each solution's problem has the slip origin of its step, E_T u of the instant before or where the
+    contact closed since; with contact springs, where their sliders were then.
+
+    Parameters
+    ----------
+    solutions : sequence of Solution, which may expand each one, with its certificate, on first access
+    times : pseudo-times of a load path, load factors, or seconds of a motion
+    events, energies, notes : functions without arguments
+        They return what the attributes of these names hold, on first access; energies are formed from the solutions
+        by default.
+    linear : bool, whether nothing changes its state between two instants
     """
 
     time_label = "time [legs]"  # of `times` in tables

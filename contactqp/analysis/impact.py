@@ -64,6 +64,8 @@ def impact(
 
     Parameters
     ----------
+    penalty : float [force / length], needed by the scheme "penalty"
+        The stiffness of its contact springs; other schemes refuse one.
     problem : ContactProblem
         K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
     mass : (n, n) matrix or (n,) diagonal [force time^2 / length]

@@ -61,6 +61,8 @@ def follow_path(
 
     Parameters
     ----------
+    problem : ContactProblem
+        Stiffness, contacts, friction and ties; ties keep their values throughout.
     loads : sequence of (n,) arrays [force]
         The corners of the path.
     steps : int, optional

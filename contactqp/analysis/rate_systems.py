@@ -86,6 +86,16 @@ class _System(Protocol):
 class RateSystem:
     """The rates of one answer in one combination of states; `closed` and `stuck` are its places.
 
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    status : (m,) array of int
+        The combination: OPEN, STICK, SLIP_BACK or SLIP_ON.
+    answer : Parts
+        Displacements and forces whose rates are asked for.
+
     Attributes
     ----------
     regular : bool

@@ -127,6 +127,17 @@ def admissible_pair(
 ) -> AdmissiblePair:
     """Return the admissible pair that is nearest to the solution, as far as one is found.
 
+    Parameters
+    ----------
+    problem : ContactProblem
+        Without friction.
+    answer : Answer
+        The solution that the pair is to be near.
+    left : Residuals
+        Those of the answer.
+    condensation : Condensation
+        That of the problem.
+
     Raises
     ------
     Unproven

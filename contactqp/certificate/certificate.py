@@ -84,6 +84,7 @@ def compute_certificate(
 
     Parameters
     ----------
+    problem : ContactProblem
     displacement : (n,) array [length]
     normal_force : (m,) array [force], positive in compression
     friction_force : (m, d-1) or flat array [force], needed where the problem has tangential rows and friction
@@ -129,7 +130,16 @@ def certificate_of(
     factorization: Condensation | None = None,
     prove_friction: bool = False,
 ) -> Certificate:
-    """Return the certificate of an answer whose shapes are those of the problem; arguments of `compute_certificate`."""
+    """Return the certificate of an answer whose shapes are those of the problem.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+        Displacement, forces of contacts, friction and ties.
+    tolerance, error_tolerance, factorization, prove_friction
+        As in `compute_certificate`.
+    """
     if not answer.finite():
         failures = list(messages.not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
@@ -391,45 +401,27 @@ def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
-    """Return the contacts whose gap and force both vanish (m,); `compliance` (m,) is `own_compliance`.
+    """Return the contacts whose gap and force both vanish (m,).
 
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
     the energy of the answer is known it must vanish against that too.
+
+    Parameters
+    ----------
+    answer : Answer
+    found : Violations
+        Its figures: gaps and forces in the sizes that meet there.
+    compliance : (m,) array [length / force]
+        `own_compliance` of each contact.
+    known : Bounds
+        Those of the answer; their `energy_scale` is 0 where the energy is not known.
+    tolerance : float
+        The part of these sizes up to which a gap or a force vanishes.
     """
     vanish = (ratio(abs(found.gap), found.lengths) <= tolerance) & (found.force_measure <= tolerance)
     if known.energy_scale > 0:
         vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * known.energy_scale
     return np.asarray(vanish)
-
-
-def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
-    """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
-
-    A contact is closed where its force is not nothing and its gap, relative to the lengths that meet there, is at most
-    its force relative to the forces that meet, or at most `tolerance`; and where it is penetrated and pushes back, as
-    with a penalty. Other signs do not count: `tension` judges that of the force. A closed contact with friction slips
-    where its slip is more than `tolerance` of the lengths that meet. It is grazing where gap and force are both at most
-    `tolerance`, and the force is nothing beside the energy.
-    """
-    grazing = np.zeros(problem.contacts, dtype=bool)
-    grazing[list(certificate.grazing)] = True
-    return status_words(certificate, problem.friction, grazing)
-
-
-def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
-    """Return the words of `contact_status` for the contacts of a certificate's violations."""
-    found = certificate.violations
-    if found is None:
-        return np.full(len(grazing), "unknown")
-    near = found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance)
-    yields = (found.penetration > 0) & (found.tension == 0)
-    pushes = (found.force_measure > 0) & (near | yields)
-    status = np.where(pushes, "closed", "open").astype("<U8")
-    if friction is not None:
-        frictional = (friction > 0) & (status == "closed")
-        status[frictional] = np.where(found.slip_measure[frictional] > certificate.tolerance, "slip", "stick")
-    status[grazing] = "grazing"
-    return status
 
 
 def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
@@ -459,7 +451,19 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
 def not_finite(
     frictional: bool, failures: list[str], tolerance: float, error_tolerance: float, reason: str = NOT_FINITE
 ) -> Certificate:
-    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails."""
+    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails.
+
+    Parameters
+    ----------
+    frictional : bool
+        Whether the problem has friction.
+    failures : list of str
+        Messages of what is not finite.
+    tolerance, error_tolerance : float
+        As in `compute_certificate`.
+    reason : str
+        Why there are no bounds.
+    """
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
         **figures,

@@ -111,7 +111,18 @@ def slips_that_are_nothing(none: Nothing, hardly: NDArray[np.bool_]) -> Nothing:
 
 
 def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
-    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; up to `none` (n,) it is zero."""
+    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; up to `none` (n,) it is zero.
+
+    Parameters
+    ----------
+    entries : ContactEntries
+        The entries of the rows of each contact.
+    force : (m, w) array [force]
+    meeting : (n,) array [force]
+        F_j, what meets at each unknown.
+    none : (n,) array [force]
+        Up to which a force counts as zero.
+    """
     acting = beyond(abs(entries.forces(force)), none[entries.unknown])
     return entries.largest(ratio(acting, meeting[entries.unknown])[None])
 
@@ -167,6 +178,9 @@ def coulomb_data(
 
     Parameters
     ----------
+    problem : ContactProblem
+    answer : Answer
+        Its displacement says the slips.
     F, none : (n,) arrays
         The forces that meet at each unknown, and those that count as none [force].
     hardly : (m,) array of bool
@@ -214,7 +228,16 @@ def friction_figures(
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return `cone`, `slip_direction`, the measure of the slip, and the force that a small slip's rounding may turn.
 
-    `meeting` (m,) are the lengths that meet along the tangential rows of each contact [length].
+    Parameters
+    ----------
+    answer : Answer
+        With friction forces (m, d-1).
+    coulomb : CoulombData
+        Slips, their rounding, and the coefficients of friction.
+    meeting : (m,) array [length]
+        The lengths that meet along the tangential rows of each contact.
+    none : Nothing
+        Lengths and forces that count as zero.
     """
     force = answer.friction_force
     slip = slips(coulomb.slip, none)
@@ -268,6 +291,9 @@ def law_residual(
 
     Parameters
     ----------
+    answer : Answer
+    found : Violations
+        The figures of the answer.
     sliding : (m, d-1) and (m,) arrays
         The slips [length] and the coefficients of friction.
     unit : three (m,) arrays

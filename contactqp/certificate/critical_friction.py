@@ -179,9 +179,20 @@ def _made(problem: ContactProblem, mu: Vector, compliance: ContactCompliance) ->
 
 
 def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:
-    """Return `critical_friction` of a Delassus operator W (d m, d m), normal rows first.
+    """Return `critical_friction` of a Delassus operator.
 
-    kappa needs a symmetric W and is infinite otherwise.
+    Parameters
+    ----------
+    W : (d m, d m) array [length / force]
+        Contact by contact, the normal row first.
+    mu : (m,) array
+        Coefficients of friction.
+    contacts : int
+        m.
+    floats : bool
+        Whether bodies float on rigid motions: then kappa is infinite, and combinations are not examined.
+    symmetric : bool
+        Whether W is symmetric; kappa is infinite where it is not.
     """
     m, d = contacts, len(W) // contacts
     blocks = W.reshape(m, d, m, d)

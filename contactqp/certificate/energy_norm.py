@@ -66,10 +66,18 @@ def energy_norms(
 ) -> tuple[float, float]:
     """Return the least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
 
-    `counted` is `energy_norm` of v, where it has been formed already.
-
     That rounding makes K z of a rigid motion z a force of either sign: where v is nearly rigid, v'Kv may be more or
     less than the energy of its strain, which is that of v without its rigid part.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem, with its rigid motions.
+    displacement : Extended (n,)
+        v.
+    counted : two floats, optional
+        `energy_norm` of v, where it has been formed already.
     """
     norm, uncertain = counted or energy_norm(problem, displacement)
     if not condensation.rigid.count:
@@ -87,9 +95,19 @@ def force_norm(
     tied: bool = True,
     tie_force: Extended | None = None,
 ) -> tuple[float, float]:
-    """Return |d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error.
+    """Return |d|_W of contact forces d on the tied (or untied) bodies, and a bound on its error.
 
-    On untied bodies forces of ties (k,) may act beside them.
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    force : Extended (m,)
+        d, of any sign.
+    tied : bool
+        Whether the ties hold.
+    tie_force : Extended (k,), optional
+        Forces of ties that act beside d, on untied bodies; none by default.
     """
     d = force.double()
     if not (d.any() or (tie_force is not None and tie_force.double().any())):
@@ -113,6 +131,15 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
 
     K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P leaves the part of the load out that drives
     motions which nothing resists.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    load : Extended (n,)
+    tied : bool
+        Whether the ties hold, at the value zero.
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
@@ -226,6 +253,16 @@ def shared_by_rounding(
 
     On the closed contacts they balance the forces of the rigid part of a displacement, less the resultants of these:
     forces that equilibrium alone determines do not feel it.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    saddle : SaddlePoint
+        The factorised system of the closed contacts.
+    displacement : (n,) array [length]
+        Whose rigid part makes the forces.
     """
     forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
     spread = problem.diagonal[:, None] * motions

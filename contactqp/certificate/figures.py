@@ -51,7 +51,7 @@ from contactqp.linalg.measures import (
 )
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import FIGURES, Answer, Nothing, Violations
+from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations
 
 T = TypeVar("T")
 
@@ -149,7 +149,19 @@ class Resultants:
 
 
 def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Resultants:
-    """Form resultants from the singular values and right vectors of w (n, r) and from work and uncertainty (r,)."""
+    """Form the resultants of residual forces along r rigid motions.
+
+    Parameters
+    ----------
+    values : (r,) array, descending
+        Singular values of w (n, r): the motions of each unknown, times the forces that meet there.
+    right : (r, r) array
+        Right singular vectors of w, a row each.
+    work : (r,) array
+        The work of the residual on each motion.
+    stray : (r,) array
+        How uncertain that work is.
+    """
     kept = values > SAME_MOTION * values[0]
     weight = right[kept] / values[kept, None]
     return Resultants(weight, values[kept] / values[0], weight @ work, abs(weight) @ stray)
@@ -210,6 +222,10 @@ def violations(
 
     Parameters
     ----------
+    problem : ContactProblem
+    answer : Answer
+    left : Residuals
+        Those of the answer.
     rounding : float
         The fraction of the intrinsic size that counts as none.
     rigid : RigidMotions, optional
@@ -289,7 +305,15 @@ class Sizes:
 def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, coulomb: CoulombData | None) -> Violations:
     """Return every figure of an `Answer`, or of one rank's part of one.
 
-    `left` are its residuals of equilibrium (n,), its gaps (m,) and what its ties miss (k,).
+    Parameters
+    ----------
+    answer : Answer
+    left : three arrays, (n,) [force], (m,) [length], (k,) [length]
+        Its residuals of equilibrium, its gaps, and what its ties miss.
+    sizes : Sizes
+        The forces and lengths by which they are measured.
+    coulomb : CoulombData or None
+        What judges Coulomb's law; None without friction.
     """
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
@@ -335,6 +359,46 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
 
 
 def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:
-    """Return `holds` but for the balance of a body that is not factorised, by products in double precision."""
+    """Return `holds` but for the balance of a body that is not factorised, by products in double precision.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    rigid : RigidMotions
+        The null space of K.
+    answer : Answer
+    tolerance : float
+        Largest figure that passes.
+    """
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")
+
+
+def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
+    """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
+
+    A contact is closed where its force is not nothing and its gap, relative to the lengths that meet there, is at most
+    its force relative to the forces that meet, or at most `tolerance`; and where it is penetrated and pushes back, as
+    with a penalty. Other signs do not count: `tension` judges that of the force. A closed contact with friction slips
+    where its slip is more than `tolerance` of the lengths that meet. It is grazing where gap and force are both at most
+    `tolerance`, and the force is nothing beside the energy.
+    """
+    grazing = np.zeros(problem.contacts, dtype=bool)
+    grazing[list(certificate.grazing)] = True
+    return status_words(certificate, problem.friction, grazing)
+
+
+def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
+    """Return the words of `contact_status` for the contacts of a certificate's violations."""
+    found = certificate.violations
+    if found is None:
+        return np.full(len(grazing), "unknown")
+    near = found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance)
+    yields = (found.penetration > 0) & (found.tension == 0)
+    pushes = (found.force_measure > 0) & (near | yields)
+    status = np.where(pushes, "closed", "open").astype("<U8")
+    if friction is not None:
+        frictional = (friction > 0) & (status == "closed")
+        status[frictional] = np.where(found.slip_measure[frictional] > certificate.tolerance, "slip", "stick")
+    status[grazing] = "grazing"
+    return status

@@ -41,14 +41,32 @@ def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
 
 
 def of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
-    """Return the message that entry i of a part of an answer is not finite."""
+    """Return the message that entry i of a part of an answer is not finite.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names
+    name : str
+        The part: "displacement", "normal_force", "friction_force" or "tie_force".
+    values : array
+        The part, a row an entry.
+    i : int
+        Which entry.
+    """
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     part = np.atleast_1d(values[i])
     return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
 def of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
-    """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause."""
+    """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names and units
+    name, values, i
+        As in `of_part`.
+    """
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     unit = problem.units.length if name == "displacement" else problem.units.force
     worst = np.atleast_1d(values[i])
@@ -60,6 +78,18 @@ def of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: in
 def failed_figures(
     problem: ContactProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
 ) -> Iterator[str]:
+    """Yield the messages of the figures that are above a tolerance.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    found : Violations
+        Its figures, entry by entry.
+    figures : dict of str to float
+        The largest of each.
+    tolerance : float
+    """
     for name in FIGURES:
         if figures[name] <= tolerance:
             continue
@@ -76,7 +106,21 @@ def of_balance(figure: float, tolerance: float) -> str:
 
 
 def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
-    """Return the message that unknown, contact or tie i misses a figure other than balance."""
+    """Return the message that unknown, contact or tie i misses a figure other than balance.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names and units
+    answer : Answer
+    found : Violations
+        Its figures, entry by entry.
+    name : str
+        Which figure, of `FIGURES`.
+    i : int
+        Which unknown, contact or tie.
+    tolerance : float
+        The largest figure that passes.
+    """
     force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
     of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
     if name == "equilibrium":
@@ -106,6 +150,18 @@ def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Ite
 
 
 def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
+    """Return the message that a contact misses the law of contact and friction.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names
+    law : (m,) array
+        By how much each contact misses it, relative to the sizes that meet there.
+    i : int
+        Which contact.
+    limit : float
+        The largest that passes.
+    """
     return (
         f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
         f"of the sizes that meet there (tolerance {limit:g})"
@@ -113,6 +169,19 @@ def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
 
 
 def of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
+    """Return the message that the bound on the error of a contact force is too large.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names and units
+    answer : Answer
+    known : Bounds
+        With bounds of each force.
+    i : int
+        Which contact.
+    tolerance : float
+        The largest relative bound that passes.
+    """
     if known.force_bound is None or known.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
     unit = _with_unit(problem.units.force)

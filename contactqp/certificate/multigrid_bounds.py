@@ -127,7 +127,18 @@ def _forces(problem: Limits, answer: Forces, given: Vector, iteration: ContactIt
 
 
 def balanced_forces(problem: Limits, displacement: Vector, forces: Vector, iteration: ContactIteration) -> Vector:
-    """Return contact and tie forces (m + k,), changed least to balance the load on rigid motions of the bodies."""
+    """Return contact and tie forces (m + k,), changed least to balance the load on rigid motions of the bodies.
+
+    Parameters
+    ----------
+    problem : Limits
+        Load, gaps and ties.
+    displacement : (n,) array [length]
+    forces : (m + k,) array [force]
+        Of contacts, then of ties.
+    iteration : ContactIteration
+        Products with the stiffness, and the motions of floating bodies.
+    """
     if not iteration.floating.count:
         return forces
     residual = problem.load - iteration.product(displacement) - iteration.forces(forces)

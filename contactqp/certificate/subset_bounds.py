@@ -133,7 +133,18 @@ def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subse
 
 
 def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, u: Vector) -> NDArray[np.intp] | None:
-    """Return the candidates with those that gaps (m,) of a displacement close and their neighbours; None if none."""
+    """Return the candidates with those that a displacement closes and their neighbours; None where it closes no other.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    candidates : (q,) array of int
+        Numbers of contacts.
+    gap : (m,) array [length]
+        The gaps of all contacts at the displacement.
+    u : (n,) array [length]
+        The displacement.
+    """
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
     if not closed.size:
@@ -158,6 +169,16 @@ def bounds_among(
 
     They are bounds of the whole problem, since what they call the solution, to its last digits, opens all other
     contacts; these have no force then, and a bound of it by (1) of `bounds`.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+        Of all contacts; those that are no candidates have no force.
+    left : Residuals
+        Those of the answer.
+    candidates : (q,) array of int
+        Contacts; more are taken where the solution closes others.
     """
     for _ in range(WIDENINGS):
         subset = _judged_among(problem, candidates)
@@ -181,8 +202,17 @@ def state_among(
 ) -> tuple[StateVerdict, RigidMotions]:
     """Return the verdict on a frictional answer by its own combination, in which all other contacts are open.
 
-    `tolerances` are those of `state_verdict`. The combination is one of the whole problem where its displacement
-    penetrates no other contact.
+    The combination is one of the whole problem where its displacement penetrates no other contact.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+        Of all contacts; those that are no candidates have no force.
+    candidates : (q,) array of int
+        Contacts; more are taken where the displacement closes others.
+    tolerances : two floats
+        Those of `state_verdict`.
     """
     for _ in range(WIDENINGS):
         subset = _judged_among(problem, candidates)

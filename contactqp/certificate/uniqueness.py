@@ -266,7 +266,19 @@ class Uniqueness:
 def uniqueness(
     problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation | None, tolerance: float
 ) -> Uniqueness:
-    """Say whether other equilibria may exist at this load; without friction the energy has one minimum."""
+    """Say whether other equilibria may exist at this load; without friction the energy has one minimum.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    found : Violations
+        Its figures.
+    condensation : Condensation or None
+        None where the bodies are not condensed: then nothing is examined, and the notes say so.
+    tolerance : float
+        Up to which figures count as zero.
+    """
     if not problem.frictional or not problem.contacts:
         return Uniqueness()
     reason = "the bodies are not condensed onto their contacts"

@@ -10,9 +10,9 @@ import numpy as np
 
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
-from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite
 from contactqp.certificate.coulomb_law import IMPLIED
-from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants
+from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants, status_words
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.problem import (
     Bodies,

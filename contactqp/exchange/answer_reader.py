@@ -113,6 +113,19 @@ def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], le
     Unknowns that the problem does not have, such as those of nodes that are held, are left out and the ledger says so;
     contacts that it does not have are refused. An unknown may be spelled otherwise (`unknown_names`).
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    part : str
+        Which part of an answer: "displacement" or one of the contacts.
+    given : sequence of str
+        The names in the file, in its order.
+    names : sequence of str
+        Those of the problem.
+    ledger : Ledger
+        Takes what was ignored and assumed.
+
     Raises
     ------
     InvalidProblem

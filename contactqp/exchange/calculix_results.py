@@ -345,6 +345,18 @@ def answer_of(
 ) -> AnswerFile:
     """Return the displacements and contact pressures of the last increment that has them.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    problem : ContactProblem
+    fields : list of NodalField
+        All that the file prints at nodes.
+    ledger : Ledger
+        Takes what was ignored and assumed.
+    expected : str
+        The kind of file, for messages.
+
     Raises
     ------
     InvalidProblem

@@ -24,6 +24,17 @@ EXACT = 2**53
 def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> NDArray[np.float64]:
     """Return the numbers (rows, columns) of a text in which blanks separate them.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    lines : iterable of str
+        Its text; lines without a word are skipped.
+    columns : int
+        How many numbers stand in each line.
+    expected : str
+        What the file should hold, for messages.
+
     Raises
     ------
     InvalidProblem

@@ -33,6 +33,17 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
+    """Return the error that something in a file is not what was expected, for the caller to raise.
+
+    Parameters
+    ----------
+    path : Path
+    place : str
+        Where in the file: a key, a line, a column.
+    expected : str
+    got : object
+        Its text is quoted.
+    """
     return InvalidProblem(f"{path}: {place}: expected {expected}, got {got}")
 
 

@@ -138,6 +138,7 @@ def write_problem(
 
     Parameters
     ----------
+    problem : ContactProblem
     folder : path
         Made where it is not there; files of these names in it are replaced.
     answer : Solution or mapping, optional

@@ -116,7 +116,19 @@ class Words:
 
 
 def as_integers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.int64]:
-    """Return words as integers; the k-th of them stands at the place first + k step of the file, which errors name."""
+    """Return words as integers.
+
+    Parameters
+    ----------
+    words : Words
+        The file, which errors name.
+    taken : list of str
+        The words.
+    what : str
+        What they are, for messages.
+    first, step : int
+        The k-th of them stands at the place first + k step of the file.
+    """
     try:
         return np.array([int(word) for word in taken], dtype=np.int64)
     except (ValueError, OverflowError):
@@ -125,7 +137,13 @@ def as_integers(words: Words, taken: list[str], what: str, first: int, step: int
 
 
 def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.float64]:
-    """Return words as finite numbers; the k-th of them stands at the place first + k step of the file."""
+    """Return words as finite numbers.
+
+    Parameters
+    ----------
+    words, taken, what, first, step
+        As in `as_integers`.
+    """
     try:
         values = np.array([float(word) for word in taken])
     except ValueError:

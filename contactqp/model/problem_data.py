@@ -370,7 +370,14 @@ def _of_lost_digits(eigenvalue: float) -> str:
 def read_friction(
     tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int, known: bool = False
 ) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
-    """Return tangential rows, coefficients (m,) and slip origins; rows that are `known` have been read already."""
+    """Return tangential rows, coefficients (m,) and slip origins (m, d-1); None for each without tangential rows.
+
+    Parameters
+    ----------
+    tangent, friction, slip_origin : as `ContactProblem` takes them; coefficients and origins are 0 by default
+    m, n : int, numbers of contacts and of unknowns
+    known : bool, whether the rows have been read and checked already
+    """
     if tangent is None:
         if friction is not None and np.any(read_array("friction", friction) != 0):
             raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
@@ -446,6 +453,12 @@ def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, 
 
 def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
     """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
+
+    Parameters
+    ----------
+    kind : "contact", "unknown" or "tie"
+    number, count : int, counted from 0, and how many there are
+    names : sequence of str, optional
 
     Raises
     ------

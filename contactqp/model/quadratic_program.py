@@ -82,6 +82,19 @@ def contact_data(
 ) -> dict[str, Any]:
     """Return the arguments of `ContactProblem` for a program as it came, with ranges; see `ContactProblem.from_qp`.
 
+    Parameters
+    ----------
+    given : QuadraticProgram
+        P, q, G, h, A, b, lb, ub.
+    C : (r, n) matrix, optional
+        Rows of ranges l <= C x <= u.
+    l, u : (r,) arrays, optional
+        Their sides; without one it is infinite.
+    dof_names, range_names : sequences of str, optional
+        Names of the unknowns (n,) and of the ranges (r,).
+    **unknown
+        Refused.
+
     Raises
     ------
     InvalidProblem

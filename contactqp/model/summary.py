@@ -415,6 +415,17 @@ def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: s
 
     A number is the place itself; one below zero counts from the end.
 
+    Parameters
+    ----------
+    name : str or int
+        What is looked for.
+    count : int
+        How many there are.
+    name_of : function of int
+        Returns the name of each, counted from 0.
+    what : str
+        "contact", "unknown" or "tie", for messages.
+
     Raises
     ------
     InvalidProblem

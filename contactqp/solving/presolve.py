@@ -27,7 +27,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.figures import contact_status
 from contactqp.certificate.subset_bounds import among, candidates_around, first_candidates, take_all, widened
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense

@@ -19,7 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import certificate_of, compute_certificate, contact_status
+from contactqp.certificate.certificate import certificate_of, compute_certificate
+from contactqp.certificate.figures import contact_status
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.condensation import condense as condensation_of

@@ -72,6 +72,17 @@ class Imbalance:
 class LoadedBody:
     """The equations f_int(u) + E_N' l_N + E_T' l_T + A' nu = f of one body, with E_N, E_T and gaps in the current
     configuration.
+
+    Parameters
+    ----------
+    body : Deformable
+        Its internal forces f_int (n,) and their tangent K (n, n).
+    contact : ContactGeometry or None
+        Gaps and rows of its m contacts at a displacement; None without contacts.
+    tie : (k, n) sparse array
+        A, which no displacement changes; k may be 0.
+    friction : (m,) array, optional
+        Coefficients of friction; None where there is none.
     """
 
     def __init__(
@@ -142,10 +153,22 @@ class LoadedBody:
     def step_problem(
         self, now: Instant, K: Any, load: Vector, tie_value: Vector, slipped: Array | None = None
     ) -> ContactProblem:
-        """Return the Newton step as a contact problem in the increment: K du = f - f_int, E_N du <= gap, A du = b -
-        A u.
+        """Return the Newton step as a contact problem in the increment du.
 
-        `slipped` (m, d-1) is the slip of the load step so far: s = E_T du + slipped.
+        K du = f - f_int,  E_N du <= gap,  A du = b - A u
+
+        Parameters
+        ----------
+        now : Instant
+            Displacement u, internal forces, gaps and rows before the step.
+        K : (n, n) matrix [force / length]
+            The tangent of the step.
+        load : (n,) array [force]
+            f at the end of the load step.
+        tie_value : (k,) array [length]
+            b at the end of the load step.
+        slipped : (m, d-1) array [length], optional
+            The slip of the load step so far, s = E_T du + slipped; without it the step has no friction.
         """
         tangential: dict[str, Any] = {}
         if slipped is not None:
@@ -297,7 +320,17 @@ class Snap:
 class LargeHistory(History):
     """The equilibria of a path; `times` are the load factors, which an arc length may take back and forth.
 
-    `limit_points` are those of arc length and displacement control, `snaps` the jumps of load control.
+    Parameters
+    ----------
+    solutions : sequence of LargeSolution
+    notes : iterable of str
+        What the path says about itself, such as where its steps have jumped.
+    limit_points : iterable of LimitPoint
+        Those of arc length and displacement control.
+    events : iterable of Event, optional
+        The changes of state; without them they are read off the solutions.
+    snaps : iterable of Snap
+        The jumps of load control.
     """
 
     time_label = "load factor"

@@ -18,7 +18,8 @@ from contactqp.analysis.large.active_kkt import negative_on, positive_semidefini
 from contactqp.analysis.large.constrained_newton import Balance, find_balance
 from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolution, LoadedBody, Snap
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
-from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.figures import contact_status
 from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
@@ -347,6 +348,7 @@ def balance_with_anchors(
 
     Parameters
     ----------
+    loaded : LoadedBody
     position, gap, touching : (m, d), (m,), (m,)
         At the start of the step.
     solve_with : function

@@ -137,6 +137,21 @@ class PathEquations:
         """Find the equilibrium near a guess, by Newton's method on the closed contacts; open contacts are not
         checked.
 
+        Parameters
+        ----------
+        u : (n,) array [length]
+            The guess.
+        t : float
+            The load factor of the guess.
+        forces : Forces
+            Those of contacts and ties in the guess; their curvature enters the first tangent.
+        closed : (m,) mask
+            The contacts whose gaps are zero.
+        control : Control
+            The last equation.
+        finished : bool
+            Whether the point is to have its `balance`, with the residuals of a step more.
+
         Raises
         ------
         NotConverged
@@ -173,6 +188,17 @@ class PathEquations:
     ) -> Direction:
         """Return the tangent of the path on a set of closed contacts, pointing to where row.v + row_t t' + ... is
         positive.
+
+        Parameters
+        ----------
+        point : PathPoint
+            Where the tangent is taken.
+        closed : (m,) mask
+            The contacts that stay closed.
+        row, row_t : (n,) array, float
+            The coefficients of the rates of displacement and load factor in the sum whose sign is chosen.
+        row_forces : (m,) array, optional
+            Those of the rates of normal forces, zero by default.
 
         Raises
         ------

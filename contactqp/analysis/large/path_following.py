@@ -45,7 +45,17 @@ class ByArc:
     radius: float
 
     def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
-        """Return the sphere about the start of the step."""
+        """Return the sphere about the start of the step.
+
+        Parameters
+        ----------
+        path : PathEquations
+        start : PathPoint
+        direction : Direction
+            Not used: the sphere does not depend on it.
+        part : float
+            The part of the radius that the step takes, after halvings.
+        """
         return Sphere(start.displacement, start.load_factor, path.scale, part * self.radius)
 
     def length(self, direction: Direction, part: float) -> float:  # noqa: ARG002
@@ -61,7 +71,18 @@ class ByUnknown:
     change: float  # from the start of the step
 
     def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
-        """Return the control that u_j is its value at the start plus a part of the change."""
+        """Return the control that u_j is its value at the start plus a part of the change.
+
+        Parameters
+        ----------
+        path : PathEquations
+            Not used.
+        start : PathPoint
+        direction : Direction
+            Not used.
+        part : float
+            The part of the change that the step takes, after halvings.
+        """
         return Unknown(self.place, start.displacement[self.place] + part * self.change)
 
     def length(self, direction: Direction, part: float) -> float:
@@ -318,6 +339,17 @@ class PathControl:
 
     def follow_unknown(self, start: Vector | LargeSolution, steps: int, place: int, wanted: float) -> LargeHistory:
         """Take a number of equal steps of one unknown to a value.
+
+        Parameters
+        ----------
+        start : (n,) array [length] or LargeSolution
+            Where the path begins, as a guess or as an equilibrium.
+        steps : int
+            How many.
+        place : int
+            The number of the unknown, counted from 0.
+        wanted : float [length]
+            Its value at the end.
 
         Raises
         ------

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import Energies, Event, History, LazySolutions, contact_changes
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
-from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.figures import contact_status
 from contactqp.errors import Unsupported, counted
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Mask, Vector

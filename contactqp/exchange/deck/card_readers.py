@@ -95,7 +95,7 @@ def read_set(model: DeckModel, card: Card) -> None:
     name = card.parameter(card.keyword.name)
     if card.keyword.name == "NSET" and card.has("ELSET"):
         card.refuse_lines()
-        chosen = find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
+        chosen = _find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
         inside = [one.nodes[np.isin(one.labels, chosen)].ravel() for one in model.elements]
         return extend(sets, name, np.concatenate([NONE, *inside]))
     found = [NONE]
@@ -103,18 +103,18 @@ def read_set(model: DeckModel, card: Card) -> None:
         if card.has("GENERATE"):
             found.append(card.generated(line))
         else:
-            found.extend(members(sets, card, line, word) for word in words if word)
+            found.extend(_members(sets, card, line, word) for word in words if word)
     return extend(sets, name, np.concatenate(found))
 
 
-def members(sets: dict[str, Index], card: Card, line: Line, word: str) -> Index:
+def _members(sets: dict[str, Index], card: Card, line: Line, word: str) -> Index:
     """Return a label, or the members of a set."""
     if is_label(word):
         return np.array([int(word)], dtype=np.int64)
-    return find(sets, card, line, word, "label or set")
+    return _find(sets, card, line, word, "label or set")
 
 
-def find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> T:
+def _find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> T:
     """Return what is called so in a deck, or refuse the line, with the nearest name.
 
     Raises
@@ -144,7 +144,7 @@ def read_surface(model: DeckModel, card: Card) -> None:
         for line, words in card.table("labels of nodes or sets"):
             if len(words) > 1 and words[1]:
                 raise card.wrong("a node or a set a line, without areas", repr(line.text[:40]), line)
-            nodes.append(members(model.node_sets, card, line, words[0]))
+            nodes.append(_members(model.node_sets, card, line, words[0]))
         model.surfaces[name] = DeckSurface(name, None, np.unique(np.concatenate(nodes)), card.head.place)
         return
     elements, numbers = [NONE], [NONE]
@@ -152,7 +152,7 @@ def read_surface(model: DeckModel, card: Card) -> None:
         face = re.fullmatch(r"S([1-6])", words[1]) if len(words) == 2 else None
         if face is None:
             raise card.wrong("an element or a set, and a face S1, S2, ...", repr(line.text[:40]), line)
-        chosen = members(model.element_sets, card, line, words[0])
+        chosen = _members(model.element_sets, card, line, words[0])
         elements.append(chosen)
         numbers.append(np.full(len(chosen), int(face[1])))
     pairs = np.unique(np.stack([np.concatenate(elements), np.concatenate(numbers)], axis=1), axis=0)
@@ -199,7 +199,7 @@ def _material(model: DeckModel, card: Card) -> DeckMaterial:
 
 def read_section(model: DeckModel, card: Card) -> None:
     """Give a material to elements, with the thickness of plane ones or the area of trusses."""
-    elements = find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
+    elements = _find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
     name = card.parameter("MATERIAL")
     if len(card.lines) > 1:
         raise card.wrong("at most one line of data, a thickness", f"{len(card.lines)} lines")
@@ -213,7 +213,7 @@ def read_section(model: DeckModel, card: Card) -> None:
 
 def read_spring(model: DeckModel, card: Card) -> None:
     """Give a stiffness to springs; the empty line that both programs expect before it has been left out."""
-    elements = find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
+    elements = _find(model.element_sets, card, card.head, card.parameter("ELSET"), "set of elements")
     line = card.only_line("an empty line, then the stiffness of SPRINGA")
     stiffness = card.real(line, 0, "the stiffness of the springs")
     if not stiffness > 0:
@@ -250,15 +250,21 @@ def factor(amplitudes: Amplitudes, card: Card, end: float) -> float:
     """Return what a load of this card is multiplied by at the end of the step."""
     if not card.has("AMPLITUDE"):
         return 1.0
-    times, values = find(amplitudes, card, card.head, card.parameter("AMPLITUDE"), "amplitude")
+    times, values = _find(amplitudes, card, card.head, card.parameter("AMPLITUDE"), "amplitude")
     return float(np.interp(end, times, values))
 
 
 def read_boundary(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
-    """Read displacements: nodes, a first and a last direction, a value; or nodes and a word such as ENCASTRE."""
+    """Read displacements: nodes, a first and a last direction, a value; or nodes and a word such as ENCASTRE.
+
+    Parameters
+    ----------
+    model, loading, card : DeckModel with the sets of nodes, Loading that takes the supports, Card
+    scale : float, by which all values are multiplied: that of an amplitude at the end of the step
+    """
     rotations = 0
     for line, words in card.table("nodes, a first and a last direction, a displacement"):
-        nodes = members(model.node_sets, card, line, words[0])
+        nodes = _members(model.node_sets, card, line, words[0])
         if len(words) == 2 and words[1] in HELD:
             loading.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in HELD[words[1]])
             continue
@@ -287,22 +293,32 @@ def _direction(card: Card, line: Line, word: str) -> int:
 
 
 def read_forces(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
-    """Read forces: nodes, a direction, a value; forces on one node add up."""
+    """Read forces: nodes, a direction, a value; forces on one node add up.
+
+    Parameters
+    ----------
+    model, loading, card, scale : as in `read_boundary`; `loading` takes the forces
+    """
     for line, words in card.table("nodes, a direction, a force"):
         if len(words) != 3 or words[1] not in ("1", "2", "3"):
             raise card.wrong("nodes, a direction 1, 2 or 3, a force", repr(line.text[:40]), line)
-        nodes = members(model.node_sets, card, line, words[0])
+        nodes = _members(model.node_sets, card, line, words[0])
         value = scale * card.real(line, 2, "a force")
         loading.forces.append(AtNodes(nodes, int(words[1]) - 1, value, line.place))
 
 
 def read_distributed(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
-    """Read pressures ``elements, P1, value`` and weights ``elements, GRAV, g, nx, ny, nz``."""
+    """Read pressures ``elements, P1, value`` and weights ``elements, GRAV, g, nx, ny, nz``.
+
+    Parameters
+    ----------
+    model, loading, card, scale : as in `read_boundary`; `loading` takes pressures and accelerations
+    """
     for line, words in card.table("elements, P1 or GRAV, a value"):
         if len(words) < 3:
             raise card.wrong("elements, P1 or GRAV, a value", repr(line.text[:40]), line)
         if words[0] or words[1] != "GRAV":
-            elements = members(model.element_sets, card, line, words[0])
+            elements = _members(model.element_sets, card, line, words[0])
         else:  # gravity of everything, which CalculiX does not know
             elements = np.concatenate([NONE, *(one.labels for one in model.elements if one.type != "SPRINGA")])
         face = re.fullmatch(r"P([1-6])", words[1])
@@ -331,11 +347,16 @@ def _direction_of_gravity(card: Card, line: Line, words: list[str]) -> Vector:
 
 
 def read_surface_load(model: DeckModel, loading: Loading, card: Card, scale: float) -> None:
-    """Read pressures on surfaces: ``surface, P, value``."""
+    """Read pressures on surfaces: ``surface, P, value``.
+
+    Parameters
+    ----------
+    model, loading, card, scale : as in `read_boundary`; `loading` takes the pressures
+    """
     for line, words in card.table("a surface, P, a pressure"):
         if len(words) != 3 or words[1] != "P":
             raise card.wrong("a surface, P, a pressure", repr(line.text[:40]), line)
-        surface = find(model.surfaces, card, line, words[0], "surface")
+        surface = _find(model.surfaces, card, line, words[0], "surface")
         if surface.faces is None:
             raise card.wrong("a surface of faces", f"{surface.name}, of nodes", line)
         value = scale * card.real(line, 2, "a pressure")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from contactqp.certificate.certificate import contact_status as status_of_one
+from contactqp.certificate.figures import contact_status as status_of_one
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks

@@ -174,7 +174,17 @@ class Scheme(ABC):
 
     @abstractmethod
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
-        """Return the next problem of the step from `state`; `answers` are the results of its earlier problems."""
+        """Return the next problem of the step from `state`; `answers` are the results of its earlier problems.
+
+        Parameters
+        ----------
+        state : State
+            The motion at the start of the step.
+        load, next_load : (n,) arrays [force]
+            f at the start and at the end of the step.
+        answers : tuple of StepResult
+            The results of the step's earlier problems; empty for its first one.
+        """
 
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         """Return the state at the end of the step: by default the last problem's, with v+ = (u+ - u) / h."""
