@@ -466,8 +466,13 @@ def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, 
     return PresolvedRun(fewer, problem, method, settings, run)
 
 
+def has_sparse_systems(method: Method) -> bool:
+    """Return whether a method is shown sparse systems, instead of a dense one, where contacts are too many for that."""
+    return method.sparse and method.kind in (CONDENSES_ITSELF, "quadratic program", "modelling language")
+
+
 def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense: bool | str) -> bool:
-    if method.kind not in (CONDENSES_ITSELF, "quadratic program", "modelling language") or not method.sparse:
+    if not has_sparse_systems(method):
         return False
     if condense == "auto":
         return systems is Systems.SPARSE

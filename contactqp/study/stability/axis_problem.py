@@ -250,9 +250,6 @@ class Axis:
     labels: tuple[str, ...] = ()  # of the values, where they are no numbers
     # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.
     knobs: Mapping[str, str] = field(default_factory=dict)
-    # The largest value that is tried, and why: beyond it the study would take too long.
-    largest: float = float("inf")
-    why_largest: str = ""
 
     def label(self, value: float) -> str:
         """Return the value in words."""

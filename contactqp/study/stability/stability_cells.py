@@ -16,6 +16,7 @@ from contactqp.certificate.uniqueness import FORCES, SEVERAL
 from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
+from contactqp.solving.solve import has_sparse_systems
 from contactqp.study import rows as report_rows
 from contactqp.study.comparison import answer
 from contactqp.study.rows import Row, as_dicts, column, columns_of, finite
@@ -75,7 +76,10 @@ VERDICTS: Mapping[str, str] = {
         "the certificate passes, the true error is above 1e-6, and the certificate says so itself: its force bound "
         "is as large, or it says that single forces cannot be told apart, or that there are other equilibria"
     ),
-    CUT_OFF: "not tried: at this size the method takes longer than the study allows; the message says how large",
+    CUT_OFF: (
+        "not tried: dense matrices of this method would take more memory than the study allows; the message says how "
+        "much"
+    ),
 }
 # All digits of a double.
 ALL_DIGITS = -math.log10(UNIT_ROUNDOFF)
@@ -178,6 +182,8 @@ def to_csv(rows: Iterable[StabilityRow]) -> str:
 
 # β and κ beside the contact stiffness where the axis is not theirs: a modelling error of 1e-6.
 STIFFENING = 1e6
+# Bytes of a dense matrix of all contacts beyond which methods that make some are cut off: a process stays below 2 GB.
+LARGEST_MATRIX = 2e8
 # Seconds for methods that can stop; nearly all cells take milliseconds.
 PATIENCE = 5.0
 
@@ -261,10 +267,9 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
     """
     swept, [chosen] = find_axis(axis), chosen_methods([method])
     columns = _cell_columns(swept, value, chosen, variant)
-    if chosen.installed and value > swept.largest:
-        message = f"tried up to {swept.largest:.6g} {swept.quantity}: {swept.why_largest}"
-        return StabilityRow(**columns, verdict=CUT_OFF, message=message)
     posed = _axis_problem(axis, value)
+    if chosen.installed and (message := too_large(posed.problem.contacts, chosen)):
+        return StabilityRow(**columns, **_problem_columns(posed), verdict=CUT_OFF, message=message)
     setting = _setting(posed, swept, value, chosen, variant)
     solutions: list[Solution] = []
     with warnings.catch_warnings():
@@ -278,6 +283,18 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
         **_attempt_columns(found, posed, solutions),
         **_prediction_columns(prediction),
     )
+
+
+def too_large(contacts: int, method: Method) -> str:
+    """Return why a method is not tried on so many contacts; empty where it is.
+
+    Methods that condense onto all contacts hold several dense matrices of them at a time; the others work on sparse
+    systems there.
+    """
+    size = 8 * contacts**2
+    if has_sparse_systems(method) or size <= LARGEST_MATRIX:
+        return ""
+    return f"a dense matrix of {contacts} contacts takes {size / 1e9:.3g} GB, and this method makes several of them"
 
 
 @lru_cache(maxsize=4)

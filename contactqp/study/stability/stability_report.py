@@ -147,7 +147,8 @@ def _others(axis: Axis, rows: Sequence[StabilityRow]) -> Iterator[str]:
         if values:
             where = axis.label(values[0]) if len(values) == 1 else f"{len(values)} values, "
             where += "" if len(values) == 1 else f"{axis.label(values[0])} to {axis.label(values[-1])}"
-            yield f"{ending} at {where}"
+            why = next((f" ({row.message})" for row in rows if row.verdict == ending == CUT_OFF), "")
+            yield f"{ending} at {where}{why}"
 
 
 SCHEMA, SCHEMA_VERSION = "contactqp-stability", 1
@@ -308,6 +309,8 @@ def reason_of(message: str) -> str:
     return words[1] if len(words) > 1 else words[0]
 
 
+# Seconds for one cell, at most: few take one, and methods that cannot be told a time limit must not hold up the study.
+LONGEST_CELL = 90.0
 REPORT = "index.html"
 JOURNAL = "unfinished_stability.jsonl"
 # By default the study runs in this process, which has the methods that its user registered.
@@ -403,12 +406,13 @@ def run_study(
     journal : Journal
     bar : Progress
     time_limit : float
-        Limit for each cell [s].
+        Limit for each cell [s], at most `LONGEST_CELL`.
     """
     todo = list(cells(axes, methods))
     bar.part("stability", later=lambda: 0.0)
     with workers.side_by_side() as pool:
-        found = run_cells([runnable(cell) for cell in todo], pool, journal, watcher=bar, time_limit=time_limit)
+        limit = min(time_limit, LONGEST_CELL)
+        found = run_cells([runnable(cell) for cell in todo], pool, journal, watcher=bar, time_limit=limit)
     return tuple(row_of(cell, found[cell.key]) for cell in todo)
 
 
