@@ -41,7 +41,19 @@ class SeparateGram:
 
 
 class SharedGram:
-    """The Gram matrix of any rows, factorised on every rank. Making it and solving is collective."""
+    """The Gram matrix of any rows, factorised on every rank. Making it and solving is collective.
+
+    Parameters
+    ----------
+    ranks : Ranks
+        The processes.
+    touched : (c,) array of int
+        The numbers of the unknowns that this rank's rows touch, as counted over all ranks.
+    entries : (q, c) CSR
+        This rank's rows over these unknowns.
+    compliance : (c,) array
+        The weights of these unknowns in the Gram matrix.
+    """
 
     def __init__(self, ranks: Ranks, touched: Index, entries: sp.csr_matrix, compliance: Vector) -> None:
         self._ranks = ranks
@@ -273,7 +285,13 @@ class DistributedIteration(ContactIteration):
     def gmres(
         self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
     ) -> tuple[Vector, int]:
-        """Solve A x = right by PETSc's GMRES, until |right - A x| <= reduction |right| or for so many steps."""
+        """Solve A x = right by PETSc's GMRES; arguments are as in `ContactIteration.gmres`.
+
+        Parameters
+        ----------
+        operator, right, reduction, most
+            The vectors are this rank's parts.
+        """
         PETSc, like = petsc(), self._problem.stiffness
         matrix = PETSc.Mat().createPython(like.getSizes(), _Operator(operator), comm=like.comm)
         matrix.setUp()

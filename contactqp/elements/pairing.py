@@ -32,9 +32,18 @@ CURE = "the normal of an obstacle points out of it, to where the body is"
 
 
 def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> str:
-    """Return in words that a contact starts deep inside of what is called so; empty where it does not.
+    """Return in words that a contact starts deep inside of something; empty where it does not.
 
-    `size` [length] is that of the body: its longest side, and in axial symmetry its diameter where that is longer.
+    Parameters
+    ----------
+    depth : float [length]
+        How deep it starts; negative outside.
+    size : float [length]
+        That of the body: its longest side, and in axial symmetry its diameter where that is longer.
+    called : str
+        What the contact starts in.
+    unit : str
+        Of the length, for the text.
     """
     if not depth > DEEP * size > 0:
         return ""
@@ -222,7 +231,13 @@ def pair(
 def paired(
     points: ArrayLike | Surface, obstacle: Obstacle, unknowns: ArrayLike | None = None, dimension: int | None = None
 ) -> Pairing:
-    """Return the pairing of `pair`, wherever the points start."""
+    """Return the pairing of `pair`, without its warnings.
+
+    Parameters
+    ----------
+    points, obstacle, unknowns, dimension
+        As in `pair`.
+    """
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle)

@@ -287,7 +287,23 @@ class Condensation:
     def correction(
         self, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector
     ) -> tuple[Vector, Vector, Vector]:
-        """Solve the full saddle-point system once with the condensed factors, in double precision."""
+        """Solve the full saddle-point system once with the condensed factors, in double precision.
+
+        Parameters
+        ----------
+        saddle : SaddlePoint
+            That of the condensed system with q closed contacts.
+        residual : (n,) array [force]
+        gap : (q,) array [length]
+            Of the closed contacts.
+        open_tie : (k,) array [length]
+            What the ties miss; empty where the saddle point is without ties.
+
+        Returns
+        -------
+        du, dl, dnu : (n,), (q,), (k,) arrays
+            Changes of displacement, contact forces and tie forces.
+        """
         reduced, inner = self.reduce_residual(residual)
         dx, dl, dn = saddle.solve(reduced, gap, open_tie)
         return self.expand(dx, inner), dl, dn

@@ -137,7 +137,19 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
-        """Return conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
+        """Return conjugate gradients on the displacements that keep some rows.
+
+        Parameters
+        ----------
+        x : (n,) array [length]
+            The displacement so far, changed in place.
+        residual : (n,) array [force]
+            What it leaves out of balance, changed in place.
+        rows : (q,) array of int
+            The rows that are kept, counted over contacts, then ties.
+        held : ConstrainedRows
+            The projection onto what keeps them.
+        """
 
     @abstractmethod
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
@@ -174,9 +186,21 @@ class ContactIteration(ABC):
     def gmres(
         self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
     ) -> tuple[Vector, int]:
-        """Solve A x = right, A a function, until |right - A x| <= reduction |right| or for so many steps.
+        """Solve A x = right by GMRES, until |right - A x| <= reduction |right| or for so many steps.
 
-        Returns x and the number of steps.
+        Parameters
+        ----------
+        operator : function of an (n,) array
+            Returns A x.
+        right : (n,) array
+        reduction : float
+        most : int
+            The largest number of steps.
+
+        Returns
+        -------
+        x : (n,) array
+        steps : int
         """
 
     def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:

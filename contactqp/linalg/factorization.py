@@ -313,6 +313,7 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
 
     Parameters
     ----------
+    matrix : (n, n) sparse array, K
     retained : (p,) array of int
     elimination : contactqp.linalg.schur.Elimination
         Of the interior.

@@ -97,7 +97,18 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
 
         minimise  (K u - f)' v    subject to    E v <= (g - E u) / d,    A v = (b - A u) / d,    |v_j| <= FARTHEST
 
-    whose multipliers are the forces; contacts without one only touch, and may open.
+    whose multipliers are the forces; contacts without one only touch, and may open. None is returned where there are no
+    contacts or the linear program has no solution.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Equilibrated.
+    answer : ExtendedAnswer
+    length : float [length]
+        d.
+    effort : Effort
+        Counts factorisations and back-substitutions.
     """
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
@@ -254,6 +265,16 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
     steps along the central path come to from there; then those of the vertex near the answer. With `driven`, contacts
     close in addition where the load drives a motion that those of the point leave free.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Equilibrated.
+    answer : Answer
+    effort : Effort
+        Counts factorisations and back-substitutions.
+    driven : bool
+        Whether contacts may close before the first set has been corrected.
     """
     start = ExtendedAnswer.of(answer)
     state = nearest_state(problem, _closed_in(problem, answer), start, effort)
@@ -284,7 +305,13 @@ def _off(problem: ContactProblem, answer: Answer) -> float:
 
 
 def solved_from(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
-    """Return `settled` and `refined`, at a vertex where contacts conflict, with least forces where they press."""
+    """Return `settled` and `refined`, at a vertex where contacts conflict, with least forces where they press.
+
+    Parameters
+    ----------
+    problem, answer, effort, driven
+        As in `settled`.
+    """
     state = without_conflict(refined(settled(problem, answer, effort, driven), effort), effort)
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     acting = max(acting, float(np.max(problem.load_size, initial=0.0)))

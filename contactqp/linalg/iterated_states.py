@@ -97,7 +97,18 @@ def combination_of(
 
 
 def turning_stiffness(y: Array, bound: Vector, stiffness: Vector, slides: Mask) -> Vector:
-    """Return C (m,) of contacts that slide with trial forces y (m, d-1), zero for the others [force / length]."""
+    """Return C (m,) [force / length], by which friction resists that the slip turns; zero where contacts do not slide.
+
+    Parameters
+    ----------
+    y : (m, d-1) array [force]
+        The trial forces.
+    bound : (m,) array [force]
+        The friction bounds.
+    stiffness : (m,) array [force / length]
+        rho_T, by which slips enter the trial forces.
+    slides : (m,) mask
+    """
     room = np.where(slides, lengths(y) - bound, 1.0)
     share = np.divide(bound, np.maximum(room, bound / STIFFEST), out=np.zeros_like(bound), where=slides)
     return np.asarray(stiffness * share)
@@ -318,7 +329,21 @@ class CombinationSystem:
         return x
 
     def enough(self, x: Vector, residual: Vector, tolerance: float, energy: float, floor: float = 0.0) -> bool:
-        """Return whether a residual is small at every unknown, and in energy small or below a floor."""
+        """Return whether a residual is small at every unknown, and in energy small or below a floor.
+
+        Parameters
+        ----------
+        x : (n,) array [length]
+            The displacement.
+        residual : (n,) array [force]
+            What it leaves out of balance.
+        tolerance : float
+            That of the certificate: at every unknown a part of it is left at most.
+        energy : float
+            The largest error in energy, relative to that of the displacement.
+        floor : float [energy]
+            The square of an error in energy that is small enough, whatever the displacement.
+        """
         if not self._small(x, residual, EQUILIBRIUM * tolerance):
             return False
         return self.error(residual) <= max(energy**2 * self._work(x), floor)

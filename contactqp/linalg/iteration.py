@@ -337,7 +337,12 @@ class Iteration(ContactIteration):
     def gmres(
         self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
     ) -> tuple[Vector, int]:
-        """Solve A x = right by SciPy's GMRES, until |right - A x| <= reduction |right| or for so many steps."""
+        """Solve A x = right by SciPy's GMRES; arguments are as in `ContactIteration.gmres`.
+
+        Parameters
+        ----------
+        operator, right, reduction, most
+        """
         from scipy.sparse.linalg import LinearOperator, gmres
 
         steps, n = [0], len(right)
@@ -404,6 +409,12 @@ class Iteration(ContactIteration):
         residual -= self._near.T @ (x[self.touched] - away)
 
     def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
+        """Return conjugate gradients on the displacements that keep some rows; see `ContactIteration.run`.
+
+        Parameters
+        ----------
+        x, residual, rows, held
+        """
         return ConjugateGradients(self.product, self._hierarchy.cycle(rows), x, residual, held)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:

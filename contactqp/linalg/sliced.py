@@ -72,7 +72,18 @@ SLIGHT = 2.0**-48
 
 
 def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extended, change: Vector) -> Extended | None:
-    """Return K (u + du) of a displacement (n,) and its K u after a slight change (n,); None if it is not slight."""
+    """Return K (u + du) after a slight change of u; None if it is not slight.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    displacement : (n,) array [length]
+        u.
+    elastic : Extended (n,)
+        K u [force].
+    change : (n,) array [length]
+        du.
+    """
     sizes = problem.stiffness_sizes
     if not (sizes @ abs(change) <= SLIGHT * (sizes @ abs(displacement))).all():
         return None

@@ -243,9 +243,7 @@ class ClosedState:
     closed : (m,) array of bool
         The contacts that are held.
     answer : ExtendedAnswer
-        Displacement and forces.
     left : Residuals
-        The residuals of equilibrium, gaps and ties.
     force, length : float
         The largest force that meets at an unknown, the largest length.
     force_residual, length_residual : float
@@ -273,7 +271,13 @@ class ClosedState:
 
     @classmethod
     def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer, plain: bool = False) -> ClosedState:
-        """Return the state of an answer, its forces on open contacts left out; with `plain` residuals in doubles."""
+        """Return the state of an answer, its forces on open contacts left out.
+
+        Parameters
+        ----------
+        problem, closed, answer : ContactProblem, (m,) mask, ExtendedAnswer
+        plain : bool, whether residuals are formed in doubles
+        """
         force = answer.normal_force
         force = Extended(np.where(closed, force.hi, 0.0), np.where(closed, force.lo, 0.0))
         answer = ExtendedAnswer(answer.displacement, force, answer.tie_force)
@@ -349,7 +353,12 @@ def _part(value: float, size: float) -> float:
 
 
 def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
-    """Return the answer with these contacts closed that is nearest to a start; `solved` says whether there is one."""
+    """Return the answer with these contacts closed that is nearest to a start; `solved` says whether there is one.
+
+    Parameters
+    ----------
+    problem, closed, start, effort : ContactProblem, (m,) mask, ExtendedAnswer, Effort
+    """
     state = ClosedState.started(problem, closed, start)
     for regularisation in REGULARISATIONS:
         try:
@@ -408,7 +417,12 @@ def nearest_state(
 
     Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
     long as that makes them fewer. Where that leaves a motion which nothing resists and the load drives, contacts close
-    in the order in which it reaches them; with `driven` also where the first set of contacts leaves one.
+    in the order in which it reaches them.
+
+    Parameters
+    ----------
+    problem, closed, start, effort : as in `solved_on`
+    driven : bool, whether contacts close likewise where the first set of contacts leaves such a motion
     """
     state = solved_on(problem, closed, start, effort)
     if driven and not state.solved and state.force_residual <= NEARLY_BALANCED:

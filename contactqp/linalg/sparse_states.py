@@ -167,7 +167,15 @@ class StateSystem(ABC):
         return bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """Return du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts and dnu (k,) from residuals of the problem."""
+        """Return du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts and dnu (k,) from residuals of the problem.
+
+        Parameters
+        ----------
+        load : (n,) array [force]
+            What is out of balance.
+        gap, slip, tie : (m,), (m,), (k,) arrays [length]
+            What gaps, slips and ties miss.
+        """
         rows = self._rows
         lengths = (gap / rows.normal_length, slip / rows.tangent_length, tie / rows.tie_length)
         moved, pushing, sticking, tied = self._solve(load * rows.scale, *lengths)
@@ -213,7 +221,13 @@ class SparseStateSystem(StateSystem):
         return self._factor(right)
 
     def right(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Vector:
-        """Return the right-hand side of the system (p,)."""
+        """Return the right-hand side of the system (p,), in its scaled units.
+
+        Parameters
+        ----------
+        load, gap, slip, tie : (n,), (m,), (m,), (k,) arrays
+            What is out of balance, and what gaps, slips and ties miss; of gaps and slips those enter that are held.
+        """
         return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
 
     def places(self) -> tuple[Indices, Indices]:
@@ -322,6 +336,17 @@ def _largest(parts: _Parts) -> float:
 
 def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweeps: int = MAX_SWEEPS) -> RefinedState:
     """Refine the answer of a combination from a start, in extended precision.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        In the plane, with friction.
+    status : (m,) array of int
+        The combination.
+    start : Answer
+        Where refinement begins.
+    sweeps : int
+        At most so many corrections.
 
     Raises
     ------

@@ -352,6 +352,9 @@ def assert_multipliers(
 
     Parameters
     ----------
+    problem : ContactProblem or GalleryProblem
+    normal_force, friction_force, tie_force, compression, pressure_area, contact_map
+        As in `contactqp.certify`.
     rtol : float
         Each force is within rtol times the largest contact or tie force (of the load, where all of those vanish); a
         multiplier counts by the largest force that it puts on an unknown, max_j |E_ij| |l_i|.

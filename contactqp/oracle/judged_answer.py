@@ -134,6 +134,7 @@ def certify(
 
     Parameters
     ----------
+    problem : ContactProblem
     displacement : (n,) array [length] or Solution, optional
         Longer, if `dof_map` says where each unknown stands. A solution brings its own forces.
     normal_force : (m,) array [force], optional

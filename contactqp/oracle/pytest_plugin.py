@@ -36,7 +36,13 @@ class ContactOracle:
     def problems(
         self, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
     ) -> list[GalleryProblem]:
-        """Return problems of the gallery, as `contactqp.testing.problems` does."""
+        """Return problems of the gallery, as `contactqp.testing.problems` does.
+
+        Parameters
+        ----------
+        kind, difficulty, count, seed
+            As there.
+        """
         from contactqp.oracle.gallery.gallery import problems
 
         return problems(kind, difficulty, count, seed)

@@ -444,7 +444,19 @@ def read_knobs(
 ) -> dict[str, Knob]:
     """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method.
 
-    With `bare` a stiffness may be a number without a unit, as problems of matrices have them.
+    Parameters
+    ----------
+    penalty, perturbation : str or None
+        A number with a unit of force / length.
+    options : iterable of str
+        Each of the form key=value.
+    bare : bool
+        Whether a stiffness may be a number without a unit, as problems of matrices have them.
+
+    Raises
+    ------
+    SceneError
+        A stiffness or an option of another form.
     """
     knobs: dict[str, Knob] = {}
     for name, text in (("penalty", penalty), ("perturbation", perturbation)):

@@ -42,6 +42,16 @@ class CaseAnswers:
 def solve_cases(scene: SceneData, file: str, method: str, knobs: Mapping[str, Knob]) -> CaseAnswers:
     """Solve a scene under each load case of a table, in the scene's units; what it does not state is the scene's own.
 
+    Parameters
+    ----------
+    scene : Scene
+    file : str
+        The table, whose columns are named as `read_case_rows` says.
+    method : str
+        A name of `contactqp.methods()`.
+    knobs : mapping
+        Options of the method by name, stiffnesses with their units.
+
     Raises
     ------
     Unsupported

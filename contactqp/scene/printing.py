@@ -316,7 +316,17 @@ def print_failure(console: Console, failure: Failure) -> None:
 
 
 def print_events(console: Console, history: History, when: str, verbose: bool = True) -> None:
-    """Print events and limit points; of many, unless `verbose`, those of one kind at one time in one row."""
+    """Print events and limit points; of many, unless `verbose`, those of one kind at one time in one row.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    history : History
+    when : str
+        The head of the column of times.
+    verbose : bool
+        Whether every event has a row.
+    """
     few = len(history.events) if verbose else FEW_EVENTS
     told = events_together(history.events, history[-1].problem.contact_name, few)
     rows = [[kind, names, written(time)] for kind, names, time, _ in told]

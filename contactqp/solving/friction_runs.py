@@ -111,6 +111,13 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
     """Return the answer moved to its least norm along free motions, where contacts that do not push leave room.
 
     Removing a motion leaves its rounding behind, which refinement removes.
+
+    Parameters
+    ----------
+    problem, condensation : ContactProblem, Condensation
+    answer : Answer
+    free : (n, q) array
+        An orthonormal basis of the free motions; q may be 0.
     """
     if not free.shape[1]:
         return answer
@@ -293,11 +300,16 @@ TRESCA_AT_ONCE = replace(ALGORITHMS["tresca"], on_bodies=partial(tresca_on_bodie
 
 
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
-    """Find an answer by `algorithm`. None stands, on bodies that are iterated on, for Tresca's and Newton's method by
-    iteration; else, in the plane, Newton's method in sparse systems where contacts are many, else
-    from `settings.warm_start` if there is one, then Tresca's fixed point, then the algorithms of the local form, then
-    enumeration where contacts are few; in space the algorithms of the local form, by steps of `method` where that is
-    not the default.
+    """Find an answer with Coulomb friction, by one algorithm or by one after another until one succeeds.
+
+    Parameters
+    ----------
+    problem, method, settings : ContactProblem, Method, Settings
+    algorithm : str or None
+        None stands, on bodies that are iterated on, for Tresca's and Newton's method by iteration; else, in the plane,
+        Newton's method in sparse systems where contacts are many, else from `settings.warm_start` if there is one, then
+        Tresca's fixed point, then the algorithms of the local form, then enumeration where contacts are few; in space
+        the algorithms of the local form, by steps of `method` where that is not the default.
 
     Raises
     ------

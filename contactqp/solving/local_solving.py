@@ -63,7 +63,16 @@ def solve_local(
     algorithm: str | None = None,
     **options: Any,
 ) -> LocalSolution:
-    """Solve a frictional problem in local form for forces and velocities; arguments are those of `contactqp.solve`.
+    """Solve a frictional problem in local form for forces and velocities.
+
+    Parameters
+    ----------
+    problem : LocalProblem
+    method, tolerance, polish, time_limit, max_iter, algorithm, **options
+        As in `contactqp.solve`; a `method` other than the default one takes the convex steps of "aclm" unless an
+        `algorithm` is named.
+    warm_start : LocalSolution, optional
+        Of a problem with the same numbers of contacts and joints.
 
     Raises
     ------
@@ -76,7 +85,7 @@ def solve_local(
     NotCertified
         The algorithm was not to be polished, and its answer does not pass.
     BackendMissing, BackendFailed, Unsupported, InvalidProblem
-        Of the convex method; an argument is wrong.
+        The convex method is missing, fails or cannot do this; or an argument is wrong.
     """
     refuse_arguments(tolerance, "auto", polish, time_limit, max_iter)
     if algorithm is None and method != DEFAULT_METHOD:

@@ -235,6 +235,18 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
 class PresolvedRun(Run):
     """A run on the kept rows whose answer is one on all rows.
 
+    Parameters
+    ----------
+    fewer : Presolved
+        The problem of the kept rows.
+    problem : ContactProblem
+        That of all rows.
+    method : Method
+    settings : Settings
+        Its `warm_start` is one on all rows.
+    begin : function of a problem and settings
+        Makes the run on the kept rows.
+
     Raises
     ------
     NoEquilibrium, NotConverged, BackendFailed, Unsupported
@@ -307,10 +319,20 @@ def solve_among(
     solve: Callable[[ContactProblem, Solution | None], Solution],
     without_friction: WithoutFriction,
 ) -> Solution | None:
-    """Solve a problem by `solve(problem of the candidates, start)`, and certify the answer with all contacts.
+    """Solve a problem with candidate contacts alone, and certify the answer with all contacts.
 
     Returns None where all contacts are few enough, or no candidates are found. Where the candidates cannot hold the
-    bodies, all contacts are taken at once. `without_friction` returns normal forces (m,) and what they have cost.
+    bodies, all contacts are taken at once.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    start : Solution or None
+        Where to start from, of all contacts.
+    solve : function of a problem of the candidates and a start
+        Returns its solution.
+    without_friction : function of a problem
+        Returns normal forces (m,) of the problem without friction and what they have cost.
     """
     started = time.perf_counter()
     candidates, spent = _first(problem, start, without_friction)

@@ -228,6 +228,11 @@ CONDENSES_ITSELF = "active set"
 class CondensedRun(Run):
     """The method on the contact unknowns alone, or on all where condensing is not wanted or makes nothing smaller.
 
+    Parameters
+    ----------
+    problem, method, settings : ContactProblem, Method, Settings
+    condense : bool or "auto", as in `solve`
+
     Raises
     ------
     NoEquilibrium, NotConverged, BackendFailed, Unsupported
@@ -459,6 +464,10 @@ class RunByIteration(Run):
 
 class IteratedRun(RunByIteration):
     """The active set by conjugate gradients on a body too large to factorise, as accurate as the certificate asks.
+
+    Parameters
+    ----------
+    problem, method, settings, condense : as in `CondensedRun`; `condense` True is refused
 
     Raises
     ------

@@ -174,6 +174,15 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scal
     """Return the figure of geometry, deformed shape and contact forces; large displacements are true to scale.
 
     `scale` magnifies displacements; by default it is chosen, and membranes have their own.
+
+    Parameters
+    ----------
+    scene : SceneData
+    solution : Solution
+        Of the scene's problem.
+    title : str
+    scale : float, optional
+        By how much displacements are magnified.
     """
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)

@@ -178,6 +178,17 @@ def load_studies(
 
     With `brief` the settings are those of `brief_settings`, whatever tolerances and ladders are asked for.
 
+    Parameters
+    ----------
+    files : iterable of paths
+        Case files, decks and the like.
+    methods : sequence of Method
+        Those to be tried, where a case does not limit them.
+    tolerances : sequence of float
+        For methods that take one.
+    brief : bool
+        Whether each method has few settings.
+
     Raises
     ------
     SceneError, InvalidProblem

@@ -38,6 +38,16 @@ ROUNDING = 1e-11
 def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions, verdict: Verdict) -> None:
     """Write the receipt of a verdict; paths in it are relative to its own folder.
 
+    Parameters
+    ----------
+    file : str
+        The receipt.
+    problem, candidate : str
+        The files that were judged.
+    options : CheckOptions
+        The options of the check, with the files that they name.
+    verdict : Verdict
+
     Raises
     ------
     InvalidProblem
@@ -70,6 +80,11 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
 
 def receipt_path(file: str, problem: str, candidate: str, options: CheckOptions) -> Path:
     """Return the file of a receipt, if one can be written there.
+
+    Parameters
+    ----------
+    file, problem, candidate, options
+        As in `write_receipt`.
 
     Raises
     ------
@@ -107,6 +122,15 @@ def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -
     """Return the SHA-256 of everything that a verdict rests on, by its path beside the receipt.
 
     Of a folder of matrices, and of a problem.json, those are all files of the folder, but for the receipt itself.
+
+    Parameters
+    ----------
+    receipt : Path
+        The receipt, absolute.
+    problem, candidate : str
+        The files that are judged.
+    options : CheckOptions
+        The options of the check, with the files that they name.
     """
     named = [problem, candidate, *_meshes(problem), *options.files().values()]
     return {

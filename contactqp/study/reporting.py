@@ -76,6 +76,19 @@ def report(
 
     Without cases it is the brief report of the telling ones, or, in full, that of all in the folder ``cases``. With the
     results.json of an old report to `compare` with, what changed since then is printed at the end.
+
+    Parameters
+    ----------
+    cases : sequence of str
+        Case files and folders of them.
+    output : str
+        The folder of the report.
+    running : Running
+        Where and how the solves run.
+    full : bool
+        Whether all cases are taken where none is named.
+    compare : str, optional
+        The results.json of an old report.
     """
     old = None if compare is None else read_report(compare)
     try:

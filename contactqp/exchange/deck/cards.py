@@ -123,7 +123,15 @@ class Card:
         return self.lines[0]
 
     def real(self, line: Line, at: int, what: str, default: float | None = None) -> float:
-        """Return the finite number at a place of a line; `what` names it, `default` stands where it is blank."""
+        """Return the finite number at a place of a line.
+
+        Parameters
+        ----------
+        line : Line
+        at : int, counted from 0
+        what : str, a name of the number for messages
+        default : float, optional; without it a blank is refused
+        """
         words = line.words
         word = words[at] if at < len(words) else ""
         if not word:

@@ -363,7 +363,19 @@ def paragraph(
     wrong: Sequence[JudgedContact],
     why_not: str | None,
 ) -> str:
-    """Return the findings as one paragraph; without a cause the right values of the worst contact stand with them."""
+    """Return the findings as one paragraph; without a cause the right values of the worst contact stand with them.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    problem : ContactProblem
+    findings : tuple of Finding
+        In the order in which they are to be said.
+    wrong : sequence of JudgedContact
+        The worst first.
+    why_not : str or None
+        Why no right answer stands beside this one; None where one does.
+    """
     worst, others = (wrong[0] if wrong else None), len(wrong) - 1
     if certificate.passed:
         return "nothing is wrong with this answer"

@@ -36,12 +36,21 @@ Rooms = Callable[[RationalAnswer], list[fmpq]]
 class LooseRates:
     """All solutions of a singular system whose rooms, linear in the rates, are not negative.
 
+    Parameters
+    ----------
+    system : System
+        Of one combination, singular.
+    motion, forces : (n, 1), (r, 1) fmpq_mat
+        Rates of displacements and held forces that solve it.
+    rooms : Rooms
+        Returns from an answer the numbers that may not become negative.
+
     Attributes
     ----------
     empty : bool
-        Proven: none.
+        Whether there is none, which is proven.
     forces_known : bool
-        All of them have the same contact forces.
+        Whether all of them have the same contact forces.
     """
 
     def __init__(self, system: System, motion: fmpq_mat, forces: fmpq_mat, rooms: Rooms) -> None:

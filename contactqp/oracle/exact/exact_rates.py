@@ -44,6 +44,15 @@ class ExactDerivative:
 def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direction: Any) -> ExactDerivative:
     """Return the exact rates of a quantity of an exact answer; names as in `Solution.derivative`.
 
+    Parameters
+    ----------
+    answer : ExactSolution
+        Rational, of a problem's floats.
+    of, with_respect_to : str
+        Quantity and parameter.
+    direction : array in the shape of the parameter
+        The change of the parameter.
+
     Raises
     ------
     InvalidProblem

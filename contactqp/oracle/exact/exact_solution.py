@@ -296,7 +296,17 @@ def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> 
 
 
 def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], title: str) -> None:
-    """Print the tables of unknowns, contacts, ties and events of an exact answer, and what was proven of it."""
+    """Print the tables of unknowns, contacts, ties and events of an exact answer, and what was proven of it.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    answer : ExactSolution
+    ties : sequence of str
+        Names of the ties.
+    title : str
+        What the first line begins with.
+    """
     from rich.table import Table
 
     problem, length, force = answer.problem, answer.problem.units.length, answer.problem.units.force

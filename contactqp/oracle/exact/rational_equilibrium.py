@@ -335,8 +335,17 @@ def _corrected(data: RationalProblem, closed: tuple[int, ...], tried: set[tuple[
 def balanced(
     data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None, way: str = ""
 ) -> Settled | None:
-    """Return the proven equilibrium at a displacement, or at its neighbours by free motions; None where there is
-    none.
+    """Return the proven equilibrium at a displacement, or at its neighbours by free motions; None where there is none.
+
+    Parameters
+    ----------
+    data : RationalProblem
+    u : (n, 1) fmpq_mat
+        The displacement.
+    known : System and (r, 1) fmpq_mat, optional
+        A combination and its forces that balance the displacement, where they are known.
+    way : str
+        How the displacement was found; the result keeps it.
     """
     found = balance(data, u, known)
     if found is None:

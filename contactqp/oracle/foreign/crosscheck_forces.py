@@ -199,6 +199,16 @@ def reference_forces(
     """Return the forces (q, d) of the exact answer on the slave nodes of each pair, friction included [force].
 
     Where forces are not known node by node, they are those of the contacts along their normals.
+
+    Parameters
+    ----------
+    deck : Deck
+    pairs : list of PairNodes
+        The slave nodes of each contact pair.
+    enforcement : str
+        How the problem states the contact conditions, as `Deck.problem` takes it.
+    discretisation : str
+        Which contacts there are, as `Deck.problem` takes it.
     """
     contacts = deck.contacts(discretisation)
     solution = solve(deck.problem(enforcement, discretisation))

@@ -107,7 +107,17 @@ def _plain(value: Any) -> Any:
 def judged_contacts(
     problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
 ) -> tuple[JudgedContact, ...]:
-    """Return the wrong contacts of an answer that is refused, worst first."""
+    """Return the wrong contacts of an answer that is refused, worst first.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    certificate : Certificate
+        That of the answer.
+    right : Solution or None
+        Is set beside the answer, where there is one.
+    """
     names, table = _measures(problem, answer, certificate, right)
     largest = np.max(table, axis=0, initial=0.0)
     wrong = np.flatnonzero(largest > certificate.tolerance)

@@ -180,10 +180,17 @@ SIDES = 32
 
 
 def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied: bool) -> Answer | None:
-    """Return the known displacement with contact forces, and tie forces if `tied`, that obey the law; None without
-    friction.
+    """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
 
-    `residual` (n,) is f - K u less the tie forces that are known [force].
+    Parameters
+    ----------
+    problem : ContactProblem
+    known : Answer
+        Its displacement is kept; so are its tie forces unless `tied`.
+    residual : (n,) array [force]
+        f - K u less the tie forces that are known.
+    tied : bool
+        Whether the ties share in the residual.
     """
     slip = slips(problem, known.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:

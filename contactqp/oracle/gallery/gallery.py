@@ -129,6 +129,13 @@ def chosen_problems(
 ) -> list[GalleryProblem]:
     """Return the problems of the names, where there are some, else `problems` of the rest.
 
+    Parameters
+    ----------
+    names : sequence of str
+        May be empty.
+    kind, difficulty, count, seed
+        As in `problems`; at their defaults where there are names.
+
     Raises
     ------
     InvalidProblem

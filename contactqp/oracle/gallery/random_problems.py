@@ -74,9 +74,20 @@ class Springs:
 
 
 def lattice(springs: Springs, columns: int, rows: int, stiffness: Callable[[], int | Fraction], first: int = 0) -> None:
-    """Return springs between neighbours of a plane grid, also along diagonals, so that only rigid motions strain none.
+    """Add springs between neighbours of a plane grid, also along diagonals, so that only rigid motions strain none.
 
     Node (i, j) has the unknowns 2 a and 2 a + 1, x and z, a = first + j columns + i.
+
+    Parameters
+    ----------
+    springs : Springs
+        Takes them.
+    columns, rows : int
+        Numbers of nodes.
+    stiffness : function
+        Returns the stiffness of the next spring [force / length].
+    first : int
+        The number of node (0, 0).
     """
     for j in range(rows):
         for i in range(columns):

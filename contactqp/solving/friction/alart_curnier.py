@@ -40,7 +40,17 @@ ROUNDING = 1e-15
 
 
 def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING) -> Iterate:
-    """Return the best iterate that Newton's method reaches from a start; it is never worse than the start."""
+    """Return the best iterate that Newton's method reaches from a start; it is never worse than the start.
+
+    Parameters
+    ----------
+    form : LocalForm
+    start : Iterate
+    max_iter : int
+        The largest number of steps.
+    target : float
+        The error, in the scale of the form, at which it is done.
+    """
     best, regularisation = start, REGULARISATION[0]
     history = [start.error]
     for _ in range(max_iter):

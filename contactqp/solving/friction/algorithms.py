@@ -76,7 +76,13 @@ def _with_steps(
 def tresca_on_bodies(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
 ) -> FoundOnBodies:
-    """Return the answer of `solve_tresca`, whose arguments these are."""
+    """Return the answer of `solve_tresca`.
+
+    Parameters
+    ----------
+    problem, condensation, method, settings, at_once
+        As in `solve_tresca`.
+    """
     found = solve_tresca(problem, condensation, method, settings, at_once)
     return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
 

@@ -55,7 +55,17 @@ def relaxed_in_the_plane(problem: ContactProblem) -> ContactProblem:
 
 
 def recovered(problem: ContactProblem, displacement: Vector, force: Vector, tie_force: Vector) -> Answer:
-    """Return l_N and l_T from the forces of `relaxed_in_the_plane`."""
+    """Return the answer, with l_N and l_T, from the forces of `relaxed_in_the_plane`.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        In the plane, with friction.
+    displacement : (n,) array [length]
+    force : (m + q,) array [force]
+        Those on both edges of the cones, of q contacts with friction after the first of all.
+    tie_force : (k,) array [force]
+    """
     mu, _, frictional = _coulomb_data(problem)
     one, other = force[: problem.contacts], np.zeros(problem.contacts)
     other[frictional] = force[problem.contacts :]

@@ -51,6 +51,19 @@ class FrictionNewton:
     Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
     Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then. Everything is
     collective over ranks.
+
+    Parameters
+    ----------
+    rows : FrictionRows
+        Problem and iteration.
+    tolerance : float
+        That of the certificate.
+    energy : float
+        The error in energy that the last combination is solved to, relative.
+    certifiable : function of an Answer and a tolerance
+        Returns whether its figures pass.
+    end : float
+        The time at which the search ends, as `time.perf_counter` counts it.
     """
 
     def __init__(

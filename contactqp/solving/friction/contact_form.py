@@ -253,6 +253,17 @@ def solve_on_contacts(
 ) -> LocalAnswer:
     """Find Coulomb's answer by `algorithm`, a name of `algorithms.ALGORITHMS`; None tries one after another.
 
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    method : Method
+        Takes the convex steps, where the algorithm has such.
+    settings : Settings
+        Tolerance, limits and options.
+    algorithm : str or None
+
     Raises
     ------
     NoEquilibrium

@@ -135,8 +135,17 @@ class ForceSystem:
         return bool(np.any(abs(moved) > UNDETERMINED))
 
     def same(self, one: CombinationAnswer, other: CombinationAnswer, loaded: Mask, tolerance: float) -> bool:
-        """Return whether two answers differ only by a rigid motion that moves no loaded contact, nor any that
-        pushes in one of them; lengths up to the tolerance."""
+        """Return whether two answers differ only by a rigid motion that moves no loaded contact, nor any that pushes.
+
+        Parameters
+        ----------
+        one, other : CombinationAnswer
+            A contact pushes that does so in one of them.
+        loaded : (m,) mask
+            The contacts that may not move.
+        tolerance : float
+            Up to which lengths and forces count as zero, in scaled units.
+        """
         moved = np.concatenate([other.gap - one.gap, one.slip - other.slip])
         rigid = self.slope[: len(moved), len(self.slope) :] @ (one.motion - other.motion)
         held = moved[self._held(loaded | (one.normal > tolerance) | (other.normal > tolerance))]

@@ -126,7 +126,13 @@ def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vect
 
 
 def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
-    """Do the same as `solve_contacts`, by a few projections."""
+    """Do the same as `solve_contacts`, by a few projections.
+
+    Parameters
+    ----------
+    own, outer, mu, start, rho
+        As in `solve_contacts`.
+    """
     r, rho = start.copy(), rho.copy()
     for _ in range(LOCAL_STEPS):
         velocity = de_saxce(np.einsum("iab,ib->ia", own, r) + outer, mu)

@@ -179,7 +179,18 @@ class Iterate:
 
     @classmethod
     def at(cls, form: LocalForm, force: Array, joint: Vector, iterations: int = 0) -> Iterate:
-        """Return an iterate with its error."""
+        """Return an iterate with its error.
+
+        Parameters
+        ----------
+        form : LocalForm
+        force : (m, d) array
+            Scaled as the form.
+        joint : (p,) array
+            Forces of joints, scaled likewise.
+        iterations : int
+            How many led there.
+        """
         return cls(force, joint, form.error(force, joint), iterations)
 
     @classmethod
@@ -222,7 +233,19 @@ RELAXATION = (0.05, 1.0)
 def aitken(
     relaxation: float, before: Vector | None, missing: Vector, dot: Callable[[Vector, Vector], float] = np.dot
 ) -> float:
-    """Return the next factor (Irons and Tuck 1969) from F(b) - b of the step before, None at first, and of this one."""
+    """Return the next relaxation factor of a fixed-point iteration b -> F(b) (Irons and Tuck 1969).
+
+    Parameters
+    ----------
+    relaxation : float
+        The factor of this step.
+    before : array or None
+        F(b) - b of the step before; None at the first step, which keeps the factor.
+    missing : array
+        F(b) - b of this step.
+    dot : function of two arrays
+        Their inner product.
+    """
     if before is None:
         return relaxation
     change = missing - before

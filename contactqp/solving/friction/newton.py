@@ -104,7 +104,19 @@ def refined(
     lengths: Lengths,
     found: CombinationAnswer,
 ) -> Answer:
-    """Return the answer of a combination to the last digits, whether its signs hold or not."""
+    """Return the answer of a combination to the last digits, whether its signs hold or not.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    system : ForceSystem
+    lengths : Lengths
+        The right-hand sides that belong to the problem's load.
+    found : CombinationAnswer
+        The answer in scaled forces, before refinement.
+    """
     _, inner = condensation.reduce_load(problem.load)
     expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
     answer = answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))

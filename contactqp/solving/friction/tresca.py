@@ -72,6 +72,18 @@ def solve_tresca(
     answer with all contacts stuck. With `at_once`, and where only one answer exists, the combination that the answer
     without friction suggests is tried before: it needs no Tresca problem.
 
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    method : Method
+        Solves the convex problems with given bounds.
+    settings : Settings
+        Tolerance, limits and options.
+    at_once : bool
+        Whether the combination that the answer without friction suggests is tried first.
+
     Raises
     ------
     NotConverged

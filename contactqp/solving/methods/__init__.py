@@ -167,7 +167,13 @@ def meant_option(name: str, options: Sequence[str]) -> str:
 
 
 def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any) -> None:
-    """Raise InvalidProblem on an argument of the wrong kind."""
+    """Raise InvalidProblem on an argument of `contactqp.solve` that is of the wrong kind.
+
+    Parameters
+    ----------
+    tolerance, condense, polish, time_limit, max_iter
+        As in `contactqp.solve`.
+    """
     refuse_not_positive("tolerance", tolerance)
     if time_limit is not None:
         refuse_not_positive("time_limit", time_limit)
@@ -195,7 +201,17 @@ def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None
 
 
 def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:
-    """Raise on options that the method does not have or misses, and on what it cannot do."""
+    """Raise on options that the method does not have or misses, and on what it cannot do.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    method : Method
+    settings : Settings
+        Their `options` are those that were given.
+    algorithm : str or None
+        The algorithm of friction that was asked for.
+    """
     in_space = problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
     options = (*method.options, *(_polygon_options(method) if in_space else ()))
     unknown = sorted(set(settings.options) - set(options))

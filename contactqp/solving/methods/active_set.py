@@ -54,6 +54,16 @@ def solve_condensed(
     """Run `solve_active_set` on a condensation; the displacement is that of the retained unknowns.
 
     Where no set is found Lemke's method is shown the condensed problem, or the one given as `shown`.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    settings : Settings
+        Limits, and the answer to start from.
+    shown : ContactProblem, optional
+        What Lemke's method is shown.
     """
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)

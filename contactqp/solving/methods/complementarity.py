@@ -175,7 +175,16 @@ def _without_rounding(values: Dense, sizes: Dense) -> Dense:
 def expand(
     problem: ContactProblem, reduced: Compliance, lcp: Complementarity, force: Vector, gap: Vector
 ) -> tuple[Vector, Vector]:
-    """Return displacements and tie forces of contact forces; gaps of the exchanged contacts determine rigid motions."""
+    """Return displacements and tie forces of contact forces; gaps of the exchanged contacts determine rigid motions.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    reduced : Compliance
+    lcp : Complementarity
+    force, gap : (m,) arrays
+        The solution of the complementarity problem.
+    """
     displacement = reduced.free - reduced.response @ force
     B = lcp.exchanged
     if B.size:
@@ -208,7 +217,17 @@ def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
 
 
 def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None) -> tuple[Mask, int, str]:
-    """Follow Lemke's path.
+    """Follow Lemke's path to w = q + M z, w >= 0, z >= 0, w'z = 0.
+
+    Parameters
+    ----------
+    q : (m,) array
+    M : (m, m) array
+        Positive semidefinite.
+    limit : int
+        The largest number of pivots.
+    time_limit : float, optional
+        Seconds.
 
     Returns
     -------
@@ -217,6 +236,11 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
     pivots : int
     status : str
         Empty when solved, otherwise why the path was left.
+
+    Raises
+    ------
+    NotConverged
+        The path ends in a ray.
     """
     m, started = q.size, time.perf_counter()
     scale = 1.0 / np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))

@@ -63,7 +63,16 @@ def solve_by_iteration(
 ) -> Candidate:
     """Find displacement and forces on a set that their signs confirm; `claimed` is False where none was found.
 
-    `energy` is the error in energy on that set, over the energy of the contact forces.
+    Parameters
+    ----------
+    problem : Limits
+        Load, gaps and tie values.
+    iteration : ContactIteration
+        Stiffness and rows.
+    settings : Settings
+        Limits, and the answer to start from.
+    energy : float
+        The error in energy on that set, over the energy of the contact forces.
     """
     return _Search(problem, iteration, settings, energy).run()
 
@@ -71,7 +80,15 @@ def solve_by_iteration(
 def identified_by_iteration(
     problem: Limits, iteration: ContactIteration, settings: Settings, error: float = IDENTIFIED
 ) -> Candidate | None:
-    """Return a less accurate candidate, from whose set a method goes on; None where the iteration takes too long."""
+    """Return a less accurate candidate, from whose set a method goes on; None where the iteration takes too long.
+
+    Parameters
+    ----------
+    problem, iteration, settings
+        As in `solve_by_iteration`.
+    error : float
+        The error in energy at which the set is taken, over the energy of the contact forces.
+    """
     search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None
     return found if search.steps_left() > 0 else None

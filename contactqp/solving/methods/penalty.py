@@ -73,7 +73,20 @@ def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
 def penalty_loop(
     name: str, problem: ContactProblem, settings: Settings, beta: Vector, *, refined: bool = False
 ) -> Candidate:
-    """Run the active-set loop with the springs of eq. 2.25, for this method and those that build on it."""
+    """Run the active-set loop with the springs of eq. 2.25, for this method and those that build on it.
+
+    Parameters
+    ----------
+    name : str
+        The method's name, for messages.
+    problem : ContactProblem
+    settings : Settings
+        Limits, and the answer to start from.
+    beta : (m,) array [force / length]
+        Stiffnesses of the springs.
+    refined : bool
+        As in `solve_linear`.
+    """
     return active_set_loop(name, problem, settings, partial(_enforce, name, problem, beta, refined), stiffness=beta)
 
 
@@ -125,7 +138,15 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 def frictional_penalty_loop(
     name: str, problem: ContactProblem, settings: Settings, beta: tuple[Vector, Vector], *, refined: bool = False
 ) -> Candidate:
-    """Run the loop over statuses with normal and tangential springs, for this method and those that build on it."""
+    """Run the loop over statuses with normal and tangential springs, for this method and those that build on it.
+
+    Parameters
+    ----------
+    name, problem, settings, refined
+        As in `penalty_loop`.
+    beta : two (m,) arrays [force / length]
+        Stiffnesses of the normal and of the tangential springs.
+    """
     enforce = partial(_enforce_friction, name, problem, beta, refined)
     return status_loop(name, problem, settings, enforce, compliance=1.0 / beta[1], stiffness=beta)
 
@@ -249,6 +270,15 @@ def sliders(
     (m, d-1) [length].
 
     They are the next step's slip origin. A slider whose contact is open hangs on a spring without force, E_T u.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With tangential rows.
+    solution : Solution
+        Its answer by the method "penalty".
+    penalty, tangential_penalty : numbers or (m,) arrays [force / length]
+        The stiffnesses that it was made with; the tangential one is the normal one by default.
 
     Raises
     ------

@@ -51,6 +51,11 @@ def status_loop(
 
     Parameters
     ----------
+    name : str
+        The method's name, for messages.
+    problem : ContactProblem
+    settings : Settings
+        Limits, and the answer to start from.
     enforce : FrictionalEnforcement
         Solves the system of one status.
     compliance : (m,) array, optional

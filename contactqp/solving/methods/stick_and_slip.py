@@ -102,6 +102,18 @@ def status_rows(
     Of dependent ties the first are kept always. A closed contact whose normal row is left out is open; one that sticks
     and whose tangential row is left out carries no friction.
 
+    Parameters
+    ----------
+    name : str
+        The method's name, for messages.
+    problem : ContactProblem
+    status : (m,) array of int
+        OPEN, STICK, SLIP_BACK or SLIP_ON.
+    preference : (m,) array of int
+        All contacts, in the order in which their rows are kept.
+    independent : bool
+        Whether rows that follow from those before them are left out.
+
     Raises
     ------
     NotConverged
@@ -144,6 +156,17 @@ def spring_stiffnesses(
     name: str, problem: ContactProblem, settings: Settings, normal: Vector, *, zero: bool = False
 ) -> tuple[Vector, Vector]:
     """Return normal and tangential spring stiffnesses, (m,) each [force / length]; equal without `tangential_penalty`.
+
+    Parameters
+    ----------
+    name : str
+        The method's name, for messages.
+    problem : ContactProblem
+    settings : Settings
+        Their options may have `tangential_penalty`.
+    normal : (m,) array [force / length]
+    zero : bool
+        Whether a stiffness of zero is allowed.
 
     Raises
     ------

@@ -37,6 +37,15 @@ def binding_rows(
     Ties come first, then the closed contacts in the order of `preference`; a row that depends on those before it is
     left out, and its multiplier is zero.
 
+    Parameters
+    ----------
+    name : str
+        The method's name, for messages.
+    problem : ContactProblem
+    closed : (m,) mask
+    preference : (m,) array of int
+        All contacts, in the order in which their rows are kept.
+
     Returns
     -------
     rows : (r, n) csr_array, values : (r,)
@@ -167,6 +176,8 @@ def solve_bordered(
 
     Parameters
     ----------
+    name : str
+        The method's name, for messages.
     matrix : (n, n), sparse or dense
     load : (n,)
     rows : (r, n) csr_array
@@ -202,8 +213,15 @@ def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refine
     A bad condition alone refuses nothing: rounding is to show as it would in the textbook's own program. Only a matrix
     that is singular however its rows and columns are scaled is refused.
 
-    `refined` adds one step of refinement in the same precision, which makes the residual small equation by equation,
-    where stiffness beside multiplier rows leaves it small beside the largest equation only (Skeel 1980).
+    Parameters
+    ----------
+    name : str
+        The method's name, for messages.
+    matrix : (n, n), sparse or dense
+    load : (n,)
+    refined : bool
+        Whether one step of refinement in the same precision follows. It makes the residual small equation by equation,
+        where stiffness beside multiplier rows leaves it small beside the largest equation only (Skeel 1980).
 
     Raises
     ------

@@ -53,7 +53,17 @@ class Step:
     def on_rows(
         cls, problem: ContactProblem, displacement: Vector, force: Vector, ties: Indices, contacts: Indices
     ) -> Step:
-        """Return the step in which the rows of these ties, then of these contacts, carry the forces (r,)."""
+        """Return the step in which some rows carry forces.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+        displacement : (n,) array [length]
+        force : (r,) array [force]
+            Of the ties, then of the contacts.
+        ties, contacts : arrays of int
+            Whose rows they are.
+        """
         bound = np.zeros(problem.contacts, dtype=bool)
         bound[contacts] = True
         return cls(
@@ -291,6 +301,9 @@ def active_set_loop(
 
     Parameters
     ----------
+    problem : ContactProblem
+    settings : Settings
+        Limits, and the answer to start from.
     name : str
         The method's name, for messages.
     enforce : Enforcement

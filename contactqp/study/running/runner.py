@@ -127,6 +127,17 @@ class Lines:
         self._last = time.monotonic()
 
     def __call__(self, what: str, done: int, total: int, left: str) -> None:
+        """Print how far something is, at most once in so many seconds.
+
+        Parameters
+        ----------
+        what : str
+            What is being done.
+        done, total : int
+            How many of how many.
+        left : str
+            How long the rest may take, in words; may be empty.
+        """
         if time.monotonic() - self._last < LINES:
             return
         self._last = time.monotonic()
