@@ -141,13 +141,14 @@ def _span(axis: Axis, lowest: float, highest: float) -> str:
 
 def _others(axis: Axis, rows: Sequence[StabilityRow]) -> Iterator[str]:
     """Yield each other ending, with the values at which it occurred."""
-    endings = (*_GIVEN_UP, STATED, report_rows.UNSUPPORTED, CUT_OFF, report_rows.WRONG)
+    endings = (*_GIVEN_UP, report_rows.CRASHED, STATED, report_rows.UNSUPPORTED, CUT_OFF, report_rows.WRONG)
     for ending in endings:
         values = sorted(row.value for row in rows if row.verdict == ending)
         if values:
             where = axis.label(values[0]) if len(values) == 1 else f"{len(values)} values, "
             where += "" if len(values) == 1 else f"{axis.label(values[0])} to {axis.label(values[-1])}"
-            why = next((f" ({row.message})" for row in rows if row.verdict == ending == CUT_OFF), "")
+            told = (row.message for row in rows if row.verdict == ending and ending in (CUT_OFF, report_rows.CRASHED))
+            why = "".join(f" ({message})" for message in itertools.islice(told, 1))
             yield f"{ending} at {where}{why}"
 
 

@@ -328,6 +328,9 @@ def test_a_cell_whose_process_died_is_a_row() -> None:
     row = row_of(cell, Crash("died of a segmentation fault (SIGSEGV)"))
     assert (row.verdict, row.method, row.axis) == (report_rows.CRASHED, "osqp", cell.axis)
     assert "SIGSEGV" in row.message
+    others = [StabilityRow(axis=row.axis, value=v, method="osqp", verdict=report_rows.RIGHT) for v in (10.0, 100.0)]
+    [found] = safe_ranges(find_axis(row.axis), [row, *others])
+    assert f"; crashed at {find_axis(row.axis).label(row.value)} ({row.message})" in found.words
 
 
 def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy, tmp_path: Path) -> None:
