@@ -22,10 +22,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.friction_states import StateSystem, condensed_frictional_rows, friction_bound, slip_directions
+from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status

@@ -26,9 +26,10 @@ from contactqp.certificate.energy_norm import (
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, polish
+from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

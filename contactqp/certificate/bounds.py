@@ -71,6 +71,7 @@ from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended
 from contactqp.linalg.factorization import RIGID_ENERGY
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Iteration
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import (
     forces_that_meet,
     lengths_that_meet,
@@ -78,7 +79,6 @@ from contactqp.linalg.measures import (
     own_compliance,
     parts,
 )
-from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer

@@ -62,7 +62,7 @@ class CondensedBodies:
     """Bodies that are condensed onto their contacts."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        from contactqp.linalg.friction_states import condensed_frictional_rows
+        from contactqp.linalg.delassus import condensed_frictional_rows
 
         self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
         self._rows = condensed_frictional_rows(problem, condensation)

@@ -21,8 +21,8 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import contacts_are_many
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
-from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

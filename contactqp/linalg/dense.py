@@ -15,7 +15,7 @@ The answer on a set B of closed contacts, which may be redundant or leave motion
     [ E_B  0     0  ] [ l_B ] = [ e ]
     [ A    0     0  ] [ nu  ]   [ a ]
 
-Where S and W_BB are regular the range-space method does (`RangeSpace`; Nocedal and Wright 2006, section 16.2),
+Where S and W_BB are regular the range-space method does (`_RangeSpace`; Nocedal and Wright 2006, section 16.2),
 
     y = S^-1 r,    W_BB l = [E_B; A] y - (e; a),    x = y - S^-1 [E_B; A]' l,
 
@@ -126,9 +126,12 @@ def refuse_negative(smallest_pivot: float) -> None:
 
 
 def orthonormal(motions: Array) -> Array:
-    """Return an orthonormal basis (n, r) of independent motions, as accurate as these at unknowns of any unit."""
+    """Return an orthonormal basis (n, r) of motions, accurate in any units, or these if doubles make them dependent."""
     for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
-        motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
+        R: Array = np.asarray(np.linalg.qr(motions, mode="r"))
+        if not np.all(R.diagonal()):
+            return motions
+        motions = motions @ np.linalg.inv(R)
     gram = motions.T @ motions  # entries of very different sizes cancel in it better than in reflections
     least = min(np.linalg.eigvalsh(gram), default=1.0) if np.all(np.isfinite(gram)) else 0.0
     return motions @ np.linalg.inv(np.linalg.cholesky(gram).T) if least > REGULAR * np.trace(gram) else motions
@@ -286,7 +289,7 @@ class Delassus:
         return np.asarray(free - self.response @ force)
 
 
-class RangeSpace:
+class _RangeSpace:
     """The saddle point of one set of independent closed contacts, factorised by its Schur complement E S^-1 E'."""
 
     redundant = False
@@ -320,14 +323,12 @@ class RangeSpace:
             force = (load.T * self._row_scale).T
         return (x.T * operator.scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
-    def exchange(self, entering: int, force: Vector) -> int | None:
+    def exchange(self, entering: int, force: Vector) -> int | None:  # noqa: ARG002
         """Return None, since no contact of the set depends on others."""
-        del entering, force
         return None
 
-    def drive(self, load: Vector, size: Vector) -> Vector:
+    def drive(self, load: Vector, size: Vector) -> Vector:  # noqa: ARG002
         """Return zero (p,), since no motion is free."""
-        del size
         return np.zeros(len(load))
 
 
@@ -472,12 +473,10 @@ def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool =
 
 
 def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
-    if not condensation.rigid.count:
-        operator = condensation.delassus
-        if operator.smallest_pivot >= REGULAR:
-            found = RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
-            if found.regular:
-                return found
+    if not condensation.rigid.count and (operator := condensation.delassus).smallest_pivot >= REGULAR:
+        found = _RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
+        if found.regular:
+            return found
     return NullSpace(condensation, closed, tied)
 
 

@@ -9,26 +9,20 @@
 the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's; as small slips make C
 large, the friction that it stands for is an unknown beside the displacement, with the compliance |s| / mu l_N. The
 system acts as an approximate inverse: residuals are formed on the full problem in twice double precision, as polishing
-without friction does.
-
-The condensed stiffness and the rows of contacts, tangents and ties (`FrictionalRows`) are scaled to the unit of
-sqrt(energy). With D = 1/sqrt(S_jj), x = D y and rows of unit length in the energy, r_i = |E_i D|, the rows R = [N; T;
-A] become R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r_i. Coulomb's coefficient becomes mu r_T
-/ r_N. Two tangential rows of a contact in space have one length r_T, the root of their mean square: cones stay round.
+without friction does. Rows are scaled as in `contactqp.linalg.delassus`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import compliance_of
-from contactqp.linalg.dense import BALANCED, independent_rows, orthonormal_motions
+from contactqp.linalg.delassus import FrictionalRows
+from contactqp.linalg.dense import BALANCED, independent_rows
 from contactqp.linalg.equilibration import unknown_scale, zero_beneath
 from contactqp.linalg.extended import (
     Extended,
@@ -70,77 +64,20 @@ class Corrections(Protocol):
     redundant: bool
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
+        """Return the corrections that residuals of the full problem call for.
 
+        Parameters
+        ----------
+        load : (n,) array [force]
+            What is out of balance.
+        gap, slip, tie : (m,), ((d-1) m,), (k,) arrays [length]
+            What gaps, slips and ties miss; those of open contacts and of slips that are free do not count.
 
-class FrictionalRows:
-    """A frictional problem on its retained unknowns, scaled.
-
-    Attributes
-    ----------
-    S : (p, p) array
-        The condensed stiffness, its diagonal one.
-    normal, tangent, tie : (m, p), ((d-1) m, p), (k, p) arrays
-        Rows of unit length, tangents contact by contact.
-    width : int
-        d-1, tangential rows a contact.
-    slides : (m,) array of bool
-        Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
-        within its bound would do; it is given none.
-    coefficient : (m,) array
-        mu r_T / r_N: friction bounds in scaled forces.
-    """
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        if problem.friction is None or condensation.tangent is None:
-            raise ValueError("frictional rows of a problem without friction")
-        self.scale = condensation.scale
-        self.S = condensation.schur * (self.scale[:, None] * self.scale)
-        self.normal, self.normal_length = _unit(condensation.normal * self.scale)
-        tangent = condensation.tangent.toarray() * self.scale
-        self.width = len(tangent) // problem.contacts if problem.contacts else 1
-        of_contacts, length = _unit(tangent.reshape(problem.contacts, -1))
-        # The root of the mean square of a contact's rows.
-        self.tangent_length = np.where(np.any(of_contacts != 0, axis=1), length / np.sqrt(self.width), 1.0)
-        self.tangent = tangent / np.repeat(self.tangent_length, self.width)[:, None]
-        self.slides = np.any(of_contacts != 0, axis=1)
-        self.tie, self.tie_length = _unit(condensation.tie * self.scale)
-        self.coefficient = problem.friction * self.tangent_length / self.normal_length
-        self.motions = orthonormal_motions(condensation)
-        self.system: dict[bool, StateSystem] = {}  # the last one, by whether its rows were made independent
-
-    @cached_property
-    def all_rows(self) -> Array:
-        """The rows of contacts, tangents and ties (d m + k, p)."""
-        return np.vstack([self.normal, self.tangent, self.tie])
-
-    @cached_property
-    def compliance(self) -> Array:
-        """The pseudoinverse S^+ (p, p): the inverse of S, zero on the rigid motions."""
-        return compliance_of(self.S, self.motions)
-
-    def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:
-        """Return scaled gaps (m,), slip origins ((d-1) m,) and tie values (k,)."""
-        origin = np.zeros(len(self.tangent)) if problem.slip_origin is None else problem.slip_origin.ravel()
-        slip = origin / np.repeat(self.tangent_length, self.width)
-        return problem.gap / self.normal_length, slip, problem.tie_value / self.tie_length
-
-
-def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
-    """Return the scaled rows of a problem, which are made once for its coefficients and its condensation."""
-    known = problem._computed.frictional_rows
-    if known is None or known[1] is not condensation or np.any(known[0] != problem.friction):
-        rows = FrictionalRows(problem, condensation)
-        known = problem._computed.frictional_rows = problem.friction, condensation, rows
-    found: FrictionalRows = known[2]
-    return found
-
-
-def _unit(rows: Array) -> tuple[Array, Vector]:
-    """Return rows of unit length and the lengths that they were divided by; an empty row is left as it is."""
-    length = np.linalg.norm(rows, axis=1)
-    length = np.where(length > 0, length, 1.0)
-    return rows / length[:, None], length
+        Returns
+        -------
+        du, dl_N, dl_T, dnu : (n,), (m,), (m, d-1), (k,) arrays
+            Of displacements and forces; dl_T is that of sticking contacts.
+        """
 
 
 # Refinement stops when a sweep no longer halves the correction.
@@ -176,10 +113,16 @@ class StateSystem:
 
     Parameters
     ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    rows : FrictionalRows
+    status : (m,) array of int
+        The combination.
     directions : (m, d-1) array
         Of slip, of unit length; zero where a contact does not slip.
-    turning : (m,) array
-        mu l_N / |s| in scaled forces and lengths, zero in the plane.
+    turning : (m,) array, optional
+        mu l_N / |s| in scaled forces and lengths; None in the plane.
     independent : bool
         Whether rows that depend on others get no correction and motions that no row resists stay at rest. Forces and
         motions of the start are then kept there, and a nearly singular stiffness does not make the system irregular.
@@ -252,7 +195,15 @@ class StateSystem:
     def correct(
         self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
     ) -> tuple[Vector, Vector, Array, Vector]:
-        """Return du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts and dnu (k,) that full residuals call for."""
+        """Return the corrections of `Corrections.correct`.
+
+        Parameters
+        ----------
+        load, gap, slip, tie
+            As there.
+        transposed : bool
+            Whether the transposed system is solved.
+        """
         reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
@@ -328,23 +279,36 @@ def refined_in(
     independent: bool = False,
     left: Residuals | None = None,
 ) -> RefinedState:
-    """Refine the answer of one combination from `start`; `independent` as in `StateSystem`.
+    """Refine the answer of one combination from a start.
 
-    The system of the last combination serves again where it is the same. `left` are the residuals of the start, if they
-    are known.
+    The system of the last combination serves again where it is the same. In space the first slip directions are those
+    of the start. K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the
+    forces, as in `contactqp.linalg.refinement.answer_on`.
 
-    In space the first slip directions are those of the start. K is taken as it is stated unless its rounding along
-    rigid motions spoils the resultants of the forces, as in `contactqp.linalg.refinement.answer_on`.
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    rows : FrictionalRows
+    status : (m,) array of int
+        The combination.
+    start : Answer
+    independent : bool
+        As in `StateSystem`.
+    left : Residuals, optional
+        Those of the start, where they are known.
     """
     exact = extended_rows(problem)
 
     def system(directions: Array, turning: Vector | None) -> StateSystem:
-        for kept in (rows.system.get(independent), rows.system.get(False)):
+        last: dict[bool, StateSystem] = rows.system
+        for kept in (last.get(independent), last.get(False)):
             # Where a system has an inverse its rows are independent, and nothing is free.
             if kept is not None and (kept.regular or not independent) and kept.suits(status, directions, turning):
                 return kept
         made = StateSystem(problem, condensation, rows, status, directions, turning, independent)
-        rows.system[independent] = made
+        last[independent] = made
         return made
 
     caution = np.inf if independent else CAUTION
@@ -366,9 +330,20 @@ def refined_by(
     left: Residuals | None = None,
     caution: float = np.inf,
 ) -> RefinedState:
-    """Refine as `refined_in` does, with the products of `exact` and systems that `make` returns for slip directions.
+    """Refine as `refined_in` does, with any rows and systems.
 
-    In the plane at most so many `sweeps` are made.
+    Parameters
+    ----------
+    make : function of slip directions (m, d-1) and their turning
+        Returns the system.
+    exact : ExtendedRows
+        Form the residuals.
+    problem, rows, status, start, left
+        As in `refined_in`.
+    sweeps : int
+        At most so many are made in the plane.
+    caution : float
+        Refinement goes on until this many times what it still has to do is negligible.
     """
     pushing = np.where(status != OPEN, start.normal_force, 0.0)
     sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
@@ -418,9 +393,14 @@ def refined_by(
 def answer_in(
     problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
 ) -> Answer:
-    """Return the answer of one combination, refined from `start`; what the combination leaves free stays as there.
+    """Return the answer of one combination, refined from a start; what the combination leaves free stays as there.
 
     Whether its signs hold is for `contactqp.certificate.figures.holds` to say.
+
+    Parameters
+    ----------
+    problem, condensation, rows, status, start
+        As in `refined_in`.
     """
     refined = refined_in(problem, condensation, rows, status, start)
     if not refined.regular:
@@ -438,7 +418,18 @@ def _settled(refined: RefinedState) -> bool:
 
 
 def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
-    """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane."""
+    """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane.
+
+    Parameters
+    ----------
+    rows : ScaledRows
+    status : (m,) array of int
+        The combination.
+    slip : ((d-1) m,) array [length]
+        Of all contacts; in the plane it is not used.
+    force : Extended (m,)
+        Normal forces [force].
+    """
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
     sliding = abs(status) == 1
@@ -454,6 +445,13 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
 
     All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
     contact, friction or tie times the scaled length of its row.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    rows : ScaledRows
+    answer, start : Answer
+        What refinement came to, and where it began.
     """
     scale = unknown_scale(problem)
     far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))

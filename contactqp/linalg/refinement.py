@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import BALANCED, SaddlePoint, orthonormal, saddle_point
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import (
     EPS,
@@ -25,15 +25,12 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, forces_beside_others, pushing_contacts, shift_to_least_norm
 from contactqp.linalg.measures import (
-    force_measure,
-    forces_that_meet,
     imbalance,
     lengths_that_meet,
-    row_sizes,
     without_rigid_part,
 )
-from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -50,8 +47,6 @@ ROUNDED_AWAY = 2.0**-90
 CAUTION = 1e4
 # What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
 NEGLIGIBLE = 1e-22
-# What double precision cannot tell from zero, relative to the lengths or forces that meet.
-WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
 # A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
 # the resultant is none.
@@ -59,8 +54,6 @@ CARRIED, NO_SHARE = 1e-9, 1e-12
 # A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
 # it, which no refinement would see.
 SLIGHT = 2**10 * float(np.finfo(float).eps)
-# Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
-SHIFT_CORRECTIONS = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,14 +80,26 @@ def answer_on(
     caution: float = 1.0,
     at_rest: bool = False,
 ) -> OnSet:
-    """Solve K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, by refinement from `start`.
-
-    Free motions of the start stay as they are; without one, and `at_rest`, they take the displacement to its least norm
-    within the gaps. `left` are the start's residuals, if they are known; they are of use where it has no force but on
-    the closed contacts. Refinement goes on until `caution` times what it still has to do is negligible.
+    """Solve K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, by refinement.
 
     K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
     taken to be zero along these.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    closed : (q,) array of int
+        B.
+    start : Answer, optional
+        Where refinement begins; free motions stay as they are there.
+    left : Residuals, optional
+        Those of the start, where they are known; of use where it has no force but on the closed contacts.
+    caution : float
+        Refinement goes on until this many times what it still has to do is negligible.
+    at_rest : bool
+        Whether, without a start, free motions take the displacement to its least norm within the gaps.
     """
     found = _refined(problem, condensation, closed, start, left, caution, at_rest)
     missed = _imbalance(problem, condensation, found) if condensation.rigid.count else 0.0
@@ -227,7 +232,16 @@ class _CorrectionSize:
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
-    """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths; `compliance` (m,) is W_ii."""
+    """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    compliance : (m,) array [length / force]
+        W_ii.
+    u, force : (n,), (m,) arrays
+        Displacement and normal forces of the answer.
+    """
     return np.asarray((compliance * force > problem.gap - problem.normal @ u).nonzero()[0])
 
 
@@ -240,14 +254,26 @@ def polish(
     left: Residuals | None = None,
     caution: float = 1.0,
 ) -> tuple[OnSet, int, bool]:
-    """Refine the answer on a set of closed contacts and correct the set; return whether its signs hold in the end.
-
-    Returned are the answer, the number of corrections, and whether no contact pulls and no open one penetrates.
+    """Refine the answer on a set of closed contacts and correct the set.
 
     A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
     that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
     tension, where such forces exist, and contacts with none leave the set. A set that holds to rounding of doubles is
     corrected by the signs in extended precision, as long as that leads to one that holds too.
+
+    Parameters
+    ----------
+    problem, condensation, closed, start, left, caution
+        As in `answer_on`.
+    max_corrections : int
+        The largest number of corrections.
+
+    Returns
+    -------
+    answer : OnSet
+    corrections : int
+    holds : bool
+        Whether no contact pulls and no open one penetrates.
     """
     seen: set[bytes] = set()
     corrections, holding = 0, None
@@ -318,7 +344,7 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
     opening = (gap > rounding) & (push > 0)
     if (push < 0).any():
-        opening |= _push(problem, answer.doubles) < -WITHIN_ROUNDING
+        opening |= forces_beside_others(problem, answer.doubles) < -WITHIN_ROUNDING
     return opening.nonzero()[0], penetrated.nonzero()[0]
 
 
@@ -420,7 +446,18 @@ def least_displacement(
 ) -> tuple[OnSet, Array]:
     """Move an answer to its least norm along the motions that nothing drives and nothing resists.
 
-    Returns the answer there and an orthonormal basis (n, q) of those motions.
+    Parameters
+    ----------
+    problem, condensation, caution
+        As in `answer_on`.
+    answer : OnSet
+
+    Returns
+    -------
+    answer : OnSet
+        The answer there.
+    free : (n, q) array
+        An orthonormal basis of those motions.
     """
     if not condensation.rigid.count:
         return answer, condensation.rigid.motions
@@ -439,62 +476,3 @@ def least_displacement(
     moved = Answer(u + shift, force, None, tie)
     closed = pushing_contacts(problem, Answer(u, force, None, tie))
     return answer_on(problem, condensation, closed, moved, caution=caution), free
-
-
-def shift_to_least_norm(
-    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
-) -> tuple[Vector, Array]:
-    """Find the free motion that takes an answer to its least norm within the gaps.
-
-    Contacts that push resist, or those that are said to be closed. Returns the shift (n,) and an orthonormal basis
-    (n, q) of the motions.
-    """
-    if not condensation.rigid.count:
-        return np.zeros(problem.dimension), condensation.rigid.motions
-    closed = pushing_contacts(problem, answer) if closed is None else closed
-    free = free_motions(condensation, saddle_point(condensation, closed))
-    if not free.shape[1]:
-        return np.zeros(problem.dimension), free
-    shift = -(free.T @ answer.displacement)
-    rows = problem.normal @ free
-    # What a row feels of the motions is judged in the scale of the energy, in which units make no motion a small one.
-    scale = condensation.unknown_scale
-    basis = scale[:, None] * orthonormal(free / scale[:, None])
-    felt = np.sqrt(problem.normal.power(2) @ scale**2)
-    stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
-    if not stays.any():
-        return free @ shift, free
-    gap = problem.gap - problem.normal @ answer.displacement
-    moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
-    return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
-
-
-def _out_of_contacts(
-    problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: NDArray[np.intp]
-) -> Vector:
-    """Correct a shift along free motions where its rounding leaves some contacts penetrated.
-
-    The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
-    are met to few digits. What is missing is therefore found along a basis (n, q), orthonormal in the scale of the
-    energy.
-    """
-    rows = problem.normal[felt] @ basis
-    for _ in range(SHIFT_CORRECTIONS):
-        room = (problem.gap - problem.normal @ (start + shift))[felt]
-        length = lengths_that_meet(problem, problem.normal, problem.gap, start + shift)[felt]
-        if np.all(room >= -WITHIN_ROUNDING * length):
-            break
-        shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
-    return shift
-
-
-def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
-    """Return the contacts with a force beyond rounding."""
-    return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
-
-
-def _push(problem: ContactProblem, answer: Answer) -> Vector:
-    """Return the measure of every contact force (m,), negative in tension."""
-    force = answer.normal_force
-    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
-    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)

@@ -17,7 +17,7 @@ from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import condensed_frictional_rows
+from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution

@@ -21,10 +21,11 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.convexity import refuse_indefinite_by_iteration
+from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.friction_states import answer_in, condensed_frictional_rows
+from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes

@@ -28,16 +28,9 @@ from contactqp.linalg.dense import DENSE_SIZE, saddle_point
 from contactqp.linalg.equilibration import nondimensional, unknown_scale, zero_beneath
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import lay_out, row_sizes
-from contactqp.linalg.refinement import (
-    INVISIBLE,
-    WITHIN_ROUNDING,
-    closed_contacts,
-    least_displacement,
-    polish,
-    shift_to_least_norm,
-    without_noise,
-)
+from contactqp.linalg.refinement import INVISIBLE, closed_contacts, least_displacement, polish, without_noise
 from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point

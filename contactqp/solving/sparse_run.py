@@ -25,7 +25,7 @@ from contactqp.linalg.iteration import (
     iteration,
     systems_of,
 )
-from contactqp.linalg.refinement import shift_to_least_norm
+from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, uniqueness

@@ -10,6 +10,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import friction_states
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.model.local_problem import LocalProblem
 from contactqp.solving.friction import alart_curnier
 
@@ -54,9 +55,9 @@ def test_steps_that_go_on_as_before_start_from_where_the_last_two_lead(block, mo
 
 def test_another_coefficient_has_rows_of_its_own(block):
     condensation = condense(block)
-    rows = friction_states.condensed_frictional_rows(block, condensation)
-    same = friction_states.condensed_frictional_rows(block.replace(slip_origin=block.slip_origin), condensation)
-    other = friction_states.condensed_frictional_rows(block.replace(friction=0.1), condensation)
+    rows = condensed_frictional_rows(block, condensation)
+    same = condensed_frictional_rows(block.replace(slip_origin=block.slip_origin), condensation)
+    other = condensed_frictional_rows(block.replace(friction=0.1), condensation)
     assert same is rows
     assert np.allclose(other.coefficient, rows.coefficient / 3)
     fewer, more = cq.solve(block.replace(friction=0.1)), cq.solve(block)

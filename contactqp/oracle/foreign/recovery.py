@@ -36,8 +36,9 @@ from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
+from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
-from contactqp.linalg.refinement import answer_on, shift_to_least_norm
+from contactqp.linalg.refinement import answer_on
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem

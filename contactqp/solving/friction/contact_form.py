@@ -22,11 +22,11 @@ import scipy.sparse as sp
 from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import compliance_of
+from contactqp.linalg.delassus import FrictionalRows, compliance_of, condensed_frictional_rows
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.friction_states import FrictionalRows, answer_in, condensed_frictional_rows
+from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.runtime import refuse_late
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths

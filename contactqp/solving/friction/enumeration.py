@@ -32,7 +32,8 @@ from contactqp.certificate.figures import holds
 from contactqp.certificate.uniqueness import NOTHING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import FrictionalRows, answer_in, condensed_frictional_rows
+from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
+from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem

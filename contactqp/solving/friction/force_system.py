@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import SINGULAR, condensed_frictional_rows
+from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.friction_states import SINGULAR
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem

@@ -1,0 +1,91 @@
+"""The displacement of least norm among those that motions leave which nothing drives and nothing resists."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.condensation import Condensation, free_motions
+from contactqp.linalg.dense import orthonormal, saddle_point
+from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.measures import force_measure, forces_that_meet, lengths_that_meet, row_sizes
+from contactqp.linalg.nonnegative import shift_within_gaps
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
+
+# What double precision cannot tell from zero, relative to the lengths or forces that meet.
+WITHIN_ROUNDING = 8 * np.finfo(float).eps
+# Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
+SHIFT_CORRECTIONS = 3
+
+
+def shift_to_least_norm(
+    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
+) -> tuple[Vector, Array]:
+    """Find the free motion that takes an answer to its least norm within the gaps.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    answer : Answer
+    closed : (q,) array of int, optional
+        The contacts that resist; by default those that push.
+
+    Returns
+    -------
+    shift : (n,) array [length]
+    free : (n, q) array
+        An orthonormal basis of the free motions.
+    """
+    if not condensation.rigid.count:
+        return np.zeros(problem.dimension), condensation.rigid.motions
+    closed = pushing_contacts(problem, answer) if closed is None else closed
+    free = free_motions(condensation, saddle_point(condensation, closed))
+    if not free.shape[1]:
+        return np.zeros(problem.dimension), free
+    shift = -(free.T @ answer.displacement)
+    rows = problem.normal @ free
+    # What a row feels of the motions is judged in the scale of the energy, in which units make no motion a small one.
+    scale = condensation.unknown_scale
+    basis = scale[:, None] * orthonormal(free / scale[:, None])
+    felt = np.sqrt(problem.normal.power(2) @ scale**2)
+    stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
+    if not stays.any():
+        return free @ shift, free
+    gap = problem.gap - problem.normal @ answer.displacement
+    moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
+    return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
+
+
+def _out_of_contacts(
+    problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: NDArray[np.intp]
+) -> Vector:
+    """Correct a shift along free motions where its rounding leaves some contacts penetrated.
+
+    The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
+    are met to few digits. What is missing is therefore found along a basis (n, q), orthonormal in the scale of the
+    energy.
+    """
+    rows = problem.normal[felt] @ basis
+    for _ in range(SHIFT_CORRECTIONS):
+        room = (problem.gap - problem.normal @ (start + shift))[felt]
+        length = lengths_that_meet(problem, problem.normal, problem.gap, start + shift)[felt]
+        if np.all(room >= -WITHIN_ROUNDING * length):
+            break
+        shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
+    return shift
+
+
+def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+    """Return the contacts with a force beyond rounding."""
+    return np.asarray(np.flatnonzero(forces_beside_others(problem, answer) > WITHIN_ROUNDING))
+
+
+def forces_beside_others(problem: ContactProblem, answer: Answer) -> Vector:
+    """Return the measure of every contact force (m,), negative in tension."""
+    force = answer.normal_force
+    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
+    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)
