@@ -290,6 +290,10 @@ def test_an_unknown_argument_is_told_with_the_function_and_the_nearest_one() -> 
     with pytest.raises(cq.InvalidProblem, match=r"^LocalProblem: no argument is called 'delasus' .*mean 'delassus'"):
         cq.LocalProblem(delasus=[[1.0]])
     solution = cq.solve(cq.ContactProblem([[2.0]], [3.0], [[1.0]], [1.0]))
+    with pytest.raises(cq.InvalidProblem, match=r"^certify: no argument is called 'normal_forces' .*'normal_force'"):
+        cq.certify(solution.problem, [1.0], normal_forces=[1.0])
+    with pytest.raises(TypeError, match=r"^solve: missing a required argument: 'problem'; its arguments: problem"):
+        cq.solve()
     with pytest.raises(cq.InvalidProblem, match=r"^draw: no argument is called 'pairings'; its arguments: .*contacts"):
         cq.draw(solution, "x.png", pairings=[])
 

@@ -22,15 +22,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, WrongCall, cure_of, no_argument, shown
+from contactqp.errors import InvalidProblem, WrongCall, cure_of, shown
+from contactqp.model.arrays import COLLECTING, misfit
 from contactqp.model.problem_data import is_whole, refuse_masked
 
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", bound=type)
 
-# Parameters that collect arguments without a name in the signature.
-COLLECTING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 # The order of their entries means something, and they are no text.
 SEQUENCES = (Sequence, Iterable, tuple, list)
 # Whole numbers from here on are no numbers of anything, and none of NumPy's.
@@ -58,7 +57,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         try:
             given = signature.bind(*args, **kwargs)
         except TypeError as error:
-            raise WrongCall(f"{_called(function, args, {})}: {_misfit(signature, kwargs, error)}") from None
+            raise WrongCall(f"{_called(function, args, {})}: {misfit(signature, kwargs, error)}") from None
         for name in given.arguments.keys() & stated.keys():
             place = f"{_called(function, args, given.arguments)}: {name}"
             given.arguments[name] = _accepted(place, given.arguments[name], stated[name])
@@ -84,13 +83,6 @@ def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[
         return f"{kind}.{function.__name__}"
     name = given.get("name")
     return str.__str__(name) if isinstance(name, str) else kind
-
-
-def _misfit(signature: inspect.Signature, given: Mapping[str, Any], error: TypeError) -> str:
-    """Return why a call does not fit: the arguments that are not there first, which a missing one may be meant by."""
-    names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
-    unknown = [name for name in given if name not in names]
-    return no_argument(unknown, names) if unknown else f"{error}; its arguments: {', '.join(names)}"
 
 
 def _stated_types(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:

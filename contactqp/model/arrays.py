@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache, cached_property, wraps
-from inspect import isfunction, signature
+from inspect import Parameter, Signature, isfunction, signature
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -68,6 +68,7 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
     What comes of it is infinite or NaN, which no certificate passes; under `np.seterr(all="raise")`, or with warnings
     as errors, harmless underflow would end a solve with somebody else's exception. Where a factorisation refuses such
     numbers, numbers of the problem are too far apart to be computed with, and the error says so.
+    A call that does not fit the signature is told the nearest arguments.
     """
 
     @wraps(function)
@@ -79,8 +80,30 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
                 if str(error).lower() not in NOT_FINITE:
                     raise
                 raise InvalidProblem(TOO_FAR_APART.format(error)) from error
+            except TypeError:
+                _refuse_misfit(function, args, kwargs)
+                raise
 
     return computing
+
+
+# Parameters that collect arguments without a name in the signature.
+COLLECTING = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+
+
+def misfit(signature: Signature, given: Mapping[str, Any], error: TypeError) -> str:
+    """Return why a call does not fit: the arguments that are not there first, which a missing one may be meant by."""
+    names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
+    unknown = [name for name in given if name not in names]
+    return no_argument(unknown, names) if unknown else f"{error}; its arguments: {', '.join(names)}"
+
+
+def _refuse_misfit(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> None:
+    """Raise WrongCall where these arguments do not fit the signature; a call that fits raised what it raised."""
+    try:
+        signature(function).bind(*args, **kwargs)
+    except TypeError as error:
+        raise WrongCall(f"{function.__qualname__}: {misfit(signature(function), kwargs, error)}") from None
 
 
 def refuses_misfits(function: Callable[P, R]) -> Callable[P, R]:

@@ -483,8 +483,9 @@ class Units:
                 raise InvalidProblem(f"units: expected the name of a unit of {what}, got {shown(name)}")
 
 
-# Names that are units of one and never of the other.
+# Names that are units of one and never of the other, and such as are units of neither.
 LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
+NEITHER = ("g", "kg", "s", "min", "h", "rad", "deg", "Pa", "kPa", "MPa", "GPa", "psi", "bar", "J")
 FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
 
 
@@ -495,6 +496,6 @@ def read_units(value: Units | Mapping[str, str] | None) -> Units:
     if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):
         raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
     for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
-        if not isinstance(value[what], str) or value[what] in others:
+        if not isinstance(value[what], str) or value[what] in (*others, *NEITHER):
             raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
     return Units(**value)

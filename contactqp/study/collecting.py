@@ -268,6 +268,8 @@ def _study(ticket: Ticket) -> CaseStudy:
 # Least seconds of a call; seconds that a cell takes in addition to its calls, and the time of these over that which is
 # measured: making a fresh problem is not.
 OVERHEAD, AROUND, BESIDE = 1e-3, 1.2e-2, 1.1
+# A first call beyond so many times the median of its case loaded packages: the next one is expected to take no longer.
+UNUSUAL = 3.0
 
 
 class Collector:
@@ -387,19 +389,22 @@ class Collector:
         return (*kept, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
     def _timing_cells(self, studies: Sequence[CaseStudy]) -> Iterator[Cell]:
-        """Yield the cells that time all answers, the smallest case first.
+        """Yield the cells that time all answers: the smallest body first, then the largest case and so on.
 
-        One linear solve and the methods of a case take turns, to and fro: a machine that is busy for a while disturbs
-        all alike, and none is always the first.
+        The first calls of all methods on a body are not timed, and the smallest one loses least by that; what the large
+        ones take is known early then, and with it the time that is left. One linear solve and the methods of a case
+        take turns, to and fro: a machine that is busy for a while disturbs all alike, and none is always the first.
         """
-        for study in reversed(studies):
+        bodies = [study for study in studies if study.problem.dimension >= BODY]
+        for study in sorted(studies, key=lambda study: study not in bodies[-1:]):
             answers = ((setting, self._found[answer_key(study, setting)]) for setting in study.settings)
             firsts = [(setting, row.seconds) for setting, row in answers if isinstance(row, Row)]
+            usual = statistics.median([first for _, first in firsts if first is not None] or [0.0])
             for round_ in range(max(self._rounds.most, 1)):
                 yield limit_cell(study, round_, min((first for _, first in firsts if first is not None), default=0.0))
                 for setting, first in firsts if round_ % 2 == 0 else firsts[::-1]:
                     if first is not None and round_ < self._rounds.of(first):
-                        yield timing_cell(study, setting, first, round_, _cost(first))
+                        yield timing_cell(study, setting, first, round_, _cost(min(first, UNUSUAL * usual)))
 
     def _footprint_cells(self, studies: Sequence[CaseStudy]) -> list[Cell]:
         """Return the cells of the cases that have a file; in brief of the largest that all settings are run on."""
@@ -451,7 +456,10 @@ class Collector:
     def _timing_of_one(self, study: CaseStudy) -> float:
         """Return the seconds that timing one setting of a case is expected to take, by its size if none is answered."""
         seconds = self._expected[study.name]
-        return statistics.mean(seconds) if seconds else self._timing(_answer_seconds(study))
+        if not seconds:
+            return self._timing(_answer_seconds(study))
+        usual = statistics.median(seconds)
+        return statistics.mean(min(one, UNUSUAL * usual) for one in seconds)
 
     def _timing(self, seconds: float) -> float:
         """Return the seconds that timing a setting takes whose call takes so many."""

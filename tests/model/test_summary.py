@@ -249,6 +249,9 @@ def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_
     [
         ({"length": "kN", "force": "m"}, "expected a length, got 'kN'"),
         ({"length": "m", "force": "mm"}, "expected a force, got 'mm'"),
+        ({"length": "m", "force": "kg"}, "expected a force, got 'kg'"),
+        ({"length": "mm", "force": "MPa"}, "expected a force, got 'MPa'"),
+        ({"length": "rad", "force": "N"}, "expected a length, got 'rad'"),
         ({"length": "m"}, "both of them"),
         ("m", "both of them"),
     ],

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import pickle
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.study.collecting import linear_solve, linear_solve_seconds
+from contactqp.study.collecting import UNUSUAL, Collector, Rounds, answer_key, linear_solve, linear_solve_seconds
+from contactqp.study.rows import Row
+from contactqp.study.settings import single_settings
+from contactqp.study.statistics import BODY
 from tests.examples import two_bars
 
 
@@ -51,3 +56,30 @@ def test_every_sparse_solver_solves_and_is_timed(size: int) -> None:
 
 def test_another_process_can_be_sent_it() -> None:
     assert pickle.loads(pickle.dumps(linear_solve_seconds)) is linear_solve_seconds
+
+
+def test_the_smallest_body_is_timed_first_and_then_the_largest() -> None:
+    """What the large ones take is known early then, and with it the time that is left; the bar is timed last."""
+    settings = [next(single_settings(two_bars(), method)) for method in cq.methods() if method.name in FIRSTS]
+    studies: list[Any] = [
+        SimpleNamespace(
+            name=name, problem=SimpleNamespace(dimension=size), settings=settings, digest=name, scene=SimpleNamespace()
+        )
+        for name, size in (("large", 9 * BODY), ("middle", 3 * BODY), ("small", BODY), ("bar", 2))
+    ]
+    nothing: Any = SimpleNamespace()
+    collector = Collector(studies, nothing, nothing, nothing, Rounds(1, 1.0), 1.0)
+    for study in studies:
+        for setting in settings:
+            collector._found[answer_key(study, setting)] = Row(seconds=FIRSTS[setting.method.name])
+    cells = list(collector._timing_cells(studies))
+    assert list(dict.fromkeys(cell.key.partition("/")[0] for cell in cells)) == ["small", "large", "middle", "bar"]
+    costs = {
+        cell.key.split("/")[1]: cell.cost for cell in cells if cell.key.startswith("large/") and "time" in cell.key
+    }
+    assert costs["active-set"] == pytest.approx(0.1 * 1.1, abs=0.02)
+    assert costs["cvxpy"] == pytest.approx(UNUSUAL * 0.1 * 1.1, abs=0.02)  # its first call loaded packages
+
+
+# Seconds of first calls.
+FIRSTS = {"active-set": 0.1, "lemke": 0.1, "master-slave": 0.1, "cvxpy": 5.0}
