@@ -29,13 +29,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
-from contactqp.linalg.iteration import (
-    constraints_are_many,
-    contacts_are_many,
-    factorised,
-    iterated,
-    may_be_factorised,
-)
+from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.refinement import CAUTION, answer_on
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths

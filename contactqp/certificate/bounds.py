@@ -72,13 +72,7 @@ from contactqp.linalg.factorization import RIGID_ENERGY
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import (
-    forces_that_meet,
-    lengths_that_meet,
-    outer_forces,
-    own_compliance,
-    parts,
-)
+from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, outer_forces, own_compliance, parts
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
@@ -150,7 +144,13 @@ class Bounds:
 
 
 def bounds(problem: ContactProblem, answer: Answer, left: Residuals, operator: Condensation | Iteration) -> Bounds:
-    """Return the bounds of an answer, or the reasons why there are none."""
+    """Return the bounds of an answer, or the reasons why there are none.
+
+    Parameters
+    ----------
+    problem, answer, left : ContactProblem, Answer, and the Residuals of the answer
+    operator : Condensation or Iteration of the problem
+    """
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
     if isinstance(operator, Iteration):

@@ -23,23 +23,19 @@ from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import balance, kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
-from contactqp.certificate.idle_rows import (
-    acting_rows,
-    dependent_sparse_ties,
-    dependent_ties,
-    with_forces_without_law,
-)
+from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties, with_forces_without_law
 from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.extended import Residuals, plain_residuals, residuals
+from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
+from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive

@@ -33,7 +33,7 @@ from contactqp.certificate.coulomb_law import (
     slips_that_are_nothing,
 )
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.extended import Residuals, extend, extended_rows, plain_residuals, residuals
+from contactqp.linalg.extended import Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RigidMotions, images
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
@@ -49,6 +49,7 @@ from contactqp.linalg.measures import (
     that_move,
     without_rigid_part,
 )
+from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations

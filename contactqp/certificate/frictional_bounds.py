@@ -152,7 +152,13 @@ class _Refined:
 def frictional_bounds(
     problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared
 ) -> Bounds:
-    """Return bounds of an answer that was compared with that of its own combination, or reasons for having none."""
+    """Return bounds of an answer that was compared with that of its own combination, or reasons for having none.
+
+    Parameters
+    ----------
+    problem, condensation, answer : ContactProblem, its Condensation, Answer
+    compared : Compared, with the refined answer of the combination
+    """
     found = _proven(problem, condensation, answer, compared)
     return no_bounds(f"friction: {found}") if isinstance(found, str) else found
 
@@ -297,14 +303,8 @@ def _refined(
     gap = (extend(problem.gap) - rows.normal @ moved).double()
     slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
     scale = compliance.scale
-    width = slip.shape[1]
-    return _Refined(
-        force.double() * scale,
-        friction.double().reshape(m, width) * scale[:, None],
-        gap / scale,
-        slip / scale[:, None],
-        correction,
-    )
+    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
+    return _Refined(*forces, gap / scale, slip / scale[:, None], correction)
 
 
 def _distance(refined: _Refined, norms: _Norms, status: Status, mu: Vector, kappa: float) -> float:

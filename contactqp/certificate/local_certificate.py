@@ -50,7 +50,7 @@ ROUNDING = 1e-9
 _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
 
 
-def local_uniqueness(
+def _local_uniqueness(
     problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array
 ) -> Uniqueness:
     """Say whether the forces are the only ones; `along` (m, d) are the force directions of contacts that slip."""
@@ -204,6 +204,7 @@ def siconos_global_error(
 
     Parameters
     ----------
+    problem : ContactProblem, with tangential rows and friction
     displacement : (n,) array [length]
     normal_force : (m,) array [force], positive in compression
     friction_force : (m, d-1) or flat array [force], l_T, along the slip
@@ -273,6 +274,7 @@ def certify_local(
 
     Parameters
     ----------
+    problem : LocalProblem
     force : (m, d) or flat array
         On the body, in the order (N, T1, T2).
     joint_force : (p,) array, needed where the problem has joints
@@ -296,7 +298,7 @@ def certify_local(
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
         return certificate
     closed, stuck, along = _Measured(problem, r, joint).state(tolerance)
-    others = local_uniqueness(problem, closed, stuck, along)
+    others = _local_uniqueness(problem, closed, stuck, along)
     known = replace(certificate, uniqueness=others.findings, notes=others.notes)
     if not known.passed:
         return known
@@ -318,7 +320,12 @@ def _status(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.
 def judged(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
 ) -> LocalCertificate:
-    """Return `certify_local` without looking for other answers, which would cost more than the rest."""
+    """Return `certify_local` without looking for other answers, which would cost more than the rest.
+
+    Parameters
+    ----------
+    problem, force, joint_force, tolerance : as in `certify_local`
+    """
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {shown(tolerance)}")

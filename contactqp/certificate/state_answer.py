@@ -34,9 +34,10 @@ from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy
 from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.extended import extend, extended_rows, plain_residuals, residuals
+from contactqp.linalg.extended import extend, extended_rows, residuals
 from contactqp.linalg.iteration import Systems, iterated, iteration, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, in_energy, row_sizes
+from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
@@ -128,13 +129,13 @@ def state_verdict(
 
     Parameters
     ----------
+    problem, answer, found : ContactProblem, Answer, and the Violations of the answer
     condensation : Condensation or None
         None where the bodies are not condensed: sparse systems compare where contacts are many, else nothing does.
     tolerances : two floats
         The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
     """
-    tolerance, part = tolerances
-    nothing = part * found.intrinsic_size
+    tolerance, nothing = tolerances[0], tolerances[1] * found.intrinsic_size
     bodies: Bodies
     if condensation is not None:
         if (reason := _too_large(problem, condensation, answer)) is not None:
@@ -171,7 +172,12 @@ def state_verdict(
 def remember_verdict(
     problem: ContactProblem, answer: Answer, tolerances: tuple[float, float], verdict: StateVerdict
 ) -> None:
-    """Keep the verdict of an answer on candidate contacts for the certificate of the whole problem."""
+    """Keep the verdict of an answer on candidate contacts for the certificate of the whole problem.
+
+    Parameters
+    ----------
+    problem, answer, tolerances, verdict : as `state_verdict` takes and returns them
+    """
     problem._computed.judged_state = _numbers(problem, answer, tolerances), verdict
 
 
@@ -216,8 +222,6 @@ def _with_friction_held(
 
     Parameters
     ----------
-    condensation : Condensation or None
-        None where the bodies are not condensed.
     tolerance : float
         The largest relative error that passes.
     nothing : float

@@ -57,12 +57,7 @@ def is_hdf5(data: bytes) -> bool:
 
 
 def h5py_module() -> Any:
-    """Import h5py, which is done when a file is first read or written, and return it.
-
-    Raises
-    ------
-    BackendMissing
-    """
+    """Import h5py, where a file is first read or written; BackendMissing where it is not installed."""
     try:
         import h5py
     except ImportError as error:
@@ -132,7 +127,14 @@ class Hdf5File:
         return values.reshape(-1).astype(float)
 
     def vector(self, name: str, size: int, why: str, *, finite: bool = True) -> NDArray[np.float64]:
-        """Return (size,) numbers; `why` says in the message of an error where the size comes from."""
+        """Return numbers of a dataset.
+
+        Parameters
+        ----------
+        name : str
+        size, why : int, str, how many are expected and where in the file that number comes from
+        finite : bool, whether inf and NaN are refused
+        """
         values = self.numbers(name)
         if len(values) != size:
             raise wrong(self.path, name, f"{size} numbers ({why})", len(values))
@@ -181,8 +183,8 @@ class Hdf5File:
             raise wrong(self.path, name, "numbers", f"damaged data ({one_line(error)})") from None
 
 
-LOCAL, GLOBAL, ROLLING = "fclib_local", "fclib_global", "fclib_global_rolling"
-ROLLING_LOCAL = "fclib_local_rolling"
+LOCAL, GLOBAL = "fclib_local", "fclib_global"
+ROLLING, ROLLING_LOCAL = "fclib_global_rolling", "fclib_local_rolling"
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,6 +380,7 @@ def write_fclib(
 
     Parameters
     ----------
+    title, description, math_info : str, written under info
     path : path that ends in .hdf5 or .h5
         A file that is there is replaced.
     problem : LocalProblem, GlobalProblem or ContactProblem
@@ -447,11 +450,9 @@ def _answer_data(
     elif isinstance(problem, LocalProblem) or solution.slip is None:
         raise InvalidProblem("solution: expected one of this problem, got one of another kind")
     else:
-        # Without a coefficient of friction nothing rubs, and there is no friction force at all.
-        friction_force = (
-            solution.friction_force if solution.friction_force is not None else np.zeros_like(solution.slip)
-        )
-        r = np.column_stack([solution.normal_force, -friction_force])
+        # Without a coefficient of friction there is no friction force at all.
+        given = np.zeros_like(solution.slip) if solution.friction_force is None else solution.friction_force
+        r = np.column_stack([solution.normal_force, -given])
         u = np.column_stack([solution.gap, solution.slip])
         joint, v = -solution.tie_force, solution.displacement
     joints = problem.joints if isinstance(problem, LocalProblem) else len(problem.joint_offset)

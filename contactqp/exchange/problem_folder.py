@@ -34,13 +34,7 @@ from contactqp.exchange.problem_writing import (
     problem_of,
 )
 from contactqp.exchange.problem_writing import write_problem as write_problem
-from contactqp.exchange.tables import (
-    Unknowns,
-    is_table,
-    read_contact_rows,
-    read_load_rows,
-    read_tie_rows,
-)
+from contactqp.exchange.tables import Unknowns, is_table, read_contact_rows, read_load_rows, read_tie_rows
 from contactqp.model.problem import ContactProblem
 from contactqp.model.unknown_names import plain_name
 

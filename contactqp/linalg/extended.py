@@ -424,7 +424,13 @@ class ExtendedAnswer:
         return cls(*(Extended(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties)))
 
     def corrected(self, du: Vector, closed: NDArray[np.intp], dl: Vector, dn: Vector) -> ExtendedAnswer:
-        """Return the answer with a correction in doubles; contact forces (q,) are those of the closed contacts."""
+        """Return the answer with a correction in doubles.
+
+        Parameters
+        ----------
+        du, dl, dn : (n,), (q,), (k,) arrays, changes of displacement, forces of the closed contacts, and ties
+        closed : (q,) array of int
+        """
         force = self.normal_force.added_at(closed, dl)
         tie = self.tie_force + dn if dn.size else self.tie_force
         return ExtendedAnswer(self.displacement + du, force, tie, self.friction_force)
@@ -462,7 +468,13 @@ class Residuals:
 def residuals_of(
     rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer, elastic: Extended | None = None
 ) -> Residuals:
-    """Return the residuals of an answer, formed with these rows in extended precision; `elastic` is K u if known."""
+    """Return the residuals of an answer in extended precision.
+
+    Parameters
+    ----------
+    rows, problem, answer : ExtendedRows, which form them, ContactProblem, ExtendedAnswer
+    elastic : Extended (n,), K u, where it is known
+    """
     u, normal, tie, friction = answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force
     if rows.together is not None:
         n, m, k, size = rows.ends
@@ -485,15 +497,3 @@ def residuals_of(
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     """Return the residuals of an answer, formed in extended precision."""
     return residuals_of(extended_rows(problem), problem, ExtendedAnswer.of(answer))
-
-
-def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
-    """Return the residuals of an answer in double precision, each to a few dozen roundings of the sizes that meet."""
-    u = answer.displacement
-    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
-    if problem.tangent is not None and answer.friction_force is not None:
-        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
-    force = problem.load - problem.stiffness_rows @ u - outer
-    return Residuals(
-        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
-    )

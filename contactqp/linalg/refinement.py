@@ -15,22 +15,10 @@ from numpy.typing import NDArray
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import zero_beneath
-from contactqp.linalg.extended import (
-    EPS,
-    Extended,
-    ExtendedAnswer,
-    Residuals,
-    extend,
-    extended_rows,
-    residuals_of,
-)
+from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, forces_beside_others, pushing_contacts, shift_to_least_norm
-from contactqp.linalg.measures import (
-    imbalance,
-    lengths_that_meet,
-    without_rigid_part,
-)
+from contactqp.linalg.measures import imbalance, lengths_that_meet, without_rigid_part
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -33,14 +33,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, shown
-from contactqp.linalg.dense import (
-    DENSE_SIZE,
-    LIFT,
-    SUSPICIOUS_PIVOT,
-    BackSubstitution,
-    DenseCholesky,
-    refuse_negative,
-)
+from contactqp.linalg.dense import DENSE_SIZE, LIFT, SUSPICIOUS_PIVOT, BackSubstitution, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, factorise, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
 from contactqp.linalg.runtime import RUNNING

@@ -1,4 +1,4 @@
-"""Residuals beyond double precision at the cost of a few plain products.
+"""Residuals by plain products: in double precision, or beyond it at the cost of a few.
 
 Those of many right-hand sides at once are formed to some digits beyond it by products without rounding. Ozaki, Ogita,
 Oishi, Rump (2012), Numer. Algorithms 59: numbers are cut into slices of so few bits that sums of products of slices are
@@ -18,9 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import Unsupported
-from contactqp.linalg.extended import Extended, two_sum
+from contactqp.linalg.extended import Extended, Residuals, extend, two_sum
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 # Bits behind the point of the first and second slices; with so many entries in a row sums of products have 53 bits.
 OF_ROWS, OF_COLUMNS, LONGEST_ROW = (22, 44), (21, 42), 512
@@ -89,3 +90,15 @@ def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extend
         return None
     added: Vector = problem.stiffness_rows @ change
     return elastic + added
+
+
+def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """Return the residuals of an answer in double precision, each to a few dozen roundings of the sizes that meet."""
+    u = answer.displacement
+    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
+    force = problem.load - problem.stiffness_rows @ u - outer
+    return Residuals(
+        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
+    )

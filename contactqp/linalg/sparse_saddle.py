@@ -23,11 +23,12 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import least_length
-from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, plain_residuals, residuals_of
+from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.schur import LARGE
+from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 
@@ -289,14 +290,13 @@ class ClosedState:
         lengths = row_sizes(problem, problem.normal).lengths(u) + abs(problem.gap)
         of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
         longest = max(float(values.max(initial=0.0)) for values in (u, lengths[closed], of_ties))
-        loaded = float(problem.load_size.max(initial=0.0))
         longest = max(longest, least_length(problem, closed))
         # Where no force acts, those that would move the lengths that meet.
         largest = max(float(forces.max(initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
         unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
         unbalanced = float(abs(force_left).max(initial=0.0))
-        acting = max(float(strain.max(initial=0.0)), loaded)
+        acting = max(float(strain.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
         limits = np.concatenate([abs(problem.gap[closed]), abs(problem.tie_value)])
         imposed = float(limits.max(initial=0.0)) or longest
         hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))

@@ -282,9 +282,13 @@ class ContactProblem:
     ) -> ContactProblem:
         """Return this frictionless problem in other unknowns (condensed, scaled); nothing is checked again.
 
-        `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
-        indefinite by a few digits of what it was before; it still is this problem. Rows that are others are not
-        `named` as the contacts.
+        Rounding may leave a transformed stiffness indefinite by a few digits of what it was; it still is this problem.
+
+        Parameters
+        ----------
+        stiffness, load, normal, gap, tie, tie_value : those in the other unknowns
+        load_size : (n,) array, the sum of sizes behind each entry of the load
+        named : bool, whether the rows are still the contacts and keep their names
         """
         names = self.contact_names if named else None
         kept = dict(contact_names=names, tie_names=None, units=self.units, asymmetry=0.0, rigid_change=0.0)
@@ -303,8 +307,7 @@ class ContactProblem:
         """The diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
-            of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
-            of_stiffness.diagonal.setflags(write=False)
+            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
         return of_stiffness.diagonal
 
     @cached_property
@@ -312,8 +315,7 @@ class ContactProblem:
         """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
-            of_stiffness.own_scale = inverse_root(self.diagonal)
-            of_stiffness.own_scale.setflags(write=False)
+            of_stiffness.own_scale = read_only(inverse_root(self.diagonal))
         return of_stiffness.own_scale
 
     @cached_property
@@ -388,8 +390,7 @@ class ContactProblem:
         if "gap" in changes:
             checked["gap"] = read_gap(changes["gap"], m)
         if set(changes) & {"friction", "slip_origin"}:
-            origin = changes.get("slip_origin", self.slip_origin)
-            friction = changes.get("friction", self.friction)
+            friction, origin = (changes.get(name, getattr(self, name)) for name in ("friction", "slip_origin"))
             _, checked["friction"], checked["slip_origin"] = read_friction(self.tangent, friction, origin, m, n, True)
         for name, size in (("dof_names", n), ("contact_names", m), ("tie_names", k)):
             if name in changes:
@@ -427,11 +428,8 @@ class ContactProblem:
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
         if self._computed.idle_rows is None:
-            normal, tie = self.normal.indptr, self.tie.indptr
-            zero = normal[1:] == normal[:-1], tie[1:] == tie[:-1]
-            for rows in zero:
-                rows.setflags(write=False)
-            self._computed.idle_rows = zero
+            starts = self.normal.indptr, self.tie.indptr
+            self._computed.idle_rows = tuple(read_only(one[1:] == one[:-1]) for one in starts)
         contacts, ties = self._computed.idle_rows
         return contacts | (self.gap == np.inf), ties
 

@@ -53,7 +53,7 @@ from contactqp.solving.methods import (
     registered_name,
     warm_candidate,
 )
-from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
+from contactqp.solving.presolve import PresolvedRun, has_rows_to_spare, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
 
@@ -101,6 +101,7 @@ def solve(
 
     Parameters
     ----------
+    problem : ContactProblem or LocalProblem
     method : str
         A name of `contactqp.methods()`.
     engine : str
@@ -371,7 +372,6 @@ def of_problem(near: NearOne, found: Solution) -> Solution:
         The answer, or a gap that it closes, is beyond doubles.
     """
     near.refuse_far_gap(found)
-
     parts, friction = near.parts(found), near.friction(found.friction_force)
     judged = (parts["displacement"], parts["normal_force"], friction, parts["tie_force"])
     tolerances = found.certificate.tolerance, found.certificate.error_tolerance
@@ -399,7 +399,10 @@ def begin(
 ) -> Run:
     """Run a method; refinement and certificate, which need all unknowns, wait until `Run.finish` is called.
 
-    Parameters are those of `solve`, but for `start`: a candidate where that takes a solution.
+    Parameters
+    ----------
+    problem, method, tolerance, condense, polish, time_limit, max_iter, algorithm, **options : as in `solve`
+    start : Candidate, optional
 
     Raises
     ------
@@ -450,20 +453,12 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
     return run_friction(problem, method, settings, algorithm)
 
 
-def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
-    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
-        return False
-    return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
-
-
 def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, condense: Any, _: Any) -> Run:
-    fewer = presolved(problem)
-    assert fewer is not None
-
-    def run(shown: ContactProblem, changed: Settings) -> Run:
-        return _run(shown, method, changed, condense, None)
-
-    return PresolvedRun(fewer, problem, method, settings, run)
+    kept = presolved(problem)
+    assert kept is not None
+    return PresolvedRun(
+        kept, problem, method, settings, lambda some, changed: _run(some, method, changed, condense, None)
+    )
 
 
 def has_sparse_systems(method: Method) -> bool:
@@ -494,7 +489,7 @@ WAYS = (
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.
-    Way(_has_rows_to_spare, _run_presolved),
+    Way(lambda _, problem, method, __: has_rows_to_spare(problem, method), _run_presolved),
     # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
     Way(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.

@@ -19,12 +19,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import solved_from
-from contactqp.linalg.iteration import (
-    Systems,
-    held_by_hierarchy,
-    iteration,
-    systems_of,
-)
+from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE

@@ -60,9 +60,7 @@ class StepFigures:
     tie: Block
 
     def first_above(self, tolerance: float) -> tuple[int, str, float] | None:
-        """Return the first step with a figure above a tolerance, its worst figure and the size of that; NaN counts
-        as infinite.
-        """
+        """Return the first step with a figure above a tolerance, that figure and its size; NaN counts as infinite."""
         values = np.array([getattr(self, name) for name in FIGURES])
         values = np.where(np.isnan(values), np.inf, values)
         beyond = np.flatnonzero(np.any(values > tolerance, axis=0))
@@ -170,9 +168,7 @@ class StepJudge:
         )
 
     def _loads(self, posed: list[StepProblem]) -> tuple[Block, Block]:
-        """Return f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x -
-        base.
-        """
+        """Return f and its size, (n, steps) each; with a base the load is K base and what acts on x - base."""
         load = np.column_stack([p.load for p in posed])
         bases = [p.base for p in posed if p.base is not None]
         if not bases:
@@ -204,9 +200,7 @@ class StepJudge:
     def _coulomb(
         self, posed: list[StepProblem], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
     ) -> tuple[Block, Block]:
-        """Return |l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its
-        lengths.
-        """
+        """Return `cone` and `slip_direction` (steps,), each the worst over the contacts."""
         steps, m = x.shape[1], len(normal)
         if self._T is None or not len(friction):
             return np.zeros(steps), np.zeros(steps)
@@ -230,9 +224,7 @@ class StepJudge:
         return _worst(cone.reshape(m, steps)), _worst(direction.reshape(m, steps))
 
     def _meeting_at_tangents(self, F: Block) -> Block:
-        """Return the least F_j / |E_T|_ij, |E_T|_ij the length of column j, over the unknowns that the rows of a
-        contact touch, (m, steps).
-        """
+        """Return min_j F_j / |E_T|_ij (m, steps), |E_T|_ij the length of column j of the rows of contact i."""
         assert self._T is not None
         squares = sp.coo_matrix(self._T.multiply(self._T))
         width = self._T.shape[0] // self._N.shape[0]
@@ -271,7 +263,15 @@ SPANNED = 1e-12
 
 
 class MotionRun:
-    """One motion while its steps are taken."""
+    """One motion while its steps are taken.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    load : function of the time, f (n,) [force]
+    start : float, the time at the start
+    method, options : str, dict, for the contact problem of each step, as in `solve`
+    """
 
     def __init__(
         self, scheme: Scheme, load: Callable[[float], Vector], start: float, method: str, options: dict[str, Any]

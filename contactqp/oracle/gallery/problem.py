@@ -1,7 +1,4 @@
-"""A problem whose exact answer is known, in rational numbers, and the same in doubles.
-
-Its matrices are sparse rows of Fractions.
-"""
+"""A problem whose exact answer is known, in rational numbers (matrices as sparse rows of Fractions) and in doubles."""
 
 from __future__ import annotations
 
@@ -18,6 +15,7 @@ from numpy.typing import NDArray
 from contactqp.linalg.exact_algebra import Polyhedron, rank, solutions
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import read_only
 
 Row = Mapping[int, Fraction]
 Rows = tuple[Row, ...]
@@ -184,10 +182,14 @@ class Contents:
 class GalleryProblem:
     """A contact problem with its exact answer, made when first asked for.
 
-    Attributes
+    Parameters
     ----------
     name, kind, difficulty : str
         The name gives the problem back: `contactqp.testing.problem(name)`.
+    build : function that returns the Contents
+
+    Attributes
+    ----------
     problem : ContactProblem
     displacement, normal_force, friction_force, tie_force, gap
         The exact answer rounded to doubles, in the signs of `ContactProblem`: (n,), (m,) positive in compression,
@@ -270,7 +272,7 @@ class GalleryProblem:
     def friction_force(self) -> NDArray[np.float64] | None:
         if not self.data.tangent:
             return None
-        return _frozen(np.array([[float(x) for x in row] for row in self.exact.friction_force]))
+        return read_only(np.array([[float(x) for x in row] for row in self.exact.friction_force]))
 
     @cached_property
     def tie_force(self) -> Vector:
@@ -288,7 +290,13 @@ def exact_answer(
     friction_force: Sequence[Numbers] = (),
     tie_force: Numbers = (),
 ) -> ExactAnswer:
-    """Return an answer with its gaps, slips and states."""
+    """Return an answer with its gaps, slips and states.
+
+    Parameters
+    ----------
+    data : ExactProblem
+    displacement, normal_force, friction_force, tie_force : sequences of Fraction; (m, d-1) for friction
+    """
     gap = tuple(g - x for g, x in zip(data.gap, times(data.normal, displacement), strict=True))
     width = data.directions
     slid = tuple(x - o for x, o in zip(times(data.tangent, displacement), data.slip_origin, strict=True))
@@ -302,13 +310,7 @@ def exact_answer(
 
 
 def _vector(values: Sequence[Fraction]) -> Vector:
-    return _frozen(np.array([float(x) for x in values], dtype=float))
-
-
-def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the array, made read-only: tests share a problem, and none must change it for the others."""
-    values.setflags(write=False)
-    return values
+    return read_only(np.array([float(x) for x in values], dtype=float))
 
 
 def _matrix(rows: Rows, n: int) -> Any:
@@ -336,8 +338,7 @@ def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
 
 
 def below_critical_friction(data: ExactProblem) -> bool:
-    """Return whether friction is small enough for one answer: mu < least / largest eigenvalue of K, bounded by
-    Gershgorin.
+    """Return whether friction is small enough for one answer: mu < least / largest eigenvalue of K (Gershgorin).
 
     Let the rows of all contacts, each contact's divided by its length, be orthonormal, x be what they see of the
     difference of two answers, and H = (E K^-1 E')^-1. Signorini's and Coulomb's law give x'Hx <= mu |(Hx)_N| |x_T|
@@ -385,9 +386,7 @@ def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique:
 
 
 def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
-    """Return whether some combination of the rows is zero with nothing negative for the first ones, `weak` in
-    number.
-    """
+    """Return whether some combination of the rows is zero with nothing negative for the first `weak` ones."""
     found = solutions([[row.get(j, ZERO) for j in range(len(rows))] + [ZERO] for row in transposed(rows, n)], len(rows))
     free = found.free if found is not None else []
     slopes = [[direction[i] for direction in free] for i in range(weak)]

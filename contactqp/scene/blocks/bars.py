@@ -14,14 +14,7 @@ from contactqp.elements.members import truss_axial_force, truss_stiffness
 from contactqp.elements.scalars import Number, square_root, squared_length
 from contactqp.errors import SceneError
 from contactqp.scene import fields
-from contactqp.scene.blocks.element import (
-    Element,
-    Measure,
-    NamedMatrix,
-    NodeAnswer,
-    NodeScene,
-    refuse_zero_length,
-)
+from contactqp.scene.blocks.element import Element, Measure, NamedMatrix, NodeAnswer, NodeScene, refuse_zero_length
 from contactqp.scene.fields import Name, TwoNames, refuse_unknown
 from contactqp.scene.units import Quantity
 

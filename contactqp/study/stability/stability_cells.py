@@ -24,14 +24,7 @@ from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
 from contactqp.study.settings import DEFAULT_TOLERANCE, Setting, chosen_methods, contact_stiffness
 from contactqp.study.stability import body_axes, problem_axes
-from contactqp.study.stability.axis_problem import (
-    UNIT_ROUNDOFF,
-    Axis,
-    AxisProblem,
-    Prediction,
-    SweptTruth,
-    predict,
-)
+from contactqp.study.stability.axis_problem import UNIT_ROUNDOFF, Axis, AxisProblem, Prediction, SweptTruth, predict
 from contactqp.study.truth import ERROR_TOLERANCE
 
 # The rounding of the truth to doubles, which may add to an error that equals its bound.
