@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.measures import force_measure, forces_that_meet, lengths_that_meet, row_sizes
+from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
@@ -21,7 +21,7 @@ SHIFT_CORRECTIONS = 3
 
 
 def shift_to_least_norm(
-    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
+    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp]
 ) -> tuple[Vector, Array]:
     """Find the free motion that takes an answer to its least norm within the gaps.
 
@@ -31,8 +31,8 @@ def shift_to_least_norm(
     condensation : Condensation
         That of the problem.
     answer : Answer
-    closed : (q,) array of int, optional
-        The contacts that resist; by default those that push.
+    closed : (q,) array of int
+        The contacts that resist.
 
     Returns
     -------
@@ -42,7 +42,6 @@ def shift_to_least_norm(
     """
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), condensation.rigid.motions
-    closed = pushing_contacts(problem, answer) if closed is None else closed
     free = free_motions(condensation, saddle_point(condensation, closed))
     if not free.shape[1]:
         return np.zeros(problem.dimension), free
@@ -77,15 +76,3 @@ def _out_of_contacts(
             break
         shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
     return shift
-
-
-def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
-    """Return the contacts with a force beyond rounding."""
-    return np.asarray(np.flatnonzero(forces_beside_others(problem, answer) > WITHIN_ROUNDING))
-
-
-def forces_beside_others(problem: ContactProblem, answer: Answer) -> Vector:
-    """Return the measure of every contact force (m,), negative in tension."""
-    force = answer.normal_force
-    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
-    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)

@@ -166,22 +166,22 @@ def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_
 
 
 def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:
-    """Return the forces and lengths that count as none: the fraction `part` of the intrinsic sizes (n,), or rounding.
+    """Return the forces and lengths that count as none: a fraction of the intrinsic sizes, or rounding.
 
-    `elastic` (n,) is the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most.
+    Parameters
+    ----------
+    problem, answer : ContactProblem, Answer
+    elastic : (n,) array, the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most
+    size, part : (n,) array and float, the intrinsic sizes and the fraction of them
     """
-    stiff = problem.diagonal.all()
-    if not stiff and (mostly_bare(problem) or not (problem.frictional or problem.diagonal.any())):
+    if not problem.diagonal.all() and (mostly_bare(problem) or not (problem.frictional or problem.diagonal.any())):
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
-    u = abs(answer.displacement)
-    D = scale_through_rows(problem)
+    u, D = abs(answer.displacement), scale_through_rows(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
     force = np.maximum(force, HELD_BY_DOUBLES * (problem.stiffness_sizes @ u))
     if elastic is not answer.displacement:
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
-    bare = _untouched(problem)
-    if bare.any():
-        force[bare] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
+    force[_untouched(problem)] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
 
     def lengths(rows: Any) -> Vector:
         held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
@@ -358,7 +358,7 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
 
     Parameters
     ----------
-    acting, meeting, size : (n,) arrays
+    problem, acting, meeting, size : ContactProblem and (n,) arrays
         |f| + |K||u|, the same with the forces of contacts and ties, and the intrinsic size.
     """
     hidden = (acting > 0) & (meeting > HIDES * acting)

@@ -17,8 +17,15 @@ from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.least_norm import WITHIN_ROUNDING, forces_beside_others, pushing_contacts, shift_to_least_norm
-from contactqp.linalg.measures import imbalance, lengths_that_meet, without_rigid_part
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
+from contactqp.linalg.measures import (
+    force_measure,
+    forces_that_meet,
+    imbalance,
+    lengths_that_meet,
+    row_sizes,
+    without_rigid_part,
+)
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -332,7 +339,7 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
     opening = (gap > rounding) & (push > 0)
     if (push < 0).any():
-        opening |= forces_beside_others(problem, answer.doubles) < -WITHIN_ROUNDING
+        opening |= _push(problem, answer.doubles) < -WITHIN_ROUNDING
     return opening.nonzero()[0], penetrated.nonzero()[0]
 
 
@@ -450,7 +457,8 @@ def least_displacement(
     if not condensation.rigid.count:
         return answer, condensation.rigid.motions
     u, force, tie = without_noise(problem, condensation, answer)
-    shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
+    pushing = pushing_contacts(problem, Answer(u, force, None, tie))
+    shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie), pushing)
     far, largest = abs(shift).max(initial=0.0), abs(u).max(initial=0.0)
     if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
         return answer, free
@@ -462,5 +470,16 @@ def least_displacement(
         return replace(answer, displacement=closer, gap=gap, **double), free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
-    closed = pushing_contacts(problem, Answer(u, force, None, tie))
-    return answer_on(problem, condensation, closed, moved, caution=caution), free
+    return answer_on(problem, condensation, pushing, moved, caution=caution), free
+
+
+def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+    """Return the contacts with a force beyond rounding."""
+    return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
+
+
+def _push(problem: ContactProblem, answer: Answer) -> Vector:
+    """Return the measure of every contact force (m,), negative in tension."""
+    force = answer.normal_force
+    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
+    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)

@@ -239,8 +239,7 @@ class ContactProblem:
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
         vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in given if sp.issparse(one)]
-        for name, value in values.items():
-            vars(self)[name] = read_only(value)
+        vars(self).update({name: read_only(value) for name, value in values.items()})
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
@@ -307,7 +306,8 @@ class ContactProblem:
         """The diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
-            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
+            of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
+            of_stiffness.diagonal.setflags(write=False)
         return of_stiffness.diagonal
 
     @cached_property
@@ -315,7 +315,8 @@ class ContactProblem:
         """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
-            of_stiffness.own_scale = read_only(inverse_root(self.diagonal))
+            of_stiffness.own_scale = inverse_root(self.diagonal)
+            of_stiffness.own_scale.setflags(write=False)
         return of_stiffness.own_scale
 
     @cached_property
@@ -428,8 +429,9 @@ class ContactProblem:
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
         if self._computed.idle_rows is None:
-            starts = self.normal.indptr, self.tie.indptr
-            self._computed.idle_rows = tuple(read_only(one[1:] == one[:-1]) for one in starts)
+            zero = [one.indptr[1:] == one.indptr[:-1] for one in (self.normal, self.tie)]
+            zero[0].flags.writeable = zero[1].flags.writeable = False
+            self._computed.idle_rows = zero[0], zero[1]
         contacts, ties = self._computed.idle_rows
         return contacts | (self.gap == np.inf), ties
 

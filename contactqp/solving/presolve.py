@@ -40,7 +40,7 @@ from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings
-from contactqp.solving.runs import CONDENSES_ITSELF, Run
+from contactqp.solving.runs import Run
 
 # Places of the random numbers by which rows are told apart before they are compared entry by entry.
 SEED = 0
@@ -230,13 +230,6 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
         load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties]
     )
     return fewer if problem.load_sum is None else fewer.with_load_sum(problem.load, problem.load_size)
-
-
-def has_rows_to_spare(problem: ContactProblem, method: Method) -> bool:
-    """Return whether rows outnumber the unknowns and some are not needed, where that is of use to the method."""
-    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
-        return False
-    return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
 
 
 class PresolvedRun(Run):

@@ -30,7 +30,14 @@ from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import lay_out, row_sizes
-from contactqp.linalg.refinement import INVISIBLE, closed_contacts, least_displacement, polish, without_noise
+from contactqp.linalg.refinement import (
+    INVISIBLE,
+    closed_contacts,
+    least_displacement,
+    polish,
+    pushing_contacts,
+    without_noise,
+)
 from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point
@@ -319,7 +326,9 @@ class CondensedRun(Run):
         u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
         if not candidate.finite:
             return Final(u, force, tie)
-        shift, free = shift_to_least_norm(self.problem, self._condensation, Answer(u, force, None, tie))
+        answer = Answer(u, force, None, tie)
+        closed = pushing_contacts(self.problem, answer)
+        shift, free = shift_to_least_norm(self.problem, self._condensation, answer, closed)
         return Final(u + shift, force, tie, described(self.problem, free))
 
 

@@ -53,7 +53,7 @@ from contactqp.solving.methods import (
     registered_name,
     warm_candidate,
 )
-from contactqp.solving.presolve import PresolvedRun, has_rows_to_spare, presolved, solve_among
+from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
 
@@ -453,12 +453,16 @@ def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _
     return run_friction(problem, method, settings, algorithm)
 
 
+def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
+    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
+        return False
+    return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
+
+
 def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, condense: Any, _: Any) -> Run:
     kept = presolved(problem)
     assert kept is not None
-    return PresolvedRun(
-        kept, problem, method, settings, lambda some, changed: _run(some, method, changed, condense, None)
-    )
+    return PresolvedRun(kept, problem, method, settings, lambda one, its: _run(one, method, its, condense, None))
 
 
 def has_sparse_systems(method: Method) -> bool:
@@ -489,7 +493,7 @@ WAYS = (
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.
-    Way(lambda _, problem, method, __: has_rows_to_spare(problem, method), _run_presolved),
+    Way(_has_rows_to_spare, _run_presolved),
     # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
     Way(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.

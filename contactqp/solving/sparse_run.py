@@ -21,6 +21,7 @@ from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_dri
 from contactqp.linalg.interior_point import solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
+from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, uniqueness
@@ -152,7 +153,8 @@ class SparseRun(Run):
         if self._state is None or uniqueness(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it
         u, force, tie = final.displacement, final.normal_force, final.tie_force
-        shift, free = shift_to_least_norm(problem, condense(problem), Answer(u, force, None, tie))
+        answer = Answer(u, force, None, tie)
+        shift, free = shift_to_least_norm(problem, condense(problem), answer, pushing_contacts(problem, answer))
         return replace(final, displacement=u + shift, free_motions=described(problem, free)) if free.shape[1] else final
 
     def work(self, corrections: int) -> Work:

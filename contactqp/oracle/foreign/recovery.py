@@ -38,7 +38,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
-from contactqp.linalg.refinement import answer_on
+from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
@@ -394,7 +394,8 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
         tie = forces[: problem.ties]
         yield _completed(known, u, tie, missing), "the bodies' response, the pushing contacts held closed"
     if not problem.frictional:
-        shift, free = shift_to_least_norm(problem, condense(problem), Answer(u, known.normal_force, None, tie))
+        whole = Answer(u, known.normal_force, None, tie)
+        shift, free = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
         if free.shape[1]:
             how = "the bodies' response, moved within the gaps along what no contact resists"
             yield _completed(known, u + shift, tie, missing), how
