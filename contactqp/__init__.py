@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from contactqp.elements.shapes import box as box
     from contactqp.elements.shapes import rectangle as rectangle
     from contactqp.elements.solid import Body as Body
+    from contactqp.elements.solid import Membrane as Membrane
     from contactqp.elements.structure import Structure as Structure
     from contactqp.elements.structure import Support as Support
     from contactqp.elements.structure import System as System
@@ -148,6 +149,7 @@ _HOME = {
     "LocalProblem": "model.local_problem",
     "LocalSolution": "model.local_problem",
     "Material": "elements.material",
+    "Membrane": "elements.solid",
     "Mesh": "elements.mesh",
     "MotionHistory": "analysis.motion.motion_history",
     "NoEquilibrium": "errors",

@@ -132,6 +132,7 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "ConstrainedEnergy": (cq.ConstrainedEnergy, dict(unknowns=["w"], stiffness=[[2.0]], load=[3.0])),
         "ConstrainedEnergy.read": (energy.read, dict(solution=energy.solve().solution)),
         "ConstrainedEnergy.solve": (energy.solve, {}),
+        "Membrane": (cq.Membrane, dict(mesh=mesh(), tension=1.0)),
         "Body": (cq.Body, dict(mesh=mesh(), material=cq.Material(1.0, 0.0), model="plane-strain")),
         "Body.rigid_motions": (body().rigid_motions, {}),
         "Body.surface": (body().surface, dict(name="top")),

@@ -37,6 +37,15 @@ class Load(Protocol):
         ...
 
 
+def refuse_on_membrane(load: Load, membrane: Membrane) -> None:
+    """Raise InvalidProblem where a load of this kind does not act on membranes."""
+    if isinstance(load, Traction | BodyForce | Gravity | Weight):
+        raise InvalidProblem(
+            f"{membrane.name}: a membrane takes a Pressure from 'above' or 'below' and PointLoads of one component, "
+            f"got {type(load).__name__}"
+        )
+
+
 @checks
 @dataclass(frozen=True, eq=False)
 class Traction:
@@ -66,9 +75,12 @@ class Traction:
 class Pressure:
     """A pressure on a side: f_i = -integral of N_i p n dA with n out of the body, so that p > 0 pushes the body.
 
+    On a membrane it acts from one side of its plane: from above, f_i = -integral of N_i p dA along z, or from below.
+
     Parameters
     ----------
     body, side : str
+        The side of a membrane is "above" or "below".
     value : float, or a function of (p, d) points that returns (p,)
         p [force / length^2].
     """
@@ -77,12 +89,29 @@ class Pressure:
     side: str
     value: Field
 
-    def forces(self, body: Body) -> Vector:
+    def forces(self, body: Body | Membrane) -> Vector:
+        if isinstance(body, Membrane):
+            return self._on_membrane(body)
+
         def per_reference_area(facets: Geometry) -> Vector:
             p = field_values(f"pressure on {self.side!r}", self.value, facets.positions, ())
             return -p[..., None] * facets.normal
 
         return integrated(body, body.mesh.side(self.side), per_reference_area)
+
+    def _on_membrane(self, membrane: Membrane) -> Vector:
+        """Return its (N,) forces along z."""
+        if self.side not in ("above", "below"):
+            raise InvalidProblem(
+                f"{membrane.name}: pressure: expected the side 'above' or 'below' of a membrane, got {self.side!r}"
+            )
+        total = np.zeros(membrane.size)
+        for block in membrane.mesh.blocks:
+            elements = at_rule(block, membrane.mesh.points, block.kind.fine_rule)
+            p = field_values(f"pressure on {membrane.name!r}", self.value, elements.positions, ())
+            weights = block.kind.fine_rule.weights * elements.determinant
+            total += sum_at_nodes(block, (elements.shape.T @ (p * weights)[..., None]), membrane.size)[:, 0]
+        return -total if self.side == "above" else total
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,16 +190,17 @@ class PointLoad:
     nodes : str, int or sequence of int
         A named set, or node numbers.
     force : (d,) array
-        On each node [force]; in axial symmetry on its full circle.
+        On each node [force]; in axial symmetry on its full circle; of a membrane the one along z.
     """
 
     body: str
     nodes: str | int | Sequence[int]
     force: ArrayLike
 
-    def forces(self, body: Body) -> Vector:
-        force = field_values("point load", self.force, np.zeros((1, body.dimension)), (body.dimension,))
-        total = np.zeros(body.mesh.points.shape)
+    def forces(self, body: Body | Membrane) -> Vector:
+        d = len(body.axes)
+        force = field_values("point load", self.force, np.zeros((1, body.mesh.dimension)), (d,))
+        total = np.zeros((len(body.mesh.points), d))
         total[node_numbers(body, self.nodes)] = force
         return total.ravel()
 

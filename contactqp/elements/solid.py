@@ -36,7 +36,7 @@ from contactqp.elements.reference_elements import (
 )
 from contactqp.elements.scalars import positive_number, real_array
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem, shown
+from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_vector
@@ -380,6 +380,7 @@ def _counting_sort(keys: Index, largest: int) -> Index:
     return order
 
 
+@checks
 @dataclass(frozen=True, eq=False)
 class Membrane:
     """A membrane in the plane z = 0 that deflects by w along z: its energy is the integral of T/2 |grad w|^2.
@@ -406,8 +407,6 @@ class Membrane:
     name: str = "membrane"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.mesh, Mesh):
-            raise InvalidProblem(f"{self.name}: expected a Mesh as its mesh, got {shown(self.mesh)}")
         if self.mesh.dimension != 2:
             raise InvalidProblem(f"{self.name}: expected a plane mesh for a membrane, got one in 3D")
         positive_number(self.name, self.tension, "tension")

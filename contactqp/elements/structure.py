@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.loads import Field, Load, field_values, node_numbers, solid_mass
+from contactqp.elements.loads import Field, Load, field_values, node_numbers, refuse_on_membrane, solid_mass
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.solid import Body, Membrane
@@ -46,7 +46,7 @@ class Support:
     nodes : str, int or sequence of int
         A named set (of nodes, or a side), or node numbers.
     axis : int or str
-        0, 1 or 2, or "x", "y" or "z"; 0 for the one axis of a membrane.
+        0, 1 or 2, or "x", "y" or "z"; 0 or "z" for the one axis of a membrane.
     value : float, or a function of (p, d) points that returns (p,)
         The displacement [length], of each node where it starts; 0 holds the nodes.
     """
@@ -55,10 +55,6 @@ class Support:
     nodes: str | int | Sequence[int]
     axis: int | Literal["x", "y", "z"]
     value: Field = 0.0
-
-    def __post_init__(self) -> None:
-        if isinstance(self.axis, str):
-            object.__setattr__(self, "axis", "xyz".index(self.axis))
 
 
 @checks
@@ -171,7 +167,8 @@ class Structure:
         ----------
         supports : sequence of Support
         loads : sequence of Traction, Pressure, PointLoad or Gravity
-            Or of anything with a `body` and `forces(body)`, which are nodal forces (N d,) [force].
+            Membranes take Pressure and PointLoad. Or of anything with a `body` and `forces(body)`, which are nodal
+            forces (N d,) [force].
 
         Raises
         ------
@@ -182,7 +179,9 @@ class Structure:
         load = np.zeros(self.size)
         for acting in loads:
             first = self.first(acting.body)
-            body = self.solid(acting.body)
+            body: Any = self.body(acting.body)
+            if isinstance(body, Membrane):
+                refuse_on_membrane(acting, body)
             load[first : first + body.size] += acting.forces(body)
         prescribed = self.prescribed(supports)
         if not np.isnan(prescribed).any():
@@ -200,10 +199,11 @@ class Structure:
         prescribed = np.full(self.size, np.nan)
         for support in supports:
             body = self.body(support.body)
-            d, axis = len(body.axes), int(support.axis)
+            d = len(body.axes)
+            axis = body.axes.find(support.axis) if isinstance(support.axis, str) else int(support.axis)
             if axis not in range(d):
                 which = " or ".join(f"{number} ({letter})" for number, letter in enumerate(body.axes))
-                raise InvalidProblem(f"support of {body.name!r}: expected the axis {which}, got {axis}")
+                raise InvalidProblem(f"support of {body.name!r}: expected the axis {which}, got {shown(support.axis)}")
             nodes = node_numbers(body, support.nodes)
             values = field_values(f"support of {body.name!r}", support.value, body.mesh.points[nodes], ())
             places = self.first(body.name) + d * nodes + axis

@@ -72,16 +72,68 @@ def test_a_part_that_nothing_holds_rests_on_its_obstacle_or_is_named():
 def test_what_is_no_membrane_is_refused():
     with pytest.raises(InvalidProblem, match="drum: expected a positive tension, got 0"):
         Membrane(disc(1.0, (1, 1)), 0.0, name="drum")
-    with pytest.raises(InvalidProblem, match="drum: expected real numbers"):
+    with pytest.raises(InvalidProblem, match="drum: tension: expected a number, got '5'"):
         Membrane(disc(1.0, (1, 1)), "5", name="drum")
-    with pytest.raises(InvalidProblem, match="drum: expected a Mesh as its mesh, got None"):
+    with pytest.raises(InvalidProblem, match="drum: mesh: expected a Mesh, got None"):
         Membrane(None, 1.0, name="drum")
     with pytest.raises(InvalidProblem, match="drum: expected a plane mesh for a membrane, got one in 3D"):
         Membrane(box((1.0, 1.0, 1.0), (1, 1, 1)), 1.0, name="drum")
     drum = Membrane(disc(1.0, (1, 1)), 1.0, name="drum")
     with pytest.raises(InvalidProblem, match="membrane and 2D ones"):
         Structure([drum, Body(disc(1.0, (1, 1)), STEEL, "plane-strain", name="disc")])
-    with pytest.raises(InvalidProblem, match="expected an elastic body, got the membrane 'drum'"):
-        Structure([drum]).assemble([], [Traction("drum", "arc", [0.0, 0.0])])
+    structure = Structure([drum])
+    for load in (Traction("drum", "arc", [0.0, 0.0]), cq.Gravity("drum", [0.0, 0.0])):
+        with pytest.raises(
+            InvalidProblem, match=r"drum: a membrane takes a Pressure .* PointLoads .*, got (Tract|Grav)"
+        ):
+            structure.assemble([], [load])
+    with pytest.raises(InvalidProblem, match=r"drum: pressure: expected the side 'above' or 'below' .*, got 'arc'"):
+        structure.assemble([], [cq.Pressure("drum", "arc", 1.0)])
+    with pytest.raises(InvalidProblem, match=r"point load: expected a value of shape \(1,\), got \(2,\)"):
+        structure.assemble([], [cq.PointLoad("drum", 0, [0.0, 1.0])])
     with pytest.raises(InvalidProblem, match=r"expected the axis 0 \(z\), got 2"):
-        Structure([drum]).assemble([Support("drum", "arc", 2)])
+        structure.assemble([Support("drum", "arc", 2)])
+    with pytest.raises(InvalidProblem, match=r"expected the axis 0 \(z\), got 'x'"):
+        structure.assemble([Support("drum", "arc", "x")])
+    held = (structure.assemble([Support("drum", "arc", axis, 0.1)]).prescribed for axis in (0, "z"))
+    np.testing.assert_array_equal(*held)
+
+
+def round_drum(elements: int, tension: float) -> tuple[cq.Structure, cq.Membrane]:
+    drum = cq.Membrane(disc(1.0, (elements, elements)), tension, name="drum")
+    return cq.Structure([drum]), drum
+
+
+def test_a_round_membrane_under_pressure_is_a_paraboloid():
+    """w = -p (a^2 - r^2) / (4 T), down from above and up from below; the load is p times the area."""
+    structure, drum = round_drum(12, 3.0)
+    down, up = (
+        structure.assemble([Support("drum", "arc", 0)], [cq.Pressure("drum", side, 2.0)]) for side in ("above", "below")
+    )
+    w = structure.displacements("drum", down.expand(cq.solve(down.problem([])).displacement))[:, 0]
+    exact = -2.0 * (1 - np.sum(drum.mesh.points**2, axis=1)) / (4 * 3.0)
+    assert np.max(abs(w - exact)) < 1e-3 * np.max(abs(exact)) + 1e-3
+    np.testing.assert_array_equal(down.load, -up.load)
+    np.testing.assert_allclose(down.load.sum(), -2.0 * drum.mesh.volume(), rtol=1e-12)
+    linear = structure.assemble([], [cq.Pressure("drum", "above", lambda x: 1.0 + x[..., 0])])
+    np.testing.assert_allclose(linear.load.sum(), -drum.mesh.volume(), rtol=1e-12)
+
+
+def test_a_point_load_on_a_membrane_is_along_z():
+    structure, drum = round_drum(4, 1.0)
+    middle = int(np.argmin(np.sum(drum.mesh.points**2, axis=1)))
+    load = structure.assemble([Support("drum", "arc", 0)], [cq.PointLoad("drum", middle, [-5.0])]).load
+    assert load[middle] == -5.0
+    assert np.count_nonzero(load) == 1
+
+
+def test_a_membrane_pressed_on_a_plate_carries_there_what_presses_on_it():
+    """It touches the plate h below for r < c with h = p/(4T) (a^2 - c^2) + p c^2/(2T) ln(c/a): a force of p pi c^2."""
+    c, p, tension = 0.5, 2.0, 3.0
+    depth = p / (4 * tension) * (1 - c**2) + p * c**2 / (2 * tension) * np.log(c)
+    structure, drum = round_drum(20, tension)
+    system = structure.assemble([Support("drum", "arc", 0)], [cq.Pressure("drum", "above", p)])
+    plate = cq.pair_scalar(drum.mesh.points, np.full(drum.size, -depth))
+    solution = cq.solve(system.problem(plate))
+    assert solution.certificate.proven
+    np.testing.assert_allclose(solution.normal_force.sum(), p * np.pi * c**2, rtol=0.02)
