@@ -291,13 +291,10 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
     return routes
 
 
-CERTIFIED = "its answer is certified"
-
-
 def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
     """Return a solution found in another way with the message and the work of what failed before."""
     spent = first.work if isinstance(first := error.solution, Solution) else Work()
-    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: {CERTIFIED}")))
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
@@ -311,10 +308,8 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         The error of the default method, with what the others came to: none is certified.
     """
     first = error.solution
-    spent = first.work if isinstance(first, Solution) else Work()
-    tried = [str(error)]
-    seconds = first.seconds if isinstance(first, Solution) else 0.0
-    names: list[str] = []
+    spent, seconds = (first.work, first.seconds) if isinstance(first, Solution) else (Work(), 0.0)
+    tried, names = [str(error)], list[str]()
     for route, changed in _routes(problem).items():
         if time_is_up():
             break
@@ -326,7 +321,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
             if route == "enumeration" and isinstance(other, NotCertified | NotConverged):
                 break  # it has tried every combination of open, stick and slip
             continue
-        work = replace(found.work.after(spent), routes=(*tried, f"{route}: {CERTIFIED}"))
+        work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
     error.args = (f"{error}; {', '.join(names)} were tried too, and no answer is certified",)
