@@ -54,21 +54,21 @@ from contactqp.certificate.energy_norm import (
     energy_norms,
     force_norm,
     force_size,
+    free_distance,
+    own_forces,
     residual_noise,
-    response,
     rigid_rounding,
     shared_by_rounding,
+    strain_of,
     strain_of_rigid_part,
-    without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import Condensation, condense, free_motions
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.existence import refuse_conflict
-from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
-from contactqp.linalg.factorization import RIGID_ENERGY
+from contactqp.linalg.extended import EPS, Extended, Residuals, extend, residuals
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
@@ -267,7 +267,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     solution, change = extend(answer.displacement) + pair.to_middle, extend(answer.normal_force) - pair.force
     push, changed = pair.force.double(), change.double()
     floats = bool(condensation.rigid.count)
-    stretched = _strain(problem, solution, condensation, pair) if floats else energy_norm(problem, solution)
+    forces = (pair.force, pair.tie_force) if pair.exact else None
+    stretched = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
     (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
@@ -288,7 +289,9 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=_free_distance(problem, condensation, pair, energy_scale) if floats else 0.0,
+        free_distance=free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale)
+        if floats
+        else 0.0,
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
@@ -299,7 +302,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not problem.diagonal.any()
     relative, shared_part = None, 0.0
-    largest = float(np.max(own * abs(push), initial=0.0)) if floats else 0.0
+    largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
     if pair.cleared and problem.near_null_space is None:  # nobody has said what is rigid
         shared, size_of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
         shared_part = size_of_shared / (scale or 1.0)
@@ -325,54 +328,21 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     )
 
 
-def _strain(
-    problem: ContactProblem, solution: Extended, condensation: Condensation, pair: AdmissiblePair
-) -> tuple[float, float]:
-    """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
-
-    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
-    does not move rigidly.
-    """
-    norm, uncertain = energy_norm(problem, solution)
-    if not (pair.exact and uncertain > FEW_DIGITS * norm):
-        return energy_norms(problem, condensation, solution, (norm, uncertain))[0], uncertain
-    forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
-    elastic, missing = response(problem, condensation, forces, tied=False)
-    strain, rounding = energy_norm(problem, elastic)
-    return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
-
-
-def _free_distance(
-    problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair, energy_scale: float
-) -> float:
-    """Return the energy norm of the distance along free motions, which is rounding of K."""
-    motions = free_motions(condensation, pair.saddle)
-    if not motions.shape[1]:
-        return 0.0
-    resisted, _ = energy_norm(problem, without_part_along(motions, pair.to_middle))
-    distance = sum(energy_norm(problem, pair.to_middle))
-    if 0 < FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
-        forces = extended_rows(problem).stiffness @ pair.to_middle
-        elastic, missing = response(problem, condensation, forces, tied=False)
-        resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)
-    size = abs(motions @ (motions.T @ pair.to_middle.double()))
-    # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
-    most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
-    return min(max(distance - resisted, 0.0), most)
-
-
 def _force_error(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, known: Bounds
 ) -> tuple[float, float]:
     """Return the bound (3) on the distance of the answer's forces from the pair's relative to |l*|_W, and |l*|_W.
 
     Forces beneath the rounding of the data are zero: one unit in the last place of a load changes |l*|_W by as much as
-    |u*|_K. Where ties act on a stiffness that needs none, W is also taken without them, of contact forces alone and
-    with those of ties; from the solution itself all are known, and the largest error is the bound.
+    |u*|_K. Where ties act, W is also taken without them, of contact forces and those of ties together, which differ
+    from the true ones by |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these
+    norms know little where they are slender: there forces of independent ties are compared one by one, at their own
+    unknowns. The largest error is the bound.
     """
+    floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
-    if pair.exact and problem.ties > 0 and not condensation.rigid.count:
-        norms += [(False, False), (False, True)]
+    if problem.ties > 0 and not (floats and independent):
+        norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.rounding, known.force_rounding, 2 * pair.undecided)
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     found: list[tuple[float, float, float]] = []
@@ -381,13 +351,21 @@ def _force_error(
             force_norm(problem, condensation, contact, tied, tie if with_ties else None)
             for contact, tie in ((pair.force, pair.tie_force), changes)
         )
-        if not tied and found[0][1] > 0 and uncertain > FEW_DIGITS * scale:
+        if not tied and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
             continue  # without its ties K is singular to rounding, and has no such norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
     (_, size, uncertain), *_ = found
+    one_by_one = 0.0
+    if problem.ties > 0 and independent:
+        largest = np.max(own_forces(problem, pair.force.double(), pair.tie_force.double()))
+        missed = np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double()))
+        one_by_one = float(missed / largest) if largest > 0 else 0.0
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        return max(error for error, *_ in found) + pair.dual_radius + uncertain, size
-    return max(_relative(error, scale, pair.dual_radius + unsure) for error, scale, unsure in found), size
+        absolute = max(apart for apart, *_ in found) + pair.dual_radius + uncertain
+        return max(absolute, one_by_one * known.energy_scale), size
+    return max(
+        one_by_one, *(_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
+    ), size
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:

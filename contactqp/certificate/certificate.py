@@ -251,7 +251,10 @@ def _measured(
         out_of_balance,
         law,
         known,
-        (*failed_errors(known, error_tolerance, nothing), *failed_energy(known, tolerance, nothing * nothing)),
+        (
+            *failed_errors(known, error_tolerance, nothing),
+            *failed_energy(known, tolerance, nothing * nothing),
+        ),
         fails_force_bound(known, error_tolerance, nothing),
         grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance),
         dependent,

@@ -66,6 +66,8 @@ MOST_DENSE, CAUTION = 500, 4.0
 DECIDED = "what rounding of the data decides is not proven"
 # An answer that is so near to a solution up to such a conflict is believed.
 NEAR = 1e-6
+# Of contact forces that are less than this part of those of ties an error of 1e-6 is nothing beside these, 1e-12.
+LEAST_PART = 1e-6
 NO_SOLUTION = "no solution was found near the answer"
 
 
@@ -90,12 +92,17 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     found = _from_solution(twin, start, state, scaling)
     if factor is None or found.by_energy or found.force_error is None:
         return found
-    # K sees all: forces are compared by what the bodies, untied, would feel of their difference.
-    unit = scaling.force / scaling.contacts
-    size = factor.response_norm(problem.normal.T @ (state.answer.normal_force.double() * unit))
-    change = (extend(start.normal_force) - state.answer.normal_force).double() * unit
-    missed = factor.response_norm(problem.normal.T @ change)
-    return replace(found, force_error=_relative(missed, size), force_scale=size)
+    # K sees all: forces are compared by what the bodies, untied, would feel of their difference, with ties and without.
+    change = extend(start.normal_force) - state.answer.normal_force, extend(start.tie_force) - state.answer.tie_force
+    felt = []
+    for push, held in ((state.answer.normal_force, state.answer.tie_force), change):
+        pushed = problem.normal.T @ (push.double() * scaling.force / scaling.contacts)
+        tied = problem.tie.T @ (held.double() * scaling.force / scaling.ties)
+        felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
+    (size, whole), (missed, missed_by_all) = felt
+    # Where contacts have no force, those of ties are compared as they are.
+    error = max(_relative(missed, size), _relative(missed_by_all, whole if size > 0 else 0.0))
+    return replace(found, force_error=error, force_scale=size)
 
 
 def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling) -> Bounds:
@@ -127,13 +134,14 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
     lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
     rounded = max(float(solution.normal_force @ lengths) * np.finfo(float).eps, REACH * least**2)
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
-    one_by_one = unique.forces and largest > 0
+    pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
+    one_by_one = unique.forces and pushed > 0
     own = abs(change) + (_left_of_forces(problem, held) if unique.forces else 0.0)
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
         force_bound=own * scaling.force / scaling.contacts if unique.forces else None,
-        relative_force_bound=own / largest if one_by_one else None,
+        relative_force_bound=own / pushed if one_by_one else None,
         energy_scale=scale * root,
         force_scale=largest * root,
         rounding=least * root,

@@ -12,7 +12,7 @@ import numpy as np
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import REGULAR, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
-from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions
+from contactqp.linalg.factorization import RIGID_ENERGY, RIGID_FORCE, RigidMotions
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector
@@ -246,6 +246,47 @@ def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, di
     return sum(energy_norm(problem, elastic)) + missing
 
 
+def strain_of(
+    problem: ContactProblem,
+    solution: Extended,
+    condensation: Condensation,
+    forces: tuple[Extended, Extended] | None,
+) -> tuple[float, float]:
+    """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
+
+    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
+    does not move rigidly: those of contacts (m,) and ties (k,), if they are known.
+    """
+    norm, uncertain = energy_norm(problem, solution)
+    if forces is None or uncertain <= FEW_DIGITS * norm:
+        return energy_norms(problem, condensation, solution, (norm, uncertain))[0], uncertain
+    load = extend(problem.load) - extended_rows(problem).contact_force(*forces)
+    elastic, missing = response(problem, condensation, load, tied=False)
+    strain, rounding = energy_norm(problem, elastic)
+    return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
+
+
+def free_distance(
+    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, apart: Extended, energy_scale: float
+) -> float:
+    """Return the energy norm of a distance (n,) along free motions, which is rounding of K."""
+    if not condensation.rigid.count:
+        return 0.0
+    motions = free_motions(condensation, saddle)
+    if not motions.shape[1]:
+        return 0.0
+    resisted, _ = energy_norm(problem, without_part_along(motions, apart))
+    distance = sum(energy_norm(problem, apart))
+    if 0 < FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
+        forces = extended_rows(problem).stiffness @ apart
+        elastic, missing = response(problem, condensation, forces, tied=False)
+        resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)
+    size = abs(motions @ (motions.T @ apart.double()))
+    # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
+    most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
+    return min(max(distance - resisted, 0.0), most)
+
+
 def shared_by_rounding(
     problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector
 ) -> tuple[Vector, float]:
@@ -284,3 +325,12 @@ def force_size(problem: ContactProblem, force: Vector) -> float:
     """Return |D E'l|, the size of contact forces at their own unknowns, the rest held [square root of energy]."""
     resultant = row_sizes(problem, problem.normal).resultant(force)
     return float(np.linalg.norm(problem.own_scale * resultant))
+
+
+def own_forces(problem: ContactProblem, push: Vector, tie_force: Vector) -> Vector:
+    """Return |l_i| |E_i D| (m + k,), the size of each contact's and tie's force at its own unknowns [root of energy].
+
+    D = 1/sqrt(K_jj), as where all other unknowns are held.
+    """
+    compliance = np.concatenate([row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tie)])
+    return np.asarray(np.sqrt(compliance) * abs(np.concatenate([push, tie_force])))

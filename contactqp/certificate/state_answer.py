@@ -24,14 +24,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, force_size
-from contactqp.certificate.state_bodies import Bodies, CondensedBodies, IteratedBodies, SparseBodies
+from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, force_size, own_forces
+from contactqp.certificate.state_bodies import (
+    Bodies,
+    CondensedBodies,
+    IteratedBodies,
+    SparseBodies,
+    own_compliances,
+    squared_lengths,
+)
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, residuals
@@ -222,10 +229,8 @@ def _with_friction_held(
 
     Parameters
     ----------
-    tolerance : float
-        The largest relative error that passes.
-    nothing : float
-        The error that counts as none [square root of energy].
+    tolerance, nothing : float
+        The largest relative error that passes; the error that counts as none [square root of energy].
     reason : str
         Why there is no combination to compare with.
     """
@@ -244,6 +249,12 @@ def _with_friction_held(
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
     said = failed_errors(known, tolerance, nothing) if far else ()
     failures = tuple(f"with friction held, {text}" for text in said)
+    if fails_force_bound(known, tolerance, nothing):
+        assert known.relative_force_bound is not None
+        from contactqp.certificate.messages import of_force_bound
+
+        worst = int(np.argmax(known.relative_force_bound))
+        failures += (f"with friction held, {of_force_bound(problem, answer, known, worst, tolerance)}",)
     return replace(figures_alone(reason), energy=known.energy_scale, failures=failures)
 
 
@@ -254,7 +265,7 @@ class _Comparison:
         self._problem, self._answer, self._found = problem, answer, found
         self._bodies, self._width, self._frictional = bodies, bodies.width, bodies.frictional
         self._along, self._across = bodies.along, bodies.across
-        self._own = _own_compliances(problem, self._along, self._across)
+        self._own = own_compliances(problem, self._along, self._across)
         # Along a tangent whose unknowns are all supported any friction would do.
         lengths_of_rows = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
         self._felt = lengths_of_rows.reshape(problem.contacts, -1) > 0
@@ -378,7 +389,7 @@ class _Comparison:
         whole = max(size, force_size(problem, refined.normal_force.double()), self._friction_size(other))
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: forces are compared as they act
-            own_normal, own_tangent = (_squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
+            own_normal, own_tangent = (squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
             given = abs(answer.normal_force) * np.sqrt(own_normal)
             whole = max(float(given.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
         of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(rubbed) * np.sqrt(own_tangent))
@@ -396,16 +407,19 @@ class _Comparison:
         )
 
     def _with_ties(self, refined: RefinedState, normal: Vector, rubbed: Array) -> tuple[float, float]:
-        """Return the distance of all forces, those of ties included, on untied bodies, and their size."""
+        """Return the distance of all forces on untied bodies and their size; else that of ties at their own unknowns."""
         if not self._problem.ties:
             return 0.0, 1.0
-        other = refined.friction_force.double().reshape(-1, self._width)
-        tie = refined.tie_force.double()
-        whole = self._bodies.untied_norm(refined.normal_force.double(), other, tie)
-        apart = self._bodies.untied_norm(normal, rubbed, (extend(self._answer.tie_force) - refined.tie_force).double())
-        if whole is None or apart is None or whole[1] > FEW_DIGITS * whole[0]:
-            return 0.0, 1.0  # without its ties K is singular to rounding, and has no such norm
-        return apart[0], whole[0]
+        push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)
+        tie, missed = refined.tie_force, extend(self._answer.tie_force) - refined.tie_force
+        whole = self._bodies.untied_norm(push, other, tie.double())
+        apart = self._bodies.untied_norm(normal, rubbed, missed.double())
+        if whole is not None and apart is not None and whole[1] <= FEW_DIGITS * whole[0]:
+            return apart[0], whole[0]
+        if refined.redundant:
+            return 0.0, 1.0
+        largest = np.max(own_forces(self._problem, push, tie.double()))
+        return float(np.max(own_forces(self._problem, np.zeros_like(push), missed.double()))), float(largest)
 
     def pushed_by_loads(self) -> float:
         """Return the strain by loads of their unknowns, the others held [square root of energy]; infinite without.
@@ -463,19 +477,6 @@ class _Signs:
         changed = np.where(self._beyond > 0, slips, changed)
         changed = np.where(self._against > 0, STICK, changed)
         return np.where(self._tension > 0, OPEN, changed).astype(np.int8)
-
-
-def _own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
-    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
-    normal = row_sizes(problem, problem.normal).compliance
-    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
-    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
-
-
-def _squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
-    """Return the largest |E_i|^2 of the rows of each contact (m,)."""
-    squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
-    return np.asarray(np.max(squared, axis=1, initial=0.0))
 
 
 def _part(size: float, scale: float, nothing: float) -> float:

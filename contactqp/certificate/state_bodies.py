@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from contactqp.certificate.energy_norm import energy_norm, response, rigid_round
 from contactqp.certificate.figures import kept_residuals
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import refuse_indefinite_by_iteration
+from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import extend, extended_rows
@@ -124,8 +125,19 @@ class SparseBodies:
         load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
         return self._rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
 
-    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> None:
-        """Return None: ties are in the factors."""
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> tuple[float, float] | None:
+        """Return the energy norm of the response of untied bodies to all forces; None where K is singular."""
+        problem = self._problem
+        assert problem.tangent is not None
+        if (factor := self._untied) is None:
+            return None
+        load = problem.normal.T @ normal + problem.tangent.T @ friction.ravel() + problem.tie.T @ tie
+        return factor.response_norm(load), 0.0
+
+    @cached_property
+    def _untied(self) -> StiffnessFactor | None:
+        """Factors of K, in which the ties are not."""
+        return stiffness_factor(self._problem)
 
     def rounding(self, displacement: Vector) -> float:
         """Return 0, since no body floats."""
@@ -210,3 +222,16 @@ class IteratedBodies:
 def _with_friction(rows: ScaledRows) -> Mask:
     """Return the contacts that friction acts on (m,)."""
     return np.asarray(rows.slides & (rows.coefficient > 0))
+
+
+def own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
+    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
+    normal = row_sizes(problem, problem.normal).compliance
+    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
+    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
+
+
+def squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
+    """Return the largest |E_i|^2 of the rows of each contact (m,)."""
+    squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
+    return np.asarray(np.max(squared, axis=1, initial=0.0))

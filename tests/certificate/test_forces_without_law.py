@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.bounds import fails_force_bound
+from contactqp.certificate.energy_bounds import energy_bounds
+from contactqp.certificate.state_bodies import SparseBodies
+from contactqp.model.solution import Answer
 
 ELEMENTS, LENGTH, BENDING, LOAD = 400, 2000.0, 2.1e5 * 20**4 / 12, 400.0  # steel, 20 mm x 20 mm, in N and mm
 TIP, MIDDLE = 2 * ELEMENTS - 2, ELEMENTS - 2
 STRAY = 30.0
 
 
-def cantilever() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Deflections and slopes of a cantilever under an even load."""
+def free_beam() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Deflections and slopes of a beam that nothing holds under an even load."""
     h = LENGTH / ELEMENTS
     element = BENDING / h**3 * np.array([
         [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
@@ -27,7 +31,12 @@ def cantilever() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     K = np.zeros((2 * ELEMENTS + 2,) * 2)
     for k in range(ELEMENTS):
         K[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] += element
-    return K[2:, 2:], np.tile([-LOAD / ELEMENTS, 0.0], ELEMENTS)
+    return K, np.tile([-LOAD / ELEMENTS, 0.0], ELEMENTS + 1)
+
+
+def cantilever() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    K, load = free_beam()
+    return K[2:, 2:], load[2:]
 
 
 def row(unknown: int, sign: float = 1.0) -> np.ndarray[Any, Any]:
@@ -143,3 +152,81 @@ def test_forces_of_ties_are_forces_with_friction_too(force: float) -> None:
     certificate = cq.certify(problem, *given, tie_force=solution.tie_force + force)
     assert not certificate.passed
     assert any("state: the contact forces are" in failure for failure in certificate.failures)
+
+
+def on_three_supports(rough: bool, more: int = 0) -> cq.ContactProblem:
+    """A beam that floats but for ties at its ends and its middle, above stops; `more` unknowns on soft springs."""
+    K, load = free_beam()
+    n = len(load) + more
+    held, stops = np.zeros((3 + more, n)), np.zeros((2, n))
+    held[[0, 1, 2], [0, ELEMENTS, 2 * ELEMENTS]] = 1.0
+    stops[[0, 1], [ELEMENTS // 2, 3 * ELEMENTS // 2]] = -1.0
+    stiffness = np.zeros((n, n))
+    stiffness[: len(load), : len(load)] = K
+    for j in range(more):
+        held[3 + j, len(load) + j] = stiffness[len(load) + j, len(load) + j] = 1.0
+    values = np.concatenate([np.zeros(3), np.full(more, 1e4)])
+    friction = {"tangent": np.roll(stops, 1, axis=1), "friction": 0.3} if rough else {}
+    load = np.append(load, np.zeros(more))
+    return cq.ContactProblem(stiffness, load, stops, [0.02, 0.03], tie=held, tie_value=values, **friction)
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_forces_of_ties_that_hold_a_floating_body_are_forces(rough: bool) -> None:
+    """Those of three supports in line may change together without a resultant."""
+    problem = on_three_supports(rough)
+    solution = cq.solve(problem)
+    given = solution.displacement, solution.normal_force, solution.friction_force
+    for part, passes in ((0.0, True), (1e-10, True), (1e-5, False), (1e-4, False), (1e-2, False)):
+        tie = solution.tie_force + part * abs(solution.tie_force).max() * np.array([0.5, -1.0, 0.5])
+        certificate = cq.certify(problem, *given, tie_force=tie)
+        assert certificate.passed is passes, part
+        if not (passes or rough):
+            assert refused_for_its_force(certificate)
+
+
+def tied_chain(**more: Any) -> tuple[np.ndarray[Any, Any], cq.ContactProblem]:
+    """Twenty springs in line, the first held, a stop at the tenth and a tie at the last."""
+    K = 2.0 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    K[-1, -1] = 1.0
+    unit = np.eye(20)
+    return K, cq.ContactProblem(K, unit[9], unit[[9]], [0.1], tie=unit[[19]], tie_value=[-0.5], **more)
+
+
+def test_forces_of_ties_are_compared_where_nothing_is_condensed() -> None:
+    K, problem = tied_chain()
+    solution, errors = cq.solve(problem), []
+    for part in (0.0, 1e-4):
+        answer = Answer(solution.displacement, solution.normal_force, None, solution.tie_force * (1 + part))
+        errors.append(energy_bounds(problem, answer).force_error)
+    held = np.eye(20)[19] * solution.tie_force
+    sizes = [np.sqrt(g @ np.linalg.solve(K, g)) for g in (1e-4 * held, held + np.eye(20)[9] * solution.normal_force)]
+    assert errors == pytest.approx([0.0, sizes[0] / sizes[1]], rel=1e-6, abs=1e-12)
+
+
+def test_large_forces_of_ties_elsewhere_hide_no_contact_force() -> None:
+    problem = on_three_supports(rough=False, more=1)
+    solution = cq.solve(problem)
+    for part, fails in ((0.0, False), (1e-5, True)):
+        force = solution.normal_force * (1 + part)
+        known = energy_bounds(problem, Answer(solution.displacement, force, None, solution.tie_force))
+        assert fails_force_bound(known, 1e-6, 0.0) is fails
+
+
+def test_a_force_next_to_a_support_counts_beside_the_largest_one() -> None:
+    problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(4, -1.0)]), gap=[1.0, 1.0])
+    solution = cq.solve(problem)
+    assert solution.normal_force[1] == 0.0
+    for part, passes in ((1e-9, True), (2e-6, False), (1e-4, False)):
+        force = solution.normal_force + np.array([0.0, part * solution.normal_force[0]])
+        certificate = cq.certify(problem, solution.displacement, force)
+        assert certificate.passed is passes
+        assert any(failure.startswith("force_bound") for failure in certificate.failures) is not passes
+
+
+def test_sparse_bodies_know_the_response_to_forces_of_ties() -> None:
+    K, problem = tied_chain(tangent=np.eye(20)[[14]], friction=[0.3])
+    load = 3.0 * np.eye(20)[9] + 0.5 * np.eye(20)[14] - 2.0 * np.eye(20)[19]
+    norm = SparseBodies(problem).untied_norm(np.array([3.0]), np.array([[0.5]]), np.array([-2.0]))
+    assert norm is not None
+    assert norm[0] == pytest.approx(np.sqrt(load @ np.linalg.solve(K, load)), rel=1e-9)
