@@ -165,3 +165,19 @@ def interference_removed(rng: Generator) -> ContactProblem:
     size = float(np.max(abs(u))) or 1.0
     force = 0.0 if rng.random() < 0.4 else float(np.max(K)) * size * _power(rng, -7, 0)
     return in_other_words(rng, _answered(rng, K, u, E, closed, tie, force, size), ten=False)
+
+
+@member(well_posed=True)
+def held_by_weak_springs(rng: Generator) -> ContactProblem:
+    """Rigid machines on three to six feet with shims, in the plane and in space, kept from floating by weak springs.
+
+    The load is up to 1e15 times what would strain the springs by a shim: which feet stand is decided by the shims.
+    """
+    space, feet = bool(rng.random() < 0.5), int(rng.integers(3, 7))
+    reach, spring, weight = _power(rng, -1, 3), _power(rng, -7, 2), _power(rng, -2, 5)
+    place = np.round(rng.uniform(-1, 1, (feet, 2 if space else 1)), 3) * reach
+    rows = np.column_stack([-np.ones(feet), place])
+    gap = np.where(rng.random(feet) < 0.5, 0.0, _power(rng, -3, 1) * np.round(rng.uniform(0, 1, feet), 2))
+    at = np.round(rng.dirichlet(np.ones(feet)) @ place / reach, 3) * reach
+    K = spring * np.diag([1.0, *np.full(place.shape[1], reach**2)])
+    return ContactProblem(K, weight * np.array([-1.0, *at]), rows, gap)

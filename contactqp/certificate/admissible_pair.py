@@ -382,8 +382,14 @@ def _from_repair(
     force, tie = _admissible_forces(problem, answer, condensation)
     residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement) - rows.contact_force(force, tie)
     to_dual, last = response(problem, condensation, residual, tied=False)
-    gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
-    room = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0.0, np.maximum(gap.double(), 0.0))
+    gap = (extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)).double()
+    held = np.zeros(problem.contacts, dtype=bool)
+    held[saddle.closed] = True
+    if saddle.redundant:  # what depends on others may stay apart
+        dependent = np.delete(saddle.closed, saddle.independent[saddle.independent < len(saddle.closed)])
+        length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+        held[dependent] = gap[dependent] <= ZERO_GAP * length[dependent]
+    room = np.where(held, 0.0, np.maximum(gap, 0.0))
     allowance = last + residual_noise(problem, answer)
     apart = energy_norms(problem, condensation, to_feasible - to_dual)[1] + allowance
     slack = float(force.double() @ room)

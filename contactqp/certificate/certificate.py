@@ -311,7 +311,7 @@ def _worded(
 def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> Iterator[str]:
     """Yield a note where gaps that are no rounding of the lengths around them count as nothing.
 
-    Loads beside springs so weak that hold what contacts alone would leave loose make it so.
+    Springs that are far weaker there than those of other contacts with gaps make it so.
     """
     size = abs(problem.gap)
     hidden = (size > 0) & (size <= found.nothing.normal)

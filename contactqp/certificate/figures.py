@@ -35,6 +35,7 @@ from contactqp.certificate.coulomb_law import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RigidMotions, images
+from contactqp.linalg.floating import that_move
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
     beyond,
@@ -46,7 +47,6 @@ from contactqp.linalg.measures import (
     outer_forces,
     ratio,
     row_sizes,
-    that_move,
     without_rigid_part,
 )
 from contactqp.linalg.sliced import plain_residuals

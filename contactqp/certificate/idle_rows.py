@@ -257,7 +257,7 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     acting, theirs = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
     size, pushed, strain = _energies(acting, theirs, load)
     scale = max(pushed, strain)
-    if not size > NOTHING * certificate.violations.intrinsic_size:
+    if size <= NOTHING * certificate.violations.intrinsic_size:
         return certificate
     part = size / scale if scale > 0 else np.inf
     failures = certificate.failures

@@ -207,8 +207,8 @@ def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
     """Return that lengths up to a floor count as nothing, the gap of a contact among them."""
     return (
         f"the gap of {problem.contact_name(contact)}, {abs(problem.gap[contact]):.3g}, is not told from zero: lengths "
-        f"up to {floor:.3g} count as nothing beside the loads, as the stiffness there is very small; contacts may be "
-        "exchanged within them; springs that are stiffer, or none at all, tell them apart"
+        f"up to {floor:.3g} count as nothing beside loads and other gaps: the stiffness there is very small; contacts "
+        "may be exchanged within them; springs that are stiffer, or none at all, tell them apart"
     )
 
 

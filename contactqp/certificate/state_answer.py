@@ -407,7 +407,7 @@ class _Comparison:
         )
 
     def _with_ties(self, refined: RefinedState, normal: Vector, rubbed: Array) -> tuple[float, float]:
-        """Return the distance of all forces on untied bodies and their size; else that of ties at their own unknowns."""
+        """Return the distance of all forces on untied bodies and their size; else that of ties at their unknowns."""
         if not self._problem.ties:
             return 0.0, 1.0
         push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)

@@ -29,9 +29,11 @@ from contactqp.distributed.rows import Rows
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
+    OF_ALL_LENGTHS,
     RowSizes,
     force_measure,
     imposed,
+    in_energy,
     reciprocal,
     rows_and_limits,
     sizes_of,
@@ -104,12 +106,30 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
     if problem.ranks.any(elastic is not u):
         force = np.maximum(force, RIGID_FORCE * problem.product_sizes(abs(u - elastic)))
 
-    def least(rows: Rows) -> Vector:
+    def least(rows: Rows, longest: float) -> Vector:
         compliance = row_sizes(problem, rows).compliance
-        return np.asarray(np.maximum(part * size * np.sqrt(compliance), HELD_BY_DOUBLES * rows.length_sizes(u)))
+        none = part * min(size, OF_ALL_LENGTHS * longest) * np.sqrt(compliance)
+        return np.asarray(np.maximum(none, HELD_BY_DOUBLES * rows.length_sizes(u)))
 
-    tangent = np.zeros(0) if problem.tangent is None else least(problem.tangent)
-    return Nothing(force, least(problem.normal), tangent, least(problem.tie))
+    longest, tangent = _longest_length(problem, u, along=False), np.zeros(0)
+    if problem.tangent is not None:
+        tangent = least(problem.tangent, _longest_length(problem, u, along=True))
+    return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest))
+
+
+def _longest_length(problem: DistributedProblem, displacement: Vector, along: bool) -> float:
+    """Return the longest of the lengths |g|, |b| and |E||u| of all bodies together [square root of energy]. Collective.
+
+    It is infinite if none is stated; `along` is that of `contactqp.linalg.measures.longest_lengths`.
+    """
+    stated = moved = 0.0
+    for rows, limit in (one for one in rows_and_limits(problem) if along or one[0] is not problem.tangent):
+        compliance = row_sizes(problem, rows).compliance
+        finite = np.where(np.isfinite(limit), abs(limit), 0.0)
+        stated = max(stated, float(in_energy(finite, compliance).max(initial=0.0)))
+        moved = max(moved, float(in_energy(rows.length_sizes(displacement), compliance).max(initial=0.0)))
+    stated, moved = problem.ranks.max(np.array([stated, moved]))
+    return float(max(stated, moved)) if stated > 0 else np.inf
 
 
 def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violations) -> Vector | None:

@@ -40,11 +40,9 @@ from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300
-# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
-# matrix then tells whether the factors are good enough.
+# Added to each unit of diagonal, times the size, where rounding left no positive pivot; refinement then tells the rest.
 LIFT = 4 * np.finfo(float).eps
-# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
-# for.
+# A unit-diagonal matrix whose pivots fall below this may be singular: only then its null space is looked for.
 SUSPICIOUS_PIVOT = 1e-8
 # Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
 BLOCK = 64
@@ -119,10 +117,8 @@ def lower_factor(matrix: Array) -> Array | None:
 def refuse_negative(smallest_pivot: float) -> None:
     """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
     if smallest_pivot < -SUSPICIOUS_PIVOT:
-        raise InvalidProblem(
-            f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
-            "after scaling its diagonal to one"
-        )
+        got = f"got a pivot of {smallest_pivot:.3g} after scaling its diagonal to one"
+        raise InvalidProblem(f"stiffness: expected positive semidefinite, {got}")
 
 
 def orthonormal(motions: Array) -> Array:

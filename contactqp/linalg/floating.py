@@ -20,10 +20,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.krylov import ConstrainedRows
-from contactqp.linalg.measures import reciprocal
+from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
 UNRESISTED = 1e-9
@@ -316,3 +320,33 @@ def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
     if found.x is not None:
         found.x, found.ineqlin.marginals = length * found.x, push * found.ineqlin.marginals
     return found
+
+
+# Entries of a motion that are this part of its largest, in the unknowns' units and in the energy, are its rounding.
+STANDS_STILL = 256 * float(np.finfo(float).eps)
+
+
+def that_move(problem: ContactProblem, motions: Array) -> Array:
+    """Return rigid motions (n, r) with zeros at the unknowns that no motion of their body moves beyond rounding.
+
+    Where forces act on such unknowns alone, their work would be rounding, measured against rounding.
+    """
+    sizes = np.linalg.norm(motions, axis=1)
+    still = np.ones(len(sizes), dtype=bool)
+    for size in (sizes, np.sqrt(problem.diagonal) * sizes):
+        still &= size <= STANDS_STILL * largest_of_bodies(problem, size)
+    return np.where(still[:, None], 0.0, motions) if np.any(still & (sizes > 0)) else motions
+
+
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
+
+    It is |z'r| / |z|'F_outer of a motion z, r being the resultant of loads, contacts and ties.
+    """
+    rows = extended_rows(problem)
+    if not rigid.count:
+        return 0.0
+    motions = that_move(problem, rigid.motions)
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
+    return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))

@@ -35,8 +35,7 @@ from contactqp.linalg.extended import (
     two_product,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.measures import imbalance
+from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.linalg.sliced import elastic_after
 from contactqp.model.arrays import Array, Mask, Vector

@@ -10,8 +10,13 @@ the largest of
 length_i being |g_i| where the answer closes that gap (|b_i| of a tie, |slip_origin_i| where contact i sticks there) and
 at most ten times |E_i||u_e| elsewhere; a problem without load and ties to impose lengths has its smallest gap. A force
 at unknown j is nothing up to t S / D_j, a length of row i up to t S |E_i D|, t being a thousandth of the tolerance,
-1e-12 by default. So is what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid part, and
-the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
+1e-12 by default. Nothing is also what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid
+part, and the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
+
+Where contacts carry a load past a spring too weak for it, S is what the spring alone would yield, and says nothing of
+the lengths there are. So no length counts as nothing above 1000 t = 1e-9 of the longest among the gaps, tie values and
+motions |E||u| of the part's rows, each over |E_i D|, where one of the first two is not zero; a slip, likewise, of the
+longest among these, the slip origins and the slips.
 
 The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
 the forces themselves: those that redundant contacts and ties exert on each other may be of any size and excuse nothing.
@@ -30,7 +35,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths
@@ -91,6 +96,8 @@ CLOSED = 1e-6
 WITHIN_REACH = 10.0
 # The size of a part that is connected with no other is at least this part of the largest.
 BESIDE_OTHERS = 1e-9
+# Lengths are nothing up to a tolerance (1e-9) of the longest one at most, where the intrinsic size allows a thousandth.
+OF_ALL_LENGTHS = 1e3
 # What rounding a displacement to doubles makes of forces and lengths, relative to |K||u| and |E||u|: half a rounding of
 # every entry, and the signs are not all alike.
 HELD_BY_DOUBLES = float(np.finfo(float).eps)
@@ -112,22 +119,6 @@ def rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotion
     weight = np.sqrt(problem.diagonal)
     coordinates, *_ = np.linalg.lstsq(weight[:, None] * rigid.motions, weight * displacement, rcond=None)
     return np.asarray(coordinates)
-
-
-# Entries of a motion that are this part of its largest, in the unknowns' units and in the energy, are its rounding.
-STANDS_STILL = 256 * float(np.finfo(float).eps)
-
-
-def that_move(problem: ContactProblem, motions: Array) -> Array:
-    """Return rigid motions (n, r) with zeros at the unknowns that no motion of their body moves beyond rounding.
-
-    Where forces act on such unknowns alone, their work would be rounding, measured against rounding.
-    """
-    sizes = np.linalg.norm(motions, axis=1)
-    still = np.ones(len(sizes), dtype=bool)
-    for size in (sizes, np.sqrt(problem.diagonal) * sizes):
-        still &= size <= STANDS_STILL * _largest_of_bodies(problem, size)
-    return np.where(still[:, None], 0.0, motions) if np.any(still & (sizes > 0)) else motions
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:
@@ -183,12 +174,33 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
     force[_untouched(problem)] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
 
-    def lengths(rows: Any) -> Vector:
+    def lengths(rows: Any, size: Vector) -> Vector:
         held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
         return np.asarray(np.maximum(part * of_rows(problem, rows, size), held))
 
-    tangent = np.zeros(0) if problem.tangent is None else lengths(problem.tangent)
-    return Nothing(force, lengths(problem.normal), tangent, lengths(problem.tie))
+    across, tangent = np.minimum(size, OF_ALL_LENGTHS * longest_lengths(problem, u, along=False)), np.zeros(0)
+    if problem.tangent is not None:
+        tangent = lengths(problem.tangent, np.minimum(size, OF_ALL_LENGTHS * longest_lengths(problem, u, along=True)))
+    return Nothing(force, lengths(problem.normal, across), tangent, lengths(problem.tie, across))
+
+
+def longest_lengths(problem: ContactProblem, displacement: Vector, along: bool) -> Vector:
+    """Return the longest of the lengths |g|, |b| and |E||u| in the part of each unknown (n,) [square root of energy].
+
+    Those `along` contacts count with their slip origins only where asked for: what slides far may lie close. It is
+    infinite in parts where no length is stated.
+    """
+    part = parts(problem)
+    stated, moved = np.zeros((2, int(part.max(initial=-1)) + 1))
+    for rows, limit in rows_and_limits(problem):
+        if not limit.size or (rows is problem.tangent and not along):
+            continue
+        of_row = row_sizes(problem, rows)
+        for largest, length in ((stated, abs(limit)), (moved, of_row.lengths(abs(displacement)))):
+            finite = np.where(np.isfinite(length), length, 0.0)
+            size = in_energy(finite, of_row.compliance)[of_row.touching]
+            np.maximum.at(largest, part[of_row.first], size)
+    return np.asarray(np.where(stated > 0, np.maximum(stated, moved), np.inf)[part])
 
 
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
@@ -371,20 +383,6 @@ def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, 
     return np.where(hidden & counts, held, meeting)
 
 
-def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
-
-    It is |z'r| / |z|'F_outer of a motion z, r being the resultant of loads, contacts and ties.
-    """
-    rows = extended_rows(problem)
-    if not rigid.count:
-        return 0.0
-    motions = that_move(problem, rigid.motions)
-    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
-    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
-    return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
-
-
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
@@ -407,7 +405,7 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     least = ROUNDING_OF_LENGTH * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if (length <= least * size.max(initial=0.0)).any():
-        length = at_rest_infinite(rows, length, least, _largest_of_bodies(problem, size))
+        length = at_rest_infinite(rows, length, least, largest_of_bodies(problem, size))
     return np.asarray(length)
 
 
@@ -443,7 +441,7 @@ def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) 
     return np.where(length <= least * touched, np.inf, length)
 
 
-def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
+def largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
     """Return, for each unknown, the largest size (n,) of any unknown of its body (n,)."""
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)

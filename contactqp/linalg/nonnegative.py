@@ -92,6 +92,23 @@ def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
     return chosen
 
 
+def forces_without_tension(rows: Array, resultant: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, float]:
+    """Return forces l (q,), not negative on `pushing_only`, for which |rows'l - resultant| is least, and this residual.
+
+    The residual is NaN where the least squares of Lawson and Hanson (1974) ended without an answer.
+    """
+    from scipy.optimize import nnls
+
+    columns = np.vstack([rows, -rows[~pushing_only]]).T
+    try:
+        share, residual = nnls(columns, resultant, maxiter=30 * columns.shape[1])
+    except RuntimeError:  # too many steps
+        return np.zeros(len(rows)), np.nan
+    force = share[: len(rows)].copy()
+    force[~pushing_only] -= share[len(rows) :]
+    return force, float(residual)
+
+
 def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     """Return the nearest shift that leaves no contact penetrated: min |a - wanted| subject to rows a <= gap.
 

@@ -16,16 +16,10 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
-from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
-from contactqp.linalg.measures import (
-    force_measure,
-    forces_that_meet,
-    imbalance,
-    lengths_that_meet,
-    row_sizes,
-    without_rigid_part,
-)
+from contactqp.linalg.measures import force_measure, forces_that_meet, lengths_that_meet, row_sizes, without_rigid_part
+from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -64,6 +58,11 @@ class OnSet(ExtendedAnswer):
     remainder: float  # what further refinement would change, the largest entry in the square root of energy
     nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
+
+    @property
+    def rounding_of_gaps(self) -> Vector:
+        """The lengths (m,) that gaps are not told from zero beneath."""
+        return np.maximum(WITHIN_ROUNDING * self.lengths, self.nothing[: len(self.lengths)])
 
 
 def answer_on(
@@ -172,7 +171,7 @@ def _refined(
         tie_force=answer.tie_force,
         gap=gap,
         gaps=gap.double(),
-        lengths=_lengths(problem, doubles),
+        lengths=lengths_that_meet(problem, problem.normal, problem.gap, doubles.displacement),
         doubles=doubles,
         saddle=saddle,
         contraction=q,
@@ -192,10 +191,6 @@ def _start(
     force = np.where(kept, start.normal_force, 0.0)
     answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
     return answer, None if start.normal_force[~kept].any() else left
-
-
-def _lengths(problem: ContactProblem, answer: Answer) -> Vector:
-    return lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
 
 
 class _CorrectionSize:
@@ -252,9 +247,10 @@ def polish(
     """Refine the answer on a set of closed contacts and correct the set.
 
     A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
-    that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
-    tension, where such forces exist, and contacts with none leave the set. A set that holds to rounding of doubles is
-    corrected by the signs in extended precision, as long as that leads to one that holds too.
+    that depends on others and is penetrated takes the place of one of them, which is no correction beyond the allowed;
+    then the forces are chosen without tension, where such forces exist, and contacts with none leave the set. A set
+    that holds to rounding of doubles is corrected by the signs in extended precision, as long as that leads to one that
+    holds too.
 
     Parameters
     ----------
@@ -271,7 +267,7 @@ def polish(
         Whether no contact pulls and no open one penetrates.
     """
     seen: set[bytes] = set()
-    corrections, holding = 0, None
+    corrections, exchanges, holding = 0, 0, None
     while True:
         answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
         if holding is not None and not _regular(answer):
@@ -281,9 +277,11 @@ def polish(
             if not _ties_are_met(problem, answer):
                 return holding or (answer, corrections, False)
             proposal = _exchanged(answer)
+            exchanges += proposal is not None and exchanges < len(closed)
             if proposal is None:
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
+                    seen.add(closed.tobytes())
                     closed = lean
                     answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
         if proposal is None:
@@ -300,7 +298,7 @@ def polish(
             penetrated = np.union1d(penetrated, reached)
             proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         seen.add(closed.tobytes())
-        if corrections >= max_corrections or proposal.tobytes() in seen:
+        if corrections >= max_corrections + exchanges or proposal.tobytes() in seen:
             return holding or (answer, corrections, False)
         closed = proposal
         corrections += 1
@@ -333,7 +331,7 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], ND
     Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
     """
     gap, push = answer.gaps, answer.doubles.normal_force
-    rounding = np.maximum(WITHIN_ROUNDING * answer.lengths, answer.nothing[: problem.contacts])
+    rounding = answer.rounding_of_gaps
     penetrated = -gap > rounding
     penetrated[answer.saddle.closed] = False
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
@@ -405,23 +403,21 @@ def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) ->
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
-    """Return the members of a redundant set that carry its resultant without tension, or all where none can."""
-    from scipy.optimize import nnls
+    """Return the members of a redundant set that carry its resultant without tension, or all where none can.
 
-    closed = answer.saddle.closed
-    force = answer.doubles.normal_force[closed]
+    Those that the answer leaves apart are not asked.
+    """
+    closed, ties = answer.saddle.closed, condensation.tie * condensation.scale
     contacts = condensation.normal[closed] * condensation.scale
-    ties = condensation.tie * condensation.scale
-    resultant = contacts.T @ force
+    resultant = contacts.T @ answer.doubles.normal_force[closed]
     size = np.linalg.norm(resultant)
     if size == 0:
         return closed[:0]
-    columns = np.vstack([contacts, ties, -ties])
-    length = np.linalg.norm(columns, axis=1)
-    share, missing = nnls((columns / length[:, None]).T, resultant / size, maxiter=30 * len(columns))
-    if missing > CARRIED:
-        return closed
-    return np.asarray(closed[share[: len(closed)] > NO_SHARE])
+    touching = np.flatnonzero(answer.gaps[closed] <= answer.rounding_of_gaps[closed])
+    rows = np.vstack([contacts[touching], ties])
+    unit = rows / np.linalg.norm(rows, axis=1)[:, None]
+    share, missing = forces_without_tension(unit, resultant / size, np.arange(len(rows)) < len(touching))
+    return np.asarray(closed[touching][share[: len(touching)] > NO_SHARE]) if missing <= CARRIED else closed
 
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
@@ -466,7 +462,8 @@ def least_displacement(
         closer = answer.displacement + shift
         gap = answer.gap - problem.normal @ shift
         doubles = replace(answer.doubles, displacement=closer.double())
-        double = dict(gaps=gap.double(), doubles=doubles, lengths=_lengths(problem, doubles))
+        lengths = lengths_that_meet(problem, problem.normal, problem.gap, doubles.displacement)
+        double = dict(gaps=gap.double(), doubles=doubles, lengths=lengths)
         return replace(answer, displacement=closer, gap=gap, **double), free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)

@@ -431,3 +431,15 @@ def test_forces_that_the_rounding_of_a_stiffness_shares_out_are_no_better_than_t
         assert any("give the motions as near_null_space" in words for words in judged.failures) is not passes
         stated = problem.replace(near_null_space=np.ones((3, 1)))
         assert cq.solve(stated).normal_force == pytest.approx(-load, rel=1e-12)
+
+
+def test_contacts_of_a_redundant_set_that_stay_apart_count_in_the_bounds() -> None:
+    """A rigid table that weak springs hold stands on four of six feet; the candidate leans on another one."""
+    place, gap = np.array([2.548, 1.004, 2.344, 2.776, 2.416, 3.916]), [0.0, 0.02125, 0.0, 0.0, 0.0, 0.024375]
+    K = 2.0**-29 * np.diag([1.0, 16.0])
+    problem = cq.ContactProblem(K, [-2048.0, 5316.608], np.column_stack([-np.ones(6), place]), gap)
+    leaning, force = np.array([0.0458984375, 0.018035888671875]), [1976.1403508778305, 0, 0, 0, 0, 71.85964912225467]
+    assert not cq.solve(problem).displacement.any()  # so the error is |u|_K
+    certificate = cq.certify(problem, leaning, force)
+    assert not certificate.passed
+    assert certificate.energy_error >= np.sqrt(leaning @ K @ leaning)

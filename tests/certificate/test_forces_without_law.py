@@ -130,16 +130,52 @@ def machine(spring: float) -> cq.ContactProblem:
     return cq.ContactProblem(np.diag([spring, 1e6 * spring]), [-1e5, 3e6], rows, [0.0, 0.1, 0.0])
 
 
-def test_gaps_that_weak_springs_hide_are_told() -> None:
-    hidden = [note for note in cq.solve(machine(1e-7)).certificate.notes if "not told from zero" in note]
-    assert len(hidden) == 1
-    assert "the gap of contact 1, 0.1, is not told from zero" in hidden[0]
-    solution = cq.solve(machine(1.0))
+@pytest.mark.parametrize("spring", [0.0, 1e-12, 1e-9, 1e-7, 1e-3, 1.0])
+def test_which_feet_stand_on_their_shims_does_not_depend_on_weak_springs(spring: float) -> None:
+    problem = machine(spring)
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([53000.0, 0.0, 47000.0], rel=1e-6)
     assert not any("not told from zero" in note for note in solution.certificate.notes)
-    assert solution.normal_force[1] == 0.0
-    floating = cq.solve(machine(0.0))  # no springs at all are as good
-    assert not any("not told from zero" in note for note in floating.certificate.notes)
-    assert floating.normal_force == pytest.approx([53000.0, 0.0, 47000.0])
+    displacement = solution.displacement
+    wrong = [6000.0, 94000.0, 0.0]  # the same resultant on two feet, one of which stands over its shim
+    assert not cq.certify(problem, displacement, wrong).passed
+    turned = displacement + np.array([0.0, 1e-4])  # onto the middle shim, by a hair
+    assert not cq.certify(problem, turned, solution.normal_force).passed
+    for part, passes in ((1e-13, spring > 0), (1e-4, False)):  # what is nothing beside the largest length, and what not
+        certificate = cq.certify(problem, displacement + np.array([-0.1 * part, 0.0]), solution.normal_force)
+        assert certificate.passed is passes
+
+
+def machine_with_friction(spring: float) -> cq.ContactProblem:
+    """The machine pushed sideways: its feet slip at mu = 0.2, and the middle one is 1 mm low."""
+    K = np.diag([spring, spring, 1e6 * spring])
+    rows = np.array([[0.0, -1.0, 500.0], [0.0, -1.0, 0.0], [0.0, -1.0, -500.0]])
+    return cq.ContactProblem(
+        K, [3e4, -1e5, 0.0], rows, [0.0, 1.0, 0.0], tangent=[[1.0, 0.0, 0.0]] * 3, friction=[0.2] * 3
+    )
+
+
+@pytest.mark.parametrize("spring", [1e-9, 1e-6, 1e-2])
+def test_machines_that_slide_far_on_weak_springs_stand_on_their_shims(spring: float) -> None:
+    problem = machine_with_friction(spring)
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([5e4, 0.0, 5e4])
+    assert solution.friction_force.ravel() == pytest.approx([1e4, 0.0, 1e4])
+    assert solution.displacement[0] == pytest.approx(1e4 / spring)  # far beyond any gap
+    wrong = cq.certify(problem, solution.displacement, [0.0, 1e5, 0.0], [[0.0], [2e4], [0.0]])
+    assert not wrong.passed
+
+
+def test_gaps_that_count_as_nothing_beside_others_are_told() -> None:
+    """The machine's feet stand on stiff bars, one of which is stopped a metre away: on its stiffness that is far."""
+    K, rows = np.diag([1e-7, 0.1, 1e6, 1e6, 1e6]), np.zeros((4, 5))
+    rows[:3, :2], rows[:3, 2:], rows[3, 4] = machine(1.0).normal.toarray(), np.eye(3), -1.0
+    problem = cq.ContactProblem(K, [-1e5, 3e6, 0.0, 0.0, 0.0], rows, [0.0, 0.2, 0.0, 1e3])
+    hidden = [note for note in cq.solve(problem).certificate.notes if "not told from zero" in note]
+    assert len(hidden) == 1
+    assert "the gap of contact 1, 0.2, is not told from zero" in hidden[0]
+    near = problem.replace(gap=[0.0, 0.2, 0.0, 0.3])
+    assert not any("not told from zero" in note for note in cq.solve(near).certificate.notes)
 
 
 @pytest.mark.parametrize("force", [STRAY, 1e-2])

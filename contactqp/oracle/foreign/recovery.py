@@ -38,6 +38,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
+from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import directions, lengths
@@ -114,31 +115,17 @@ def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector)
     size = float(np.linalg.norm(r))
     if size == 0:
         return np.zeros(len(B)), True
-    share, left = _without_tension(B, r / size, pushing_only)
+    share, left = forces_without_tension(B, r / size, pushing_only)
     most = np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL
     if not left <= most:
         return np.asarray(force), True
     if np.any(cost) and np.any(share):  # where no row acts there is nothing to choose among
         chosen = _of_least_work(B, share, pushing_only, cost)
-        cheaper, left = _without_tension(B[chosen], r / size, pushing_only[chosen])
+        cheaper, left = forces_without_tension(B[chosen], r / size, pushing_only[chosen])
         if left <= most:
             share = np.zeros(len(B))
             share[chosen] = cheaper
     return size * share, True
-
-
-def _without_tension(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, float]:
-    """Return forces l (q,) that push where they only can, and what |B'l - r| they leave: nan where none were found."""
-    from scipy.optimize import nnls
-
-    columns = np.vstack([B, -B[~pushing_only]]).T
-    try:
-        share, left = nnls(columns, r, maxiter=30 * columns.shape[1])
-    except RuntimeError:  # SciPy's word for too many steps
-        return np.zeros(len(B)), np.nan
-    force = share[: len(B)].copy()
-    force[~pushing_only] -= share[len(B) :]
-    return force, float(left)
 
 
 def _of_least_work(B: Array, force: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> NDArray[np.intp]:
