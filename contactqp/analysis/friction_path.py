@@ -52,7 +52,7 @@ from contactqp.solving.methods.penalty import with_contact_springs, without_cont
 # Arguments of `solve`, and their values unless stated.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
 ARGUMENTS = tuple(DEFAULTS)
-SAID_BEFORE = "follow_path: "
+PREFIX = "follow_path: "
 # Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
 STIFFEST = 1e6
 
@@ -302,11 +302,11 @@ def _through(
     try:
         path.leg(before.problem.load, now.problem.load, start, end - start)
     except NoEquilibrium as error:
-        return f"it jumps; {str(error).removeprefix(SAID_BEFORE)}"
+        return f"it jumps; {str(error).removeprefix(PREFIX)}"
     except SeveralEquilibria as error:
-        return f"it chooses; {str(error).removeprefix(SAID_BEFORE)}"
+        return f"it chooses; {str(error).removeprefix(PREFIX)}"
     except NotConverged as error:
-        return f"whether it jumps was not found out; {str(error).removeprefix(SAID_BEFORE)}"
+        return f"whether it jumps was not found out; {str(error).removeprefix(PREFIX)}"
     return ""
 
 

@@ -204,7 +204,7 @@ class Linearised:
         return np.flatnonzero((self.status == STICK) & (lengths(solution.friction_force) >= (1 - SAME) * bound))
 
     def _forces_depend(self) -> bool:
-        """Whether rows of ties and of contacts that touch depend on one another, so that forces are not unique."""
+        """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
         if self.problem.frictional:
             return False  # the system says it
         if self._sparse:  # nothing is condensed, and the certificate has looked

@@ -104,7 +104,7 @@ INTERRUPTION = Ending(INTERRUPTED, "interrupted", error="interrupted")
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether a Ctrl-C is behind an error, as where a compiled module is interrupted while it is imported."""
+    """Return whether a Ctrl-C is behind an error, as where a compiled module is interrupted while it is imported."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

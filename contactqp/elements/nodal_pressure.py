@@ -58,7 +58,7 @@ GAUSS_POINTS = 5
 # The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
 NOT_POSITIVE = ("tri6", "quad8")
 # An error of the pressure of this part of it is worth a word.
-TOLD = 0.1
+NOTABLE = 0.1
 # Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
 EDGE = np.cos(np.pi / 6)
 # Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
@@ -178,7 +178,7 @@ def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ..
     if min(errors) == 0 or nodes_over(slave, master) is not None:
         return ()
     wave = sum(float(np.max(bow / np.maximum(turn, FLAT))) for bow, turn in (_bows(slave), _bows(master)))
-    if wave < TOLD * largest:
+    if wave < NOTABLE * largest:
         return ()
     part = f"about {wave / largest:.2g} times what it takes to close that" if largest > 0 else "as much as itself"
     return (

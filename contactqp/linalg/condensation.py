@@ -109,7 +109,7 @@ class Condensation:
         self.tangent = None if problem.tangent is None else _sparse_columns_of(problem.tangent, self.retained)
 
     def fits(self, problem: ContactProblem) -> bool:
-        """Whether a problem has the stiffness and the rows that were condensed."""
+        """Return whether a problem has the stiffness and the rows that were condensed."""
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
@@ -165,7 +165,7 @@ class Condensation:
         return np.where(alive, inverse_root(left), of_stiffness[self.retained])
 
     def _may_be_singular(self, problem: ContactProblem) -> bool:
-        """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""
+        """Return whether a pivot is so small that K may be singular, beside the digits that S lost in condensation."""
         interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
@@ -192,7 +192,7 @@ class Condensation:
             self._eliminate(held, scale)
 
     def _floats_no_further(self, stated: RigidMotions) -> bool:
-        """Whether K is regular but for the stated motions: S is, once these are anchored."""
+        """Return whether K is regular but for the stated motions: S is, once these are anchored."""
         if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             return False
         motions, _ = np.linalg.qr(stated.motions[self.retained] / self.scale[:, None])

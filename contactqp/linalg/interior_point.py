@@ -224,10 +224,10 @@ PRESSED = 1e3
 SHORT_OF_ZERO = 0.9995
 # The work that a predicted step leaves, over that of now, counts as so much at most.
 MOST_CENTRED = 1e3
-# Steps that go no further than this part of their way have come to an end.
-NO_WAY = 1e-6
+# Steps that are cut to less than this part of their length end the iteration.
+SHORTEST_STEP = 1e-6
 # Work of all forces on all slacks, as a part of the energies that meet, from which on they are told apart.
-TOLD_APART = 1e-22
+SEPARATED = 1e-22
 # Forces and slacks of the start are at least this part of the geometric mean of their largest products.
 LEAST = 1e-3
 
@@ -324,13 +324,13 @@ def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> Centra
     """Return the point of the central path that Newton's steps from an answer of an equilibrated problem come to."""
     point = _near_path(problem, answer)
     for _ in range(STEPS):
-        if point.work <= TOLD_APART * _energies(problem, point):
+        if point.work <= SEPARATED * _energies(problem, point):
             break
         try:
             after, length = _step(problem, point, effort)
         except BackendFailed:
             break
-        if length < NO_WAY or not np.all(np.isfinite(after.displacement)):
+        if length < SHORTEST_STEP or not np.all(np.isfinite(after.displacement)):
             break
         point = after
     return point

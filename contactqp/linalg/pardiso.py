@@ -70,7 +70,7 @@ CHOICE = "CONTACTQP_SPARSE_SOLVER"
 
 
 def available() -> bool:
-    """Whether PARDISO is installed and not switched off by `CHOICE`; nothing is loaded to find out."""
+    """Return whether PARDISO is installed and not switched off by `CHOICE`; nothing is loaded to find out."""
     return os.environ.get(CHOICE, "") != "superlu" and importlib.util.find_spec("pypardiso") is not None
 
 
@@ -275,7 +275,7 @@ class _Analysis:
         self._release = weakref.finalize(self, _release, self.handle, settings, kind)
 
     def is_of(self, entries: Any) -> bool:
-        """Whether a matrix has the entries that were analysed."""
+        """Return whether a matrix has the entries that were analysed."""
         return np.array_equal(entries.indptr, self._starts) and np.array_equal(entries.indices, self._columns)
 
     def call(self, phase: int, number: int, values: Array, right: Array, solution: Array) -> None:
@@ -368,7 +368,7 @@ class EliminationOrder:
 
 
 def _in_the_plane(matrix: Any) -> bool:
-    """Whether a compressed matrix has the rows of a stiffness of few unknowns in the plane."""
+    """Return whether a compressed matrix has the rows of a stiffness of few unknowns in the plane."""
     longest = int(np.max(np.diff(matrix.indptr), initial=0))
     return bool(matrix.nnz <= OF_PLANES * matrix.shape[0] <= OF_PLANES * OF_FEW_UNKNOWNS and longest <= LONGEST_ROW)
 

@@ -185,7 +185,7 @@ def _profile(a: fmpq_mat, prime: int) -> tuple[list[int], list[int]]:
 
 
 def _combined(a: fmpq_mat, rows: Sequence[int], leading: Sequence[int], core: fmpq_mat) -> bool:
-    """Whether all rows are combinations of those, so that an equation that they do not meet contradicts them."""
+    """Return whether all rows are combinations of those, so that an equation that they do not meet contradicts them."""
     known = set(rows)
     others = take(a, [i for i in range(a.nrows()) if i not in known])
     if not rows:
@@ -208,7 +208,7 @@ def sum_of_products(one: Sequence[Any], other: Sequence[Any]) -> Any:
 
 
 def is_semidefinite(K: fmpq_mat) -> bool:
-    """Whether z'Kz >= 0 for all z, exactly.
+    """Return whether z'Kz >= 0 for all z, exactly.
 
     K has the rank of its rows and columns J, and is then semidefinite where K_JJ is definite. That a floating-point
     Cholesky factorisation of K_JJ - s I exists proves it (Rump 2006, BIT 46, 433), s being what rounding may have

@@ -150,7 +150,7 @@ def seconds_left() -> float | None:
 
 
 def time_is_up() -> bool:
-    """Whether the call that runs should have ended."""
+    """Return whether the call that runs should have ended."""
     end = _END.get()
     return end is not None and time.perf_counter() > end[0]
 

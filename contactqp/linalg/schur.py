@@ -191,7 +191,7 @@ class LastBlock:
         self.half_substitutions = 0
 
     def reduce(self, load: Array) -> tuple[Array, Array]:
-        """Do the same as other eliminations, of one load (n,) or of several (n, q) at once."""
+        """Return one load (n,), or several (n, q), on the retained unknowns, and what `expand` needs of it."""
         if not load.any():
             return np.zeros((len(self._retained), *load.shape[1:])), np.zeros_like(load)
         self._count(load)
@@ -199,7 +199,7 @@ class LastBlock:
         return eliminated[self._retained], eliminated
 
     def expand(self, retained: Array, state: Array) -> Array:
-        """Do the same as other eliminations, of one load (n,) or of several (n, q) at once."""
+        """Return all unknowns, (n,) or (n, q), from those that are retained and what `reduce` returned."""
         self._count(state)
         right = state.copy()
         right[self._retained] = retained

@@ -457,8 +457,7 @@ def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> 
     Parameters
     ----------
     kind : "contact", "unknown" or "tie"
-    number, count : int, counted from 0, and how many there are
-    names : sequence of str, optional
+    number, count, names : int, counted from 0, how many there are, and their names, if they have any
 
     Raises
     ------

@@ -207,7 +207,7 @@ def _solve_any(
 def _solve(
     problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
 ) -> Solution:
-    """Solve by the first entry of the table of ways that applies."""
+    """Solve on another engine, in other units, with factors, on a subset of the contacts, or by the method as it is."""
     condense, algorithm = same["condense"], same["algorithm"]
     problem.refuse_exchanged_arrays()
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
@@ -292,7 +292,7 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
 
 
 def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
-    """Return a solution found in another way with the message and the work of what failed before."""
+    """Return the solution of a later attempt with the message and the work of the one that failed before."""
     spent = first.work if isinstance(first := error.solution, Solution) else Work()
     return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
@@ -417,7 +417,7 @@ def _begun(
     polish: bool,
     algorithm: str | None,
 ) -> Run:
-    """Run a method with checked arguments, in the first of the ways that applies."""
+    """Run a method with checked arguments, by the first of `RUN_RULES` that applies."""
     started = time.perf_counter()
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
@@ -430,13 +430,13 @@ def _run(
     problem: ContactProblem, method: Method, settings: Settings, condense: bool | str, algorithm: str | None
 ) -> Run:
     systems = systems_of(problem)
-    way = next(way for way in WAYS if way.applies(systems, problem, method, condense))
-    return way.run(problem, method, settings, condense, algorithm)
+    rule = next(rule for rule in RUN_RULES if rule.applies(systems, problem, method, condense))
+    return rule.run(problem, method, settings, condense, algorithm)
 
 
 @dataclass(frozen=True)
-class Way:
-    """One way to show a problem to a method."""
+class RunRule:
+    """One rule of the table `RUN_RULES`: when it applies, and the run that it then makes."""
 
     applies: Callable[[Systems, ContactProblem, Method, bool | str], bool]  # condense
     run: Callable[[ContactProblem, Method, Settings, bool | str, str | None], Run]  # condense, algorithm
@@ -474,25 +474,25 @@ def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense:
 
 
 # The first that applies is taken.
-WAYS = (
+RUN_RULES = (
     # The method has systems of stick and slip of its own, in the problem's own unknowns.
-    Way(
+    RunRule(
         lambda _, problem, method, __: problem.frictional and method.solve_friction is not None,
         lambda problem, method, settings, *_: EnforcedRun(problem, method, settings),
     ),
     # Coulomb's law is no minimisation: an algorithm takes it in steps, convex ones of the method or others.
-    Way(lambda _, problem, *__: problem.frictional, _run_friction),
+    RunRule(lambda _, problem, *__: problem.frictional, _run_friction),
     # The body is too large to factorise.
-    Way(
+    RunRule(
         lambda systems, *_: systems is Systems.ITERATED,
         lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.
-    Way(_has_rows_to_spare, _run_presolved),
+    RunRule(_has_rows_to_spare, _run_presolved),
     # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
-    Way(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
+    RunRule(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
-    Way(
+    RunRule(
         lambda *_: True,
         lambda problem, method, settings, condense, _: CondensedRun(problem, method, settings, condense),
     ),

@@ -310,7 +310,7 @@ def _unknown_parameter(line: Line, keyword: str, given: str, known: Sequence[str
 
 
 class Effect(Enum):
-    """What becomes of a keyword."""
+    """The effect of a keyword on the model: it is read, has none, or is refused."""
 
     READ = "read"
     IDLE = "without effect"
@@ -323,7 +323,7 @@ MODEL, STEP, ANYWHERE = "before *STEP", "between *STEP and *END STEP", ""
 
 @dataclass(frozen=True)
 class Keyword:
-    """One keyword.
+    """A keyword that decks may have, with its parameters, its place and its effect.
 
     Attributes
     ----------

@@ -207,7 +207,7 @@ def _rewritten(card: Card, parameters: dict[str, str], renamed: Callable[[Card, 
 
 @dataclass(frozen=True, eq=False)
 class _Placement:
-    """Where an instance is: moved by a translation (3,), then turned about a point (3,)."""
+    """The placement of an instance: its points are moved by a translation (3,), then turned about a point (3,)."""
 
     translation: Vector
     point: Vector

@@ -163,7 +163,7 @@ class DeckTie:
 
 @dataclass
 class Interaction:
-    """What a surface interaction says.
+    """The contact law of a surface interaction.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ class ContactPair:
 
 @dataclass
 class Loading:
-    """What acts at the end of a step: displacements and forces of nodes, pressures on faces, gravity."""
+    """The loads and supports at the end of a step: displacements and forces of nodes, pressures on faces, gravity."""
 
     supports: list[AtNodes] = field(default_factory=list)
     forces: list[AtNodes] = field(default_factory=list)
@@ -225,7 +225,7 @@ class Loading:
 
 @dataclass
 class DeckModel:
-    """All that a deck states.
+    """The model that a deck states.
 
     Attributes
     ----------

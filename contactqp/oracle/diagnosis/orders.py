@@ -23,7 +23,7 @@ WRITTEN = 12
 
 
 def orders(evidence: Evidence) -> Iterator[Explanation]:
-    """Orders of contacts, of unknowns, of both, and of tangential directions."""
+    """Yield orders of contacts, of unknowns, of both, and of tangential directions."""
     if evidence.right is None:
         return
     contact, unknown = None if evidence.shared else _of_contacts(evidence), _of_unknowns(evidence)
@@ -111,7 +111,7 @@ def _right(evidence: Evidence) -> Vector:
 
 
 def _regular_orders(n: int) -> Iterator[tuple[NDArray[np.intp], str]]:
-    """Orders that programs have for the components of nodes."""
+    """Return the orders that programs have for the components of nodes."""
     yield np.arange(n)[::-1], "the unknowns stand in reverse order"
     for d in (2, 3, 6):
         if n % d or n == d == 6:

@@ -263,17 +263,17 @@ def printed(evidence: Evidence) -> Iterator[Explanation]:
     values, right, noise = _side_by_side(evidence)
     for kind, why, last_digit in _roundings(values):
         if np.all(abs(values - right) <= last_digit * np.maximum(abs(values), abs(right)) + noise):
-            yield _told(evidence, kind, why)
+            yield _inexact_by(evidence, kind, why)
             return
 
 
 def inexact(evidence: Evidence) -> Iterator[Explanation]:
     """Yield to how many digits an answer is right that nothing else explains."""
     if evidence.right is not None and evidence.before <= FEW_DIGITS:
-        yield _told(evidence, "inexact", "single precision, a printed answer, or iterations that stopped early?")
+        yield _inexact_by(evidence, "inexact", "single precision, a printed answer, or iterations that stopped early?")
 
 
-def _told(evidence: Evidence, kind: str, why: str) -> Explanation:
+def _inexact_by(evidence: Evidence, kind: str, why: str) -> Explanation:
     text = f"it agrees with the right answer to about {digits(evidence.before)}: {why}"
     passing = _what_passes(evidence)
     text = f"{text} {passing}" if text.endswith("?") else f"{text}; {passing}"

@@ -157,13 +157,13 @@ class Enclosed:
 
     u: list[arb]
     push: list[arb]
-    rub: list[arb]
+    drag: list[arb]
     tie: list[arb]
     gap: list[arb]
     slip: list[arb]
 
     def values(self) -> list[arb]:
-        return self.u + self.push + self.rub + self.tie + self.gap + self.slip
+        return self.u + self.push + self.drag + self.tie + self.gap + self.slip
 
 
 def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
@@ -299,9 +299,9 @@ def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any
             continue
         if not found.push[i] > 0:
             return f"the normal force of {name(i)} is not proven to be positive ({found.push[i].str(6)})"
-        if word == "stick" and not abs(found.rub[i]) < balls.friction[i] * found.push[i]:
+        if word == "stick" and not abs(found.drag[i]) < balls.friction[i] * found.push[i]:
             return f"{name(i)} is not proven to stick"
-        if word == "slip" and not found.rub[i] * found.slip[i] > 0:
+        if word == "slip" and not found.drag[i] * found.slip[i] > 0:
             return f"{name(i)} is not proven to slip that way"
     return ""
 
@@ -324,7 +324,7 @@ def _answer(asked: Asked, solution: Solution, found: Enclosed, states: tuple[str
         problem=problem,
         displacement=_middles(found.u),
         normal_force=_middles(push),
-        friction_force=None if shape is None else _middles(found.rub).reshape(shape),
+        friction_force=None if shape is None else _middles(found.drag).reshape(shape),
         tie_force=_middles(found.tie),
         gap=_middles(found.gap),
         slip=None if shape is None else _middles(found.slip).reshape(shape),
@@ -333,7 +333,7 @@ def _answer(asked: Asked, solution: Solution, found: Enclosed, states: tuple[str
         radius=Parts(
             _radii(found.u),
             _radii(push),
-            None if shape is None else _radii(found.rub).reshape(shape),
+            None if shape is None else _radii(found.drag).reshape(shape),
             _radii(found.tie),
             _radii(found.gap),
             None if shape is None else _radii(found.slip).reshape(shape),

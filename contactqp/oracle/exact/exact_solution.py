@@ -106,7 +106,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parts(ReadOnly):
-    """Floats in the shapes of a `Solution`; `friction_force` and `slip` are None where nothing rubs."""
+    """Floats in the shapes of a `Solution`; `friction_force` and `slip` are None without friction."""
 
     displacement: Floats  # (n,)
     normal_force: Floats  # (m,)

@@ -331,9 +331,9 @@ def refine(
         first = solve(problem, method, **options)
     walk = _Walk(problem, first, method, options)
     goal = 2.0 ** (-digits * 3.3219)
-    lowest, idle, reason = walk.left, 0, ""
+    lowest, idle, reason = walk.residuals, 0, ""
     for rounds in range(MOST_ROUNDS + 1):
-        if walk.settled and max(walk.left) <= goal:
+        if walk.settled and max(walk.residuals) <= goal:
             return walk.refined(rounds, first)
         if rounds == MOST_ROUNDS or idle == MOST_IDLE_ROUNDS:
             break
@@ -342,12 +342,13 @@ def refine(
         except NotConverged as error:
             reason = f" ({error})"
             break
-        if not walk.settled or any(now < before / 2 for now, before in zip(walk.left, lowest, strict=True)):
-            lowest, idle = walk.left, 0
+        if not walk.settled or any(now < before / 2 for now, before in zip(walk.residuals, lowest, strict=True)):
+            lowest, idle = walk.residuals, 0
         else:
             idle += 1
     raise NotConverged(
-        f"refine: residuals of {max(walk.left):.1e} after {rounds} rounds, {goal:.0e} wanted{reason}", solution=first
+        f"refine: residuals of {max(walk.residuals):.1e} after {rounds} rounds, {goal:.0e} wanted{reason}",
+        solution=first,
     )
 
 
@@ -377,8 +378,8 @@ class _Walk:
         self.imbalance = self._f - self._K @ self.u - self._Et @ self.push - self._At @ self.tie
 
     @property
-    def left(self) -> tuple[float, float]:
-        """Forces and lengths that are left, relative to those of the problem."""
+    def residuals(self) -> tuple[float, float]:
+        """The largest residual forces and lengths, relative to the sizes of the problem."""
         closed = np.array([x > 0 for x in self.push.integers], dtype=bool)
         forces = abs(self.imbalance.floats()) / self._scale
         lengths = np.concatenate(
@@ -393,13 +394,13 @@ class _Walk:
     def step(self) -> None:
         """Solve what is left under a magnifying glass, and add it."""
         problem, m = self.problem, self.problem.contacts
-        remains = max(*self.left, 2.0**-KEPT)
+        remains = max(*self.residuals, 2.0**-KEPT)
         force = self._arm * self.push.floats() / self._size
         certain = force > STANDS_OUT * remains
         if not np.all(certain | (force == 0)):
             held = Fixed(np.where(certain, self.push.integers, 0), self.push.bits)
             self._take(self.u, held, self.tie)
-            remains = max(*self.left, 2.0**-KEPT)
+            remains = max(*self.residuals, 2.0**-KEPT)
         gap = self.gap.floats() / self._arm / self._size
         near = ~certain & (gap < FAR * remains)
         power = int(np.floor(-np.log2(remains)))

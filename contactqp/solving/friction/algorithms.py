@@ -232,7 +232,7 @@ def run_algorithm(
 
 
 def _stagnates(errors: list[float], patience: int) -> bool:
-    """Whether the later half of many iterates is hardly better than the earlier."""
+    """Return whether the later half of many iterates is hardly better than the earlier."""
     count = len(errors)
     return count >= patience and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
 

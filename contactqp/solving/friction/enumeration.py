@@ -248,7 +248,7 @@ def _least_ties(rows: FrictionalRows, start: Answer) -> Answer:
 
 
 def _same(problem: ContactProblem, one: Answer, other: Answer) -> bool:
-    """Whether two displacements move every contact alike, each in the lengths that meet there."""
+    """Return whether two displacements move every contact alike, each in the lengths that meet there."""
     weight = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, np.max(problem.diagonal) or 1.0))
     largest = np.maximum(abs(one.displacement), abs(other.displacement))
     size = SAME * largest + NOTHING * np.max(weight * largest, initial=0.0) / weight

@@ -355,7 +355,7 @@ class _Members:
         return found, Region(signs, len(found.free))
 
     def contains(self, displacement: Row) -> bool:
-        """Whether a displacement is one of these."""
+        """Return whether a displacement is one of these."""
         within = self._within(displacement)
         return within is not None and not within[1].empty
 

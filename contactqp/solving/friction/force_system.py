@@ -245,7 +245,7 @@ class _Factor:
         self._columns: dict[int, Vector] = {}
 
     def near(self, status: Status) -> bool:
-        """Whether few enough rows have changed."""
+        """Return whether few enough rows have changed."""
         if self._inverse is not None:
             return not len(self._changed(status))
         return len(self._changed(status)) <= CHANGED_ROWS * len(self._lu)

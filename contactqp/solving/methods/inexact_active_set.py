@@ -144,7 +144,7 @@ class _Search:
         self.closed = self._penetration() > 0
 
     def _loaded(self, known: Candidate) -> bool:
-        """Whether the load is more than rounding of what a known displacement takes."""
+        """Return whether the load is more than rounding of what a known displacement takes."""
         scale, norm = 1 / np.sqrt(self.iteration.diagonal), self.iteration.norm
         taken = norm(scale * self.iteration.product(known.displacement))
         return norm(scale * self.problem.load) > UNLOADED * taken

@@ -342,7 +342,7 @@ class FloatingBodies:
         return np.asarray(dense / np.where(length > 0, length, 1.0))
 
     def held_by(self, unit_rows: NDArray[np.float64]) -> bool:
-        """Whether rows of unit length feel every rigid motion: told from the motions, whatever rounding may hide."""
+        """Return whether rows of unit length resist every rigid motion, judged from the motions themselves."""
         r = self.rigid.shape[1]
         if not r:
             return True

@@ -91,7 +91,7 @@ class Tile:
 
     number: int
     what: str
-    said: str
+    text: str
     bad: bool = False
 
 
