@@ -201,6 +201,32 @@ def beam_stiffness(modulus: Number, area: Number, inertia: Number, start: Number
     return K
 
 
+def beam_load(per_length: Any, start: Any, end: Any) -> Numbers:
+    """Return the consistent load of a constant b on cubic bending and linear stretching: exact at the ends of a beam.
+
+    On (u, theta) of the start it is (L b / 2, L^2 b_n / 12), on those of the end (L b / 2, -L^2 b_n / 12), with b_n
+    across the beam, to the left of its direction.
+
+    Parameters
+    ----------
+    per_length : (2,) array
+        b [force / length], per length of the beam, along the axes.
+    start, end : (2,) arrays
+        The two nodes [length].
+
+    Returns
+    -------
+    (6,) array on (u_x, u_y, theta) of start and end, in [force] and [force length].
+
+    >>> beam_load([0.0, -12.0], [0.0, 0.0], [2.0, 0.0]).tolist()
+    [0.0, -12.0, -4.0, 0.0, -12.0, 4.0]
+    """
+    b, d = np.asarray(per_length), np.asarray(end) - np.asarray(start)
+    length = square_root(squared_length(d))
+    force, moment = length * b / 2, length * (d[0] * b[1] - d[1] * b[0]) / 12
+    return np.array([*force, moment, *force, -moment])
+
+
 def beam_displacements(start: Numbers, end: Numbers, ends: Numbers, at: Numbers) -> Numbers:
     """Return the (k, 2) displacements along the axis of an unloaded beam, from those of its ends.
 

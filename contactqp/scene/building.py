@@ -185,9 +185,10 @@ def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
         total[load.name][load.unknown] += scene.value(load.value)
-    strings = {string.name: string for string in scene.strings}
     for line_load in scene.line_loads:
-        for name, force in line_load.forces(scene, strings[line_load.string]):
+        named = line_load.string or line_load.beam
+        [loaded] = (one for one in (scene.strings if line_load.string else scene.beams) if one.name == named)
+        for name, force in line_load.forces(scene, loaded):
             total[line_load.name][name] += force
     for name, force in _weights(scene):
         total[GRAVITY][name] += force

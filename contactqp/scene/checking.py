@@ -239,9 +239,10 @@ def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
                 f'loads[{i}].value: expected {kind.article} such as "{kind.example}" on {load.unknown!r}, '
                 f"got {load.value}"
             )
-    strings = [string.name for string in scene.strings]
     for i, line_load in enumerate(scene.line_loads):
-        refuse_unknown(f"line_loads[{i}].string ({line_load.name!r})", line_load.string, strings, "string")
+        for key, loaded in (("string", scene.strings), ("beam", scene.beams)):
+            if (named := getattr(line_load, key)) is not None:
+                refuse_unknown(f"line_loads[{i}].{key} ({line_load.name!r})", named, [one.name for one in loaded], key)
     for name in {load.name for load in scene.loads}:
         _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
     weighs = scene.gravity is not None and any(list(element.weights(scene)) for _, element in scene.elements)
@@ -313,7 +314,7 @@ def _obstacles_are_surfaces(scene: SceneData) -> None:
 _OF_NODES = {
     "ties": "ties between bodies are not offered yet",
     "fixed": "'supports' hold bodies",
-    "line_loads": "they act on strings",
+    "line_loads": "they act on strings and beams",
     "loads": "'tractions', 'pressures' and 'point_loads' act on bodies",
 }
 # The dimensions that an obstacle exists in.

@@ -32,7 +32,7 @@ from contactqp.scene.checking import check
 from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_errors
 from contactqp.scene.schema import SceneData, end_time
-from contactqp.scene.shipped import case_path, nearest_names
+from contactqp.scene.shipped import case_path, nearest_files, nearest_names
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
@@ -165,9 +165,10 @@ def _text(file: Path) -> str:
     except SceneError:
         raise
     except FileNotFoundError:
-        near = nearest_names(file)
+        here, near = nearest_files(file), nearest_names(file)
+        files = f"; nearest: {', '.join(here)}" if here else ""
         cases = f"; of the cases that come with contactqp: {', '.join(near)}" if near else ""
-        raise SceneError(f"expected a case file, and there is none of that name{cases}") from None
+        raise SceneError(f"expected a case file, and there is none of that name{files}{cases}") from None
     except IsADirectoryError:
         raise SceneError("expected a case file, got a directory") from None
     except (OSError, ValueError) as error:

@@ -308,7 +308,7 @@ class SceneData(Frame):
     obstacles: tuple[Obstacle, ...] = ()
     contacts: tuple[Contact, ...] = ()
     loads: tuple[Load, ...] = ()  # on unknowns of nodes
-    line_loads: tuple[LineLoad, ...] = ()  # on strings
+    line_loads: tuple[LineLoad, ...] = ()  # on strings and beams
     tractions: tuple[Traction, ...] = ()  # on sides of bodies
     pressures: tuple[PressureLoad, ...] = ()
     point_loads: tuple[PointLoad, ...] = ()

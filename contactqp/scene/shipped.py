@@ -31,7 +31,7 @@ class ShippedCase:
         return self.file.stem
 
     def has(self, word: str) -> bool:
-        """Say whether a word of the name or the file begins so, or as that of which it is a plural, in any case.
+        """Say whether a word of the name or the file begins so, or as the stem of it, in any case: bouncing, bounces.
 
         Parts of words that do not begin them are not looked at: ``ring`` is not in ``string``. A name with underscores
         is that of one case.
@@ -39,9 +39,17 @@ class ShippedCase:
         if "_" in word:
             return self.name == word.casefold().removesuffix(SUFFIX)
         known = f" {self.name} {self.text}".casefold().replace("_", " ")
-        return any(
-            re.search(rf"\b{re.escape(one)}", known) for one in (word.casefold(), word.casefold().removesuffix("s"))
-        )
+        return any(re.search(rf"\b{re.escape(one)}", known) for one in _stems(word.casefold()))
+
+
+def _stems(word: str) -> set[str]:
+    """Return a word, that of which it is a plural, and what its verb begins with where that is long enough.
+
+    >>> sorted(_stems("bouncing")), sorted(_stems("springs")), sorted(_stems("string"))
+    (['bounc', 'bouncing'], ['spring', 'springs'], ['string'])
+    """
+    cut = (word.removesuffix(ending) for ending in ("ing", "ed", "es"))
+    return {word, word.removesuffix("s"), *(stem for stem in cut if len(stem) >= LEAST_STEM)}
 
 
 def shipped_folder() -> Path | None:
@@ -119,6 +127,12 @@ def first_case(name: str) -> str:
     """Return the text of the commented case that `contactqp init` writes to a file of that name."""
     text = (Path(__file__).parent / "first_case.toml").read_text(encoding="utf-8")
     return text.replace("{name}", name, 1)
+
+
+def nearest_files(named: Path) -> list[str]:
+    """Return the names of the case files in the folder of one that is missing which it may mean, as many as three."""
+    there = sorted(str(file) for file in named.parent.glob(f"*{SUFFIX}"))
+    return difflib.get_close_matches(str(named), there, n=3)
 
 
 def nearest_names(named: str | Path) -> list[str]:

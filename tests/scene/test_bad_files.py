@@ -142,6 +142,13 @@ MUTATIONS = {
         'string = "wier"',
         "line_loads[0].string ('snow'): there is no string 'wier'",
     ),
+    "load on no beam": ('string = "wire"', 'beam = "wire"', "line_loads[0].beam ('snow'): there is no beam 'wire'"),
+    "load on nothing": (', string = "wire"', "", "line_loads[0] ('snow'): expected 'string' or 'beam', got none"),
+    "load on two": (
+        'string = "wire"',
+        'string = "wire", beam = "wire"',
+        "line_loads[0] ('snow'): expected 'string' or 'beam', got both",
+    ),
     "force on a string": ('["0 kN/m", "-1 kN/m"]', '["0 kN", "-1 kN"]', "expected a force per length"),
     "load of another dimension": (
         '["0 kN/m", "-1 kN/m"]',

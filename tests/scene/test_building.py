@@ -155,6 +155,32 @@ def test_a_string_in_space_deflects_across_itself_only():
         cq.run(pulled)
 
 
+def test_a_line_load_on_a_beam_has_its_ends_exactly_in_one_element_or_two():
+    """q L^4 / (8 E I) and q L^3 / (6 E I) at the end of a cantilever on a slope of 3 in 4, in exact numbers."""
+    q, length, bending = F(5), F(10), F(200)
+    nodes = [{"name": n, "at": [f"{4 * i} m", f"{3 * i} m"]} for i, n in enumerate("abc")]
+    beam = {"area": "1 m^2", "inertia": "2 m^4", "modulus": "100 Pa"}
+    load = {"value": ["-3 N/m", "4 N/m"]}  # across the beam, to its left
+    scene = dict(title="a cantilever", axes=["x", "y"], fixed=["a"])
+    one = Scene(
+        **scene,
+        nodes=[nodes[0], nodes[2]],
+        beams=[{"name": "beam", "nodes": ["a", "c"], **beam}],
+        line_loads=[{"name": "q", "beam": "beam", **load}],
+    )
+    two = Scene(
+        **scene,
+        nodes=nodes,
+        beams=[{"name": n, "nodes": list(n), **beam} for n in ("ab", "bc")],
+        line_loads=[{"name": n, "beam": n, **load} for n in ("ab", "bc")],
+    )
+    assert exact_problem(one).load["c.theta"] == -q * length**2 / 12
+    deflection, slope = q * length**4 / (8 * bending), q * length**3 / (6 * bending)
+    for solution in (cq.run(one)[-1], cq.run(two)[-1]):
+        expected = [float(-F(3, 5) * deflection), float(F(4, 5) * deflection), float(slope)]
+        np.testing.assert_allclose([solution.at(f"c.{name}") for name in ("x", "y", "theta")], expected, rtol=1e-12)
+
+
 def test_a_line_load_comes_with_its_corner_of_the_path():
     path = {"events": "exact", "corners": [{"snow": "1/2"}, {"snow": 1, "pull": 1}]}
     fixed = ["a", "c", "b.x"]

@@ -49,6 +49,19 @@ def test_a_misspelled_name_is_answered_with_the_nearest(capsys) -> None:
     assert "there is none of that name; of the cases that come with contactqp: bar_wall, bar_wall_path" in err
 
 
+def test_a_misspelled_file_is_answered_with_the_nearest_beside_it(tmp_path: Path, capsys) -> None:
+    (tmp_path / "my_beam.toml").touch()
+    for named in ("my_baem.toml", "my_beam.tom", "my_beam"):
+        code, _, err = run(capsys, "run", tmp_path / named)
+        assert code == 2
+        assert f"there is none of that name; nearest: {tmp_path / 'my_beam.toml'}" in " ".join(err.split())
+
+
+def test_a_verb_finds_the_cases_in_which_it_stands_otherwise() -> None:
+    assert {case.name for case in shipped_cases(("bouncing", "mass"))} >= {"mass_bounces", "bar_bounces"}
+    assert shipped_cases(("strings",)) == shipped_cases(("string",))
+
+
 @pytest.mark.slow
 def test_cases_are_listed_and_found_by_words(capsys) -> None:
     code, out, err = run(capsys, "cases")

@@ -1,4 +1,4 @@
-"""Strings under a constant tension: ``strings`` of a case file, and the ``line_loads`` on them."""
+"""Strings under a constant tension: ``strings`` of a case file, and the ``line_loads`` on them and on beams."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from itertools import pairwise
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from contactqp.elements.members import string_load, string_stiffness
+from contactqp.elements.members import beam_load, string_load, string_stiffness
 from contactqp.elements.scalars import Number
 from contactqp.errors import SceneError
 from contactqp.scene import fields
+from contactqp.scene.blocks.beams import Beam
 from contactqp.scene.blocks.element import Element, NamedMatrix, NodeScene, refuse_zero_length
 from contactqp.scene.fields import Block, Name
 
@@ -68,15 +69,29 @@ class String(Element):
 
 
 class LineLoad(Block):
-    """A constant force per length on a string, along the axes."""
+    """A constant force per length on a string or a beam, along the axes.
+
+    On a beam it is the consistent load of forces and moments, with which its ends are exact.
+    """
 
     name: Name
-    string: Name
+    string: Name | None = None
+    beam: Name | None = None
     value: fields.LineForces
 
-    def forces(self, scene: NodeScene, loaded: String) -> Iterator[tuple[str, Number]]:
-        """Yield the forces at the nodes of the string that it names, by their unknowns."""
+    @model_validator(mode="after")
+    def _has_one(self) -> LineLoad:
+        if (self.string is None) == (self.beam is None):
+            got = "none" if self.string is None else "both"
+            raise ValueError(f"expected 'string' or 'beam', got {got}")
+        return self
+
+    def forces(self, scene: NodeScene, loaded: String | Beam) -> Iterator[tuple[str, Number]]:
+        """Yield the forces and moments at the nodes of the string or beam that it names, by their unknowns."""
         per_length = np.array([scene.value(component) for component in self.value])
+        if isinstance(loaded, Beam):
+            yield from zip(loaded.unknowns(scene), beam_load(per_length, *map(scene.point, loaded.nodes)), strict=True)
+            return
         for ends in loaded.segments:
             forces = string_load(per_length, *map(scene.point, ends))
             yield from zip(scene.displacements(*ends), forces, strict=True)
