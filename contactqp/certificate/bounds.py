@@ -106,7 +106,7 @@ class Bounds:
     relative_force_bound: Vector | None = None
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
-    # max |l*_i| |E_i D| where bodies float: there |l*|_W has a rigid response in it, which depends on units.
+    # max |l*_i| |E_i D|, without friction; where bodies float |l*|_W would have a rigid response in it.
     largest_force: float = 0.0
     rounding: float = 0.0  # what the refinement cannot tell from zero
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has

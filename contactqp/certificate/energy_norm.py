@@ -255,7 +255,17 @@ def strain_of(
     """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
 
     Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
-    does not move rigidly: those of contacts (m,) and ties (k,), if they are known.
+    does not move rigidly.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    solution : Extended (n,)
+        The displacement.
+    condensation : Condensation
+        That of the problem.
+    forces : Extended (m,) and Extended (k,), or None
+        Those of contacts and ties, if they are known.
     """
     norm, uncertain = energy_norm(problem, solution)
     if forces is None or uncertain <= FEW_DIGITS * norm:
@@ -269,7 +279,20 @@ def strain_of(
 def free_distance(
     problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, apart: Extended, energy_scale: float
 ) -> float:
-    """Return the energy norm of a distance (n,) along free motions, which is rounding of K."""
+    """Return the energy norm of a distance along free motions, which is rounding of K.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation
+        That of the problem.
+    saddle : SaddlePoint
+        The factorised system of the closed contacts, which leaves the motions free.
+    apart : Extended (n,)
+        The distance.
+    energy_scale : float
+        |u*|_K of the solution.
+    """
     if not condensation.rigid.count:
         return 0.0
     motions = free_motions(condensation, saddle)

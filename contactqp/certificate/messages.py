@@ -185,10 +185,11 @@ def of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance
     if known.force_bound is None or known.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
     unit = _with_unit(problem.units.force)
+    beside = "the largest contact force" if known.largest_force > 0 else "all contact forces"
     return (
         f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
         f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
-        f"({known.relative_force_bound[i]:.3g} of all contact forces in energy, tolerance {tolerance:g})"
+        f"({known.relative_force_bound[i]:.3g} of {beside} in energy, tolerance {tolerance:g})"
     )
 
 
