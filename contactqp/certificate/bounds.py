@@ -355,17 +355,14 @@ def _force_error(
             continue  # without its ties K is singular to rounding, and has no such norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
     (_, size, uncertain), *_ = found
-    one_by_one = 0.0
+    largest = missed = 0.0
     if problem.ties > 0 and independent:
-        largest = np.max(own_forces(problem, pair.force.double(), pair.tie_force.double()))
-        missed = np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double()))
-        one_by_one = float(missed / largest) if largest > 0 else 0.0
+        largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
+        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        absolute = max(apart for apart, *_ in found) + pair.dual_radius + uncertain
-        return max(absolute, one_by_one * known.energy_scale), size
-    return max(
-        one_by_one, *(_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
-    ), size
+        return max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed), size
+    errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
+    return max(missed / largest if largest > 0 else 0.0, *errors), size
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:

@@ -41,12 +41,13 @@ from contactqp.linalg.measures import (
     beyond,
     bodies,
     force_measure,
-    forces_that_count,
     intrinsic_size,
     nothing,
     outer_forces,
+    parts,
     ratio,
     row_sizes,
+    scale_through_rows,
     without_rigid_part,
 )
 from contactqp.linalg.sliced import plain_residuals
@@ -70,6 +71,14 @@ ACTING = 1e-6
 # HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
 # formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
 LP_TOLERANCES = (1e-10, 1e-7)
+# Forces that are larger than a load by this factor hide it: a tolerance of 1e-9 of them is a thousandth of the load.
+HIDES = 1e6
+# By this one they drown it: their rounding is a thousandth of the load.
+DROWNS = 1e12
+# What rounding leaves of forces that cancel, in doubles, is below 1e-9 of this part of them.
+ROUNDING_OF_SUMS = 4e-6
+# A load or an elastic force is notable from this part of the intrinsic size on.
+NOTABLE = 1e-6
 
 
 def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
@@ -280,13 +289,41 @@ def _kept(
     return found
 
 
+def _forces_that_count(
+    problem: ContactProblem, acting: Vector, meeting: Vector, hidden: NDArray[np.bool_], size: Vector
+) -> Vector:
+    """Return the forces F (n,) by which residuals are measured where some of those that meet hide the load [force].
+
+    Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
+    lost. Where all that meets is 1e6 times |f| + |K||u| and more, F is no more than what its rounding needs; where it
+    is 1e12 times that, the rounding alone may exceed the load, and F is |f| + |K||u|. So it is everywhere that this is
+    notable beside the intrinsic size, and in parts that have no size where every load of the part is hidden.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    acting, meeting : (n,) arrays
+        |f| + |K||u|, and the same with the forces of contacts and ties [force].
+    hidden : (n,) array of bool
+        Where the second hides the first.
+    size : (n,) array
+        The intrinsic size [square root of energy].
+    """
+    D, part = scale_through_rows(problem), parts(problem)
+    shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
+    counts = np.where((D > 0) & (size > 0), acting * D >= NOTABLE * size, ~shown)
+    held = np.where(meeting > DROWNS * acting, acting, np.maximum(acting, ROUNDING_OF_SUMS * meeting))
+    return np.where(hidden & counts, held, meeting)
+
+
 def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:
     """Return the displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
     inner = problem.stiffness_sizes @ abs(elastic)
-    F = forces_that_count(problem, problem.load_size + inner, inner + outer_forces(problem, answer), size)
-    return elastic, size, F
+    acting, F = problem.load_size + inner, inner + outer_forces(problem, answer)
+    hidden = (acting > 0) & (HIDES * acting < F)
+    return elastic, size, _forces_that_count(problem, acting, F, hidden, size) if hidden.any() else F
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ the largest of
     |u_e|_K,    max_j D_j |f|_j,    max_i length_i / |E_i D|,
 
 length_i being |g_i| where the answer closes that gap (|b_i| of a tie, |slip_origin_i| where contact i sticks there) and
-at most ten times |E_i||u_e| elsewhere; a problem without load and ties to impose lengths has its smallest gap. A force
+at most ten times |E_i||u_e| elsewhere; of rows that touch unknowns without stiffness too, which may yield, it is at
+most ten times what the stiff ones move. A problem without load and ties to impose lengths has its smallest gap. A force
 at unknown j is nothing up to t S / D_j, a length of row i up to t S |E_i D|, t being a thousandth of the tolerance,
 1e-12 by default. Nothing is also what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid
 part, and the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
@@ -130,10 +131,16 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
+    u, stiff = answer.displacement, problem.diagonal > 0
     for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
-        u, of_row = answer.displacement, row_sizes(problem, rows)
+        of_row = row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
-        np.maximum.at(size, part[of_row.first], imposed(limit, *lengths, of_row.compliance)[of_row.touching])
+        length = imposed(limit, *lengths, of_row.compliance)
+        if not stiff.all():  # what an unknown without stiffness may take up is imposed as far as the others move
+            yields = of_row.lengths(np.where(stiff, 0.0, 1.0)) > 0
+            moved = in_energy(WITHIN_REACH * of_row.lengths(np.where(stiff, abs(u), 0.0)), of_row.compliance)
+            length[yields] = np.minimum(length, moved)[yields]
+        np.maximum.at(size, part[of_row.first], length[of_row.touching])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
     whole = float(size.max(initial=0.0))
     if not problem.load_size.any() and not problem.tie_value.any():
@@ -348,39 +355,6 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     if problem.tangent is not None and answer.friction_force is not None:
         outer = outer + row_sizes(problem, problem.tangent).forces(abs(answer.friction_force).ravel())
     return np.asarray(outer)
-
-
-# Forces that are larger than a load by this factor hide it: a tolerance of 1e-9 of them is a thousandth of the load.
-HIDES = 1e6
-# By this one they drown it: their rounding is a thousandth of the load.
-DROWNS = 1e12
-# What rounding leaves of forces that cancel, in doubles, is below 1e-9 of this part of them.
-ROUNDING_OF_SUMS = 4e-6
-# A load or an elastic force is notable from this part of the intrinsic size on.
-NOTABLE = 1e-6
-
-
-def forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, size: Vector) -> Vector:
-    """Return the forces F (n,) by which residuals are measured: those that meet, unless they hide the load [force].
-
-    Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
-    lost. Where all that meets is 1e6 times |f| + |K||u| and more, F is no more than what its rounding needs; where it
-    is 1e12 times that, the rounding alone may exceed the load, and F is |f| + |K||u|. So it is everywhere that this is
-    notable beside the intrinsic size, and in parts that have no size where every load of the part is hidden.
-
-    Parameters
-    ----------
-    problem, acting, meeting, size : ContactProblem and (n,) arrays
-        |f| + |K||u|, the same with the forces of contacts and ties, and the intrinsic size.
-    """
-    hidden = (acting > 0) & (meeting > HIDES * acting)
-    if not hidden.any():
-        return meeting
-    D, part = scale_through_rows(problem), parts(problem)
-    shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
-    counts = np.where((D > 0) & (size > 0), acting * D >= NOTABLE * size, ~shown)
-    held = np.where(meeting > DROWNS * acting, acting, np.maximum(acting, ROUNDING_OF_SUMS * meeting))
-    return np.where(hidden & counts, held, meeting)
 
 
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:

@@ -235,3 +235,17 @@ def test_what_overflows_excuses_nothing() -> None:
     assert right.certificate.passed
     with np.errstate(over="ignore", invalid="ignore"):
         assert not cq.certify(problem, [right.displacement[0], 1e100], right.normal_force).passed
+
+
+@pytest.mark.parametrize("load", [1.0, 1e-3, 1e3])
+def test_a_tie_that_an_unknown_without_stiffness_takes_up_hides_no_tension(load: float) -> None:
+    """A stiff bar against two equal stops; the tie moves a lever that nothing resists, not the bar."""
+    stops, tie = [[1.0, 0.0], [1.0, 0.0]], dict(tie=[[0.5, 1.0]], tie_value=[0.25])
+    problem = cq.ContactProblem(np.diag([3.2e7, 0.0]), [load, 0.0], stops, [0.0, 0.0], **tie)
+    solution = cq.solve(problem)
+    assert solution.normal_force.sum() == pytest.approx(load)
+    for part in (1e-6, 1e-3):
+        pulling = load * np.array([1.0 + part, -part])
+        assert not cq.certify(problem, solution.displacement, pulling, tie_force=[0.0]).passed
+    away = problem.replace(load=[-load, 0.0])
+    assert not cq.solve(away).normal_force.any()  # forces that are all zero are accepted
