@@ -14,7 +14,7 @@ from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Mask, Vector, computes
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, is_whole, read_array, read_matrix, read_only
+from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
 from contactqp.model.solution import Solution, Work
 from contactqp.model.summary import Printed, Table, number
 from contactqp.solving.solve import solve
@@ -132,7 +132,7 @@ def _read_rows(name: str, value: Any, width: int, name_of: Any, allowed: float =
     InvalidProblem
         Another shape, no real numbers, or a number that is not finite: its row and its column are named.
     """
-    kept = isinstance(value, np.ndarray) and value.dtype == float and not isinstance(value, np.ma.MaskedArray)
+    kept = isinstance(value, np.ndarray) and value.dtype == float and not is_masked(value)
     rows = read_matrix(name, value) if sp.issparse(value) else value if kept else read_array(name, value)
     if rows.ndim != 2 or rows.shape[1] != width:
         raise InvalidProblem(f"{name}: expected shape (N, {width}), a row for each case, got {rows.shape}")

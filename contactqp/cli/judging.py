@@ -86,6 +86,9 @@ def check_command(
         _verify(receipt_to_verify, as_json)
     if problem is None or candidate is None:
         raise click.UsageError("expected PROBLEM and CANDIDATE, or --verify FILE.json")
+    from contactqp.linalg.runtime import import_scipy
+
+    import_scipy()
     from contactqp.study.checking import check_answer, print_check
     from contactqp.study.verdict import CheckOptions
 

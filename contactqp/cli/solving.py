@@ -27,7 +27,7 @@ from contactqp.cli.output import (
     whereabouts,
 )
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
-from contactqp.linalg.runtime import cores, telling, within_time
+from contactqp.linalg.runtime import cores, import_scipy, telling, within_time
 from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ def run_command(
     With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
     the first one prints and writes the files.
     """
+    import_scipy()
     from contactqp.scene.judging import read_knobs
 
     if "-" in cases and (engine != SERIAL or cases.count("-") > 1):

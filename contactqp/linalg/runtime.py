@@ -13,9 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import WORTHWHILE, on_one_thread, renew_in_child
@@ -195,6 +198,33 @@ def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
     tangents = 0 if problem.tangent is None else problem.tangent.shape[0]
     rows = max(problem.contacts + tangents + problem.ties, problem.dimension)
     return on_one_thread() if rows >= WORTHWHILE and problem.contacts < THREADS_PAY else nullcontext()
+
+
+# Where SciPy keeps its copy of NumPy's names.
+_COPY = "scipy._lib.array_api_compat.numpy"
+
+
+def import_scipy() -> None:
+    """Import SciPy's sparse matrices without the parts of NumPy that are loaded for nothing beside them.
+
+    SciPy copies all names of NumPy, and by asking for each it loads a parser of Fortran, tools of tests and others that
+    NumPy leaves until they are used: 60 ms, a tenth of a small command. Here the copy gets those later, when it is
+    asked for them. It is meant for a process of our own, such as that of a command, and does nothing where SciPy has
+    been imported already.
+    """
+    if _COPY in sys.modules or not hasattr(np, "__getattr__"):
+        return
+    own = vars(np)
+    stated: dict[str, Any] = {name: own[name] for name in ("__all__", "__dir__") if name in own}
+    loaded = [name for name in np.__all__ if name in own]
+    own.update(__all__=loaded, __dir__=lambda: loaded)
+    try:
+        import_module("scipy.sparse")
+    finally:
+        own.pop("__dir__")
+        own.update(stated)
+    if (copy := sys.modules.get(_COPY)) is not None:
+        vars(copy)["__getattr__"] = partial(getattr, np)
 
 
 @cache

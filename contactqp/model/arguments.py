@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, WrongCall, cure_of, shown
 from contactqp.model.arrays import COLLECTING, misfit
-from contactqp.model.problem_data import is_whole, refuse_masked
+from contactqp.model.problem_data import is_masked, is_whole, refuse_masked
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -191,7 +191,7 @@ def _is_of(value: Any, stated: Any) -> bool:
 def _is_real(value: Any) -> bool:
     """Return whether a value is one real number, in an array without axes too; truth values are not."""
     if isinstance(value, (np.ndarray, np.generic)):
-        return value.ndim == 0 and value.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray)
+        return value.ndim == 0 and value.dtype.kind in "iuf" and not is_masked(value)
     if isinstance(value, bool) or not isinstance(value, (numbers.Real, Decimal)):
         return False
     try:

@@ -142,15 +142,21 @@ def is_whole(value: Any) -> TypeGuard[int]:
     return is_number(value) and isinstance(value, (int, np.integer))
 
 
+def is_masked(value: Any) -> bool:
+    """Return whether a value is a masked array; there are none where NumPy has not loaded their module yet."""
+    masked = sys.modules.get("numpy.ma")
+    return masked is not None and isinstance(value, masked.MaskedArray)
+
+
 def refuse_masked(name: str, value: Any) -> None:
     """Raise InvalidProblem where entries of an array are masked, or may be."""
-    if isinstance(value, np.ma.MaskedArray):
+    if is_masked(value):
         raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
     if isinstance(value, (list, tuple)):
         for part in value:
             if part is value:
                 raise InvalidProblem(f"{name}: expected numbers, got a list that holds itself")
-            if isinstance(part, (list, tuple, np.ma.MaskedArray)):
+            if isinstance(part, (list, tuple)) or is_masked(part):
                 refuse_masked(name, part)
 
 
@@ -178,7 +184,7 @@ def _sparse(name: str, value: Any) -> Any:
     if sp.issparse(value):
         if value.ndim != 2:
             raise InvalidProblem(f"{name}: expected a matrix, got {shown(value)}")
-        if isinstance(getattr(value, "data", None), np.ma.MaskedArray) or value.dtype.kind not in KINDS:
+        if is_masked(getattr(value, "data", None)) or value.dtype.kind not in KINDS:
             read_array(name, value.data)
         refuse_places_outside(name, value)
         rows = sp.csr_array(value, dtype=float, copy=True)

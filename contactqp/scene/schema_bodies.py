@@ -7,7 +7,6 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from contactqp.elements.reference_elements import KINDS as ELEMENTS
 from contactqp.scene import fields
 from contactqp.scene.fields import Block, BodyName, Name, check_own_keys, no_such
 from contactqp.scene.units import KINDS, read_unit
@@ -46,6 +45,12 @@ def _known(names: tuple[str, ...] | Mapping[str, object], what: str) -> Callable
     return check
 
 
+def _known_element(value: str) -> str:
+    from contactqp.elements.reference_elements import KINDS as ELEMENTS  # which computes the rules of all of them
+
+    return _known(ELEMENTS, "element")(value)
+
+
 class Shape(Block):
     """A simple shape with a structured mesh, graded towards where contact is expected.
 
@@ -53,7 +58,7 @@ class Shape(Block):
     """
 
     kind: Annotated[str, AfterValidator(_known(SHAPES, "shape"))]
-    element: Annotated[str, AfterValidator(_known(ELEMENTS, "element"))]
+    element: Annotated[str, AfterValidator(_known_element)]
     divisions: tuple[Divisions, ...] | None = None
     size: tuple[fields.PositiveLength, ...] | None = None  # of a rectangle or box, along each axis
     radius: fields.PositiveLength | None = None

@@ -1,5 +1,7 @@
 """Time by stage: every instant belongs to one stage, work is counted where it is done, and nothing is noted unasked."""
 
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -64,3 +66,22 @@ def test_a_path_costs_one_factorisation():
         assert all(solution.certificate.passed for solution in history)
     assert clock.factorisations == 1
     assert clock.back_substitutions >= len(history)
+
+
+def test_scipy_imported_without_the_rest_of_numpy_has_all_of_it_when_asked() -> None:
+    """In a process of its own: names and listing of NumPy are what they were, and SciPy's copy finds what it lacked."""
+    code = """
+import sys, numpy as np
+from contactqp.linalg.runtime import import_scipy
+names, listed, own = list(np.__all__), dir(np), {name for name in vars(np) if name.startswith("__")}
+import_scipy(); import_scipy()
+lean = "numpy.f2py" not in sys.modules or not hasattr(np, "__getattr__")
+assert names == np.__all__ and set(listed) <= set(dir(np)) and own == {n for n in vars(np) if n.startswith("__")}
+from scipy._lib import array_api_compat
+copy = array_api_compat.numpy
+assert copy.testing is np.testing and copy.ma is np.ma and copy.random is np.random
+import scipy.stats, scipy.signal, scipy.optimize, scipy.sparse.linalg
+print(lean, round(float(scipy.stats.norm.cdf(0.0)), 3), len(scipy.signal.get_window("hann", 4)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["True", "0.5", "4"], done.stderr

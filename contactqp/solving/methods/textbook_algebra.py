@@ -264,14 +264,16 @@ def _sparse_lu(matrix: Matrix) -> Solver | None:
     return lambda load, transposed: np.asarray(factors.solve(load, "T" if transposed else "N"))
 
 
+# Unknowns up to which the inverse is cheaper than importing what estimates its norm.
+FEW = 10
+
+
 def _hopeless(matrix: Matrix, solve: Solver) -> bool:
     """Return whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, diagonal R and C equilibrating M.
 
     With them, stiffness beside penalty or beside multiplier rows is not mistaken for singularity. For a symmetric M
     they are the same.
     """
-    from scipy.sparse.linalg import LinearOperator, onenormest
-
     n = matrix.shape[0]
     size = abs(matrix)
     rows, columns = np.ones(n), np.ones(n)
@@ -280,6 +282,18 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
         rows = rows / np.sqrt(np.where(of_rows > 0, of_rows, 1.0))
         columns = columns / np.sqrt(np.where(of_columns > 0, of_columns, 1.0))
     norm = float(np.max(columns * (size.T @ rows)))
+    with np.errstate(all="ignore"):
+        bound = norm * _norm_of_inverse(matrix, solve, rows, columns)
+    return not bound * n * np.finfo(float).eps < 1
+
+
+def _norm_of_inverse(matrix: Matrix, solve: Solver, rows: Vector, columns: Vector) -> float:
+    """Return the 1-norm of (R M C)^-1: of a few unknowns by the inverse itself, else Hager's and Higham's estimate."""
+    n = matrix.shape[0]
+    if n <= FEW and not sp.issparse(matrix):
+        # One right-hand side at a time: several wake the threads of OpenBLAS, however small the system is.
+        return max(float(np.sum(abs(solve(unit, False) / columns))) for unit in np.diag(1 / rows))
+    from scipy.sparse.linalg import LinearOperator, onenormest
 
     def scaled_solve(x: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(solve(np.ravel(x) / rows, False) / columns)
@@ -288,9 +302,7 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
         return np.asarray(solve(np.ravel(x) / columns, True) / rows)
 
     inverse = LinearOperator((n, n), matvec=scaled_solve, rmatvec=scaled_solve_transposed, dtype=float)
-    with np.errstate(all="ignore"):
-        bound = norm * float(onenormest(inverse, t=1))
-    return not bound * n * np.finfo(float).eps < 1
+    return float(onenormest(inverse, t=1))
 
 
 def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
