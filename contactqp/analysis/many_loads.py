@@ -395,7 +395,7 @@ def _solved(problem: ContactProblem, method: str, before: Solution | None, optio
 
 
 def _is_unique(solution: Solution) -> bool:
-    """Return whether nothing speaks for other answers, or for other forces of the same displacement."""
+    """Return whether there is no sign of other answers, or of other forces with the same displacement."""
     certificate = solution.certificate
     several = certificate.uniqueness or any(REDUNDANT in reason for reason in certificate.reasons)
     return certificate.passed and not several and not solution.free_motions

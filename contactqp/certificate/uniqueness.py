@@ -1,4 +1,4 @@
-"""Whether a frictional answer is the only one, and its forces too, as far as that can be told cheaply.
+"""Find out cheaply whether a frictional answer is the only one, and whether its forces are.
 
 Forces: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu E_T'd), E_b the
 tangential rows of those that stick and A the ties, contact forces that balance a displacement are unique where no

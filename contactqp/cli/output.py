@@ -59,7 +59,7 @@ def console(heard: bool = True, terminal: bool | None = None, piped: int = NARRO
 
 
 def _width(terminal: bool, piped: int = NARROW) -> int:
-    """Return the width of a terminal, or of what goes to none [columns]; COLUMNS comes first."""
+    """Return the width of output [columns]: that of COLUMNS if it is set, else of the terminal, else a fixed one."""
     stated = os.environ.get("COLUMNS", "")
     if terminal or (stated.isdigit() and int(stated)):
         return shutil.get_terminal_size((NARROW, 24)).columns

@@ -251,8 +251,8 @@ class _Asked:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What is to be said of one case."""
+class _Outcome:
+    """The outcomes of one case, as they are to be printed."""
 
     met: bool
     complaints: tuple[str, ...]
@@ -260,7 +260,7 @@ class _Told:
     data: list[Any]  # for --json
     doubts: tuple[str, ...] = ()  # StartWarnings of another process
 
-    def print(self) -> _Told:
+    def print(self) -> _Outcome:
         """Print warnings, complaints and text, each to its stream, and return itself."""
         for doubt in self.doubts:
             warn(doubt, StartWarning)
@@ -270,8 +270,8 @@ class _Told:
         return self
 
 
-def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, jobs: int | None) -> Iterator[_Told]:
-    """Yield what is to be said of each case, solved here or side by side in as many processes."""
+def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, jobs: int | None) -> Iterator[_Outcome]:
+    """Yield the outcomes of each case, solved here or side by side in as many processes."""
     side_by_side = min(jobs or (cores() if len(scenes) >= MANY else 1), len(scenes))
     if side_by_side <= 1:
         yield from (_answer(scene, files, asked) for scene in scenes)
@@ -301,7 +301,7 @@ def _leave_ctrl_c_to_the_first() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Told:
+def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Outcome:
     """Solve a case in a process of its own; its warnings come back as words."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", StartWarning)
@@ -309,7 +309,7 @@ def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Told:
     return replace(told, doubts=tuple(str(one.message) for one in caught if issubclass(one.category, StartWarning)))
 
 
-def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bool | None = None) -> _Told:
+def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bool | None = None) -> _Outcome:
     """Solve a case, and draw its answer; on several ranks all of them do so, as each has a piece of it."""
     from contactqp.scene.judging import Failure, judge_all
     from contactqp.scene.printing import judgement_data
@@ -324,7 +324,7 @@ def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bo
     lines = "".join(f"written: {file}\n" for file in written)
     if asked.as_json and lines:
         click.echo(lines, nl=False, err=True)
-    return _Told(
+    return _Outcome(
         met=all(outcome.met for outcome in found),
         complaints=tuple(failure.message for failure in failures),
         text=text if asked.as_json else text + lines,
@@ -333,7 +333,7 @@ def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bo
 
 
 def _text(found: Sequence[Judgement | Failure], asked: _Asked, terminal: bool | None) -> str:
-    """Return what is printed of the outcomes of one case; `terminal` says whether it goes to one, from elsewhere."""
+    """Return the text of the outcomes of one case; `terminal` says whether it will be shown on a terminal."""
     from contactqp.scene.judging import Judgement
     from contactqp.scene.printing import print_case_line, print_failure, print_judgements
 

@@ -211,7 +211,7 @@ class _Sharing:
         return ProblemRows(**fields)
 
     def _shared(self, value: Any) -> Any:
-        """Return a value that whoever has the whole problem knows."""
+        """Return a value of the whole problem, sent by the first rank where it alone has that."""
         return self._ranks.broadcast(value) if self._from_first else value
 
     def _counts(self, count: int, step: int = 1) -> Indices:

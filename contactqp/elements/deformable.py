@@ -1,4 +1,4 @@
-"""The protocols by which a large deformation knows a body and its contacts, supported bodies, and rigid obstacles.
+"""The protocols of bodies and contacts at large deformation, supported bodies, and rigid obstacles.
 
 Any code can meet the protocols `Deformable` and `ContactGeometry`. A body some of whose unknowns are supported is again
 a deformable body, of the free unknowns. Nodes meet rigid obstacles in the current configuration: gaps, normals and

@@ -53,7 +53,7 @@ KEYS = ("force", "joint_force", "velocity", "motion")
 
 
 def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, Ledger]:
-    """Return forces (m, d) for a problem, what else the file holds, and the ledger; nothing of it is believed.
+    """Return forces (m, d) for a problem, what else the file holds, and the ledger; the answer is not checked here.
 
     Raises
     ------

@@ -30,7 +30,7 @@ Parts = Mapping[str, NDArray[np.float64]]
 
 
 class AnswerFile(NamedTuple):
-    """An answer from a file; nothing of it is believed, and NaN is for the certificate to fail."""
+    """An answer from a file, which is not checked here: NaN fails in the certificate."""
 
     parts: Parts  # of `PARTS`, those that the file holds
     ledger: Ledger

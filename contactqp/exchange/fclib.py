@@ -189,7 +189,7 @@ ROLLING, ROLLING_LOCAL = "fclib_global_rolling", "fclib_local_rolling"
 
 @dataclass(frozen=True, eq=False)
 class StoredAnswer:
-    """Forces and velocities as a file holds them. Nobody vouches for them: judge them by `contactqp.certify_local`."""
+    """Forces and velocities as a file holds them. They may be wrong: judge them by `contactqp.certify_local`."""
 
     force: NDArray[np.float64]  # (m, d) r, on the body, in the order (N, T1, T2)
     joint_force: NDArray[np.float64] | None = None  # (p,) l

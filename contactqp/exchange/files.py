@@ -101,7 +101,7 @@ def is_number(word: str) -> bool:
 
 
 def no_number(path: Path, place: str, word: str) -> InvalidProblem:
-    """Return what is said of a word that should be a number."""
+    """Return the words of an error for a text that should be a number."""
     comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word.strip()) else ""
     return wrong(path, place, "a number", f"{word[:40]!r}{comma}")
 

@@ -284,7 +284,7 @@ def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) 
 
 
 def one_line_of(errors: list[str]) -> str:
-    """Return the first error of a program, shortened, or that it said none."""
+    """Return the first error that a program printed, shortened, or a text that it printed none."""
     return one_line(ValueError(errors[0])) if errors else "it names no error"
 
 

@@ -262,7 +262,7 @@ def _refuse_twice(table: Table, entries: Sequence[Any]) -> None:
 
 
 def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> list[float]:
-    """Return one value for each contact; it may be left out where the contact goes on."""
+    """Return one value for each contact; further lines of the same contact may leave it out."""
     found: dict[int, float] = {}
     for k, i in enumerate(row):
         cell = table.rows[k][table.columns.index(column)]

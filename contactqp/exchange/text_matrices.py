@@ -293,7 +293,7 @@ class Format:
 
 @dataclass(frozen=True)
 class Header:
-    """What stands before the numbers."""
+    """The header of a text matrix, before its numbers."""
 
     lines: tuple[int, int, int, int]  # of pointers, rows, values, right-hand sides
     kind: str  # three letters, lower case

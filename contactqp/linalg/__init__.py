@@ -1,1 +1,1 @@
-"""Factorising, condensing, iterating and refining, in double and extended precision; it knows no method."""
+"""Factorising, condensing, iterating and refining, in double and extended precision, independent of any method."""

@@ -143,7 +143,7 @@ class Condensation:
         vars(self).pop("schur_factor", None)
 
     def _nested(self, retained: NDArray[np.intp]) -> NestedBlock | None:
-        """Return the elimination that goes on from a wider condensation, where that retains all of these unknowns."""
+        """Return the elimination that starts from a wider condensation, where that retains all of these unknowns."""
         wider, self._wider = self._wider, None
         if wider is None or not np.all(np.isin(retained, wider.retained)):
             return None
@@ -337,7 +337,7 @@ class Condensation:
         return np.asarray(size + self._crossing[1])
 
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
-        """Return the condensed problem, a ContactProblem that knows its own condensation."""
+        """Return the condensed problem, a ContactProblem that keeps its own condensation."""
         size = self.reduced_size(problem, inner)
         data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
         reduced = problem.transformed(*data)

@@ -107,7 +107,7 @@ class Extended:
 
 
 def _holding(hi: Array, lo: Array) -> Extended:
-    """Return hi + lo of two arrays that nobody else holds, which are therefore not copied."""
+    """Return hi + lo of two arrays that are used nowhere else and therefore not copied."""
     made = object.__new__(Extended)
     made.hi, made.lo = hi, lo
     return made

@@ -274,7 +274,7 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     effort : Effort
         Counts factorisations and back-substitutions.
     driven : bool
-        Whether contacts may close before the first set has been corrected.
+        Whether contacts are closed in addition, as above.
     """
     start = ExtendedAnswer.of(answer)
     state = nearest_state(problem, _closed_in(problem, answer), start, effort)

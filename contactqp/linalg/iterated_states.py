@@ -161,7 +161,7 @@ class FrictionRows:
         return answer.normal_force + self._normal_stiffness * beyond[: self.m], y
 
     def coulomb(self, answer: FrictionalAnswer, before: Combination | None) -> Combination:
-        """Return the states that Newton's method on Coulomb's law goes on with. Collective."""
+        """Return the states of the next step of Newton's method on Coulomb's law. Collective."""
         trial = self.trial(answer)
         return combination_of(trial, self.bound(trial[0]), self.stiffness, before)
 

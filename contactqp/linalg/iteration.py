@@ -229,7 +229,7 @@ def held_by_hierarchy(problem: ContactProblem) -> bool:
 
 
 def iterable(problem: ContactProblem) -> bool:
-    """Return whether a multigrid hierarchy knows all motions of the bodies that float; False without pyamg."""
+    """Return whether a multigrid hierarchy has the rigid motions of all floating bodies; False without pyamg."""
     with problem.lock:
         of_stiffness = problem._computed.of_stiffness
         if of_stiffness.iterable is None:

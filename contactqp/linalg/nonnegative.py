@@ -20,7 +20,7 @@ SHIFT_SLACK = 1e-15
 
 
 class Infeasible(Exception):
-    """The rows of the set and the one that was to join them conflict, as far as W tells them apart."""
+    """The rows of the set and the one that was to join them conflict, to the accuracy of W."""
 
     def __init__(self, rows: list[int]) -> None:
         super().__init__()

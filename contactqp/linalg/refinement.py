@@ -61,7 +61,7 @@ class OnSet(ExtendedAnswer):
 
     @property
     def rounding_of_gaps(self) -> Vector:
-        """The lengths (m,) that gaps are not told from zero beneath."""
+        """The lengths (m,) below which gaps cannot be distinguished from zero."""
         return np.maximum(WITHIN_ROUNDING * self.lengths, self.nothing[: len(self.lengths)])
 
 

@@ -96,7 +96,7 @@ def _stated_types(function: Callable[..., Any], signature: inspect.Signature) ->
 
 
 class _Names(dict[str, Any]):
-    """The names that a module knows; one imported for type checkers alone stands for classes of that name."""
+    """The names that a module has; one imported for type checkers alone stands for classes of that name."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, None) or type(name, (_ByName,), {})
@@ -136,7 +136,7 @@ def _accepted(place: str, value: Any, stated: Any) -> Any:
 
 
 def _is_sequence(value: Any) -> bool:
-    """Return whether a value has entries in an order; those of a sparse matrix are its rows, which nobody means."""
+    """Return whether a value is a sequence of entries; a sparse matrix, whose entries would be its rows, is none."""
     return isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES) and not sp.issparse(value)
 
 

@@ -63,7 +63,7 @@ def inverse_root(diagonal: Array) -> Array:
 
 
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function overflow, underflow and divide by zero without a word, whatever `np.seterr` says.
+    """Let a function overflow, underflow and divide by zero silently, whatever `np.seterr` says.
 
     What comes of it is infinite or NaN, which no certificate passes; under `np.seterr(all="raise")`, or with warnings
     as errors, harmless underflow would end a solve with somebody else's exception. Where a factorisation refuses such

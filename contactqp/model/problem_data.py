@@ -100,7 +100,7 @@ def read_array(name: str, value: Any) -> NDArray[np.float64]:
 
 
 def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, Any]:
-    """Return copies of the named arrays, each in the shape that stands beside it; flat ones are reshaped.
+    """Return copies of the named arrays, each in the shape given beside it; flat ones are reshaped.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def no_rows(n: int) -> Any:
 
 @lru_cache(maxsize=32)
 def _without_entries(kind: Any, shape: tuple[int, int]) -> Any:
-    """Return a matrix of zeros in a CSR format, which everybody copies and nobody changes."""
+    """Return a matrix of zeros in a CSR format, which is shared and must not be changed."""
     zeros = read_only(kind(shape))
     zeros.has_canonical_format = True
     return zeros

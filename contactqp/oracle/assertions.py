@@ -1,4 +1,4 @@
-"""Assertions for the tests of a contact code; what fails is said in words, beside the right values."""
+"""Assertions for the tests of a contact code; a failure is explained in words, with the right values."""
 
 from __future__ import annotations
 

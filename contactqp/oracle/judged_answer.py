@@ -122,7 +122,7 @@ def certify(
     dof_map: Any = None,
     contact_map: Any = None,
 ) -> JudgedAnswer:
-    """Judge anyone's answer to a problem, whatever its order and its sign of compression, as they are told.
+    """Judge anyone's answer to a problem, in any order and with any sign of compression, which are stated.
 
     Displacements alone, forces alone or both: what is missing is recovered from the rest and named in `recovered` and
     in the notes. Friction alone may be missing only where displacements are given.

@@ -77,7 +77,7 @@ def _quantity(*kinds: str, roots: bool = False) -> tuple[PlainValidator, WithJso
 
 
 def add_patterns_of_units(schema: Any) -> None:
-    """Let a JSON schema of case files know the units of its quantities, where it knows so far how a number begins.
+    """Add the units of quantities to a JSON schema of case files, whose patterns otherwise check how a number begins.
 
     Made where a schema is asked for: the list of units takes longer to read than a small case to solve.
     """

@@ -181,7 +181,7 @@ def load_studies(
     Parameters
     ----------
     files : iterable of paths
-        Case files, decks and the like.
+        Case files.
     methods : sequence of Method
         Those to be tried, where a case does not limit them.
     tolerances : sequence of float

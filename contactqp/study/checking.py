@@ -130,7 +130,7 @@ def _renamed(problem: ContactProblem, dofs: Order | None, contacts: Order | None
 
 
 def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | Sequence[str] | None:
-    """Return the map for values that came in order; of values by name, a table has told the names already."""
+    """Return the map for values given in order; those given by name have their names from a table."""
     if order is None:
         return None
     named = part in found.named or (part == "normal_force" and "normal_pressure" in found.named)

@@ -42,7 +42,7 @@ HEADINGS = ("method", "right", "raw: wrong of claimed", "time / linear solve", "
 
 @dataclass(frozen=True)
 class MethodLine:
-    """What one method comes to: over the cases that it was tried on, by its best setting in each.
+    """The results of one method over the cases that it was tried on, by its best setting in each.
 
     The best setting of a case is the fastest right one, else the most exact one, of all that were tried, `settings` of
     them on the case that had most. Raw answers are counted apart.
@@ -92,7 +92,7 @@ class Conclusion:
         return BEST_OF if any(line.settings > 1 for line in self.lines) else ""
 
     def data(self) -> dict[str, Any]:
-        """Return the conclusion as it stands in results.json."""
+        """Return the conclusion as results.json has it."""
         return dict(sentence=self.sentence, methods=[asdict(line) for line in self.lines])
 
 
@@ -304,7 +304,7 @@ def machine() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Return the model of the processor as Linux tells it, else what Python knows."""
+    """Return the model of the processor from Linux, else from Python."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
         for line in lines:

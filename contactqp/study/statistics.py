@@ -261,7 +261,7 @@ def overview(all_rows: Sequence[Row]) -> Overview:
 
 
 def overview_data(found: Overview) -> dict[str, Any]:
-    """Return the overview as it stands in results.json; an infinite time is null."""
+    """Return the overview as results.json has it; an infinite time is null."""
     return dict(
         compared_cases=list(found.cases),
         solved="error_judged at most error_allowed, by the truth, whatever flags say",

@@ -1,4 +1,4 @@
-"""What a report tells in brief: the cases that it takes, the charts that it begins with, and what was left out.
+"""The brief report: the cases that it takes, the charts that it begins with, and what was left out.
 
 The cases are examples small enough to be checked by hand, and Hertz's contact at three sizes. The charts show the error
 of the contact forces against run time, on the case that tells most and over the small ones.

@@ -94,7 +94,7 @@ class Order:
 
 
 def is_written_out(told: str) -> bool:
-    """Return whether what stands for the file of a map are the places themselves."""
+    """Return whether a map is given by its places themselves, instead of by a file."""
     return PLACES.fullmatch(told) is not None and not os.path.exists(told)  # also of what no file can be called
 
 

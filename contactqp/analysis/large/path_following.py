@@ -145,7 +145,7 @@ class PathFollower:
 
     @property
     def rate(self) -> Direction:
-        """Return the direction in which the path goes on from the last point."""
+        """Return the direction in which the path continues from the last point."""
         return self._direction
 
     def _first_closed(self, touching: Mask, sense: float) -> Mask:

@@ -396,7 +396,7 @@ class Evidence:
         return replace(self.given, **changes)
 
     def then(self, undone: GivenAnswer, left: float) -> str:
-        """Return what is to be said of the answer with its mistake undone."""
+        """Return the explanation of the answer with its mistake undone."""
         return "this answer is right" if self.passes(undone) else f"it agrees with the right one to {digits(left)}"
 
 

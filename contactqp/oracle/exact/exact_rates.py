@@ -207,7 +207,7 @@ class _ExactRates:
         return all(sign >= 0 for i, s in enumerate(states) for sign in self._signs(i, s, rates, along))
 
     def _signs(self, i: int, state: int, rates: dict[str, Any], along: dict[str, fmpq_mat]) -> Iterator[Any]:
-        """Yield what must not be negative where a contact at a border goes to a state."""
+        """Yield the quantities that must not be negative if a contact at a border changes to a state."""
         if len(self.choices[i]) == 1:
             return
         grazes = self.answer.contact_status[i] == "grazing"

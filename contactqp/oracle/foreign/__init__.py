@@ -1,1 +1,1 @@
-"""Other people's answers: read as told, completed, certified, with the right values beside."""
+"""Answers of other codes: read as stated, completed, certified, with the right values beside."""

@@ -1,4 +1,4 @@
-"""Numbers of another code, brought into the order, the signs and the units of a problem as told, never guessed.
+"""Numbers of another code, brought into the order, the signs and the units of a problem as stated, never guessed.
 
     u_j   = given displacement at dof_map[j]
     l_N,i = (+ or -) given normal force at contact_map[i], times pressure_area[i] where it is a pressure

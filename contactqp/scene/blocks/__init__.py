@@ -84,7 +84,7 @@ class Frame(Block):
 
     @cached_property
     def every_node(self) -> Mapping[str, tuple[Quantity, ...]]:
-        """Return where every node stands, by their names, those inside of divided bars too."""
+        """Return the position of every node by its name, also of those inside of divided bars."""
         stated = {node.name: node.at for node in self.nodes}
         inner = (entry for _, element in self.elements for entry in element.inner_nodes(stated))
         length = KINDS["length"].dimension
@@ -104,7 +104,7 @@ class Frame(Block):
         return self.system.value(quantity)
 
     def point(self, node: str) -> Numbers:
-        """Return where a node stands, (dimension,) [length], exactly."""
+        """Return the position of a node, (dimension,) [length], exactly."""
         return np.array([self.system.value(x) for x in self.every_node[node]])
 
     def displacements(self, *nodes: str) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ class Measure:
 
 
 class NodeScene(Protocol):
-    """What an element asks of the scene that it stands in; numbers are exact, in the scene's units."""
+    """The part of a scene that an element reads; numbers are exact, in the scene's units."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ class NodeScene(Protocol):
         """Return a quantity in the scene's units."""
 
     def point(self, node: str) -> Numbers:
-        """Return where a node stands, (dimension,) [length]."""
+        """Return the position of a node, (dimension,) [length]."""
 
     def displacements(self, *nodes: str) -> tuple[str, ...]:
         """Return the names of the displacements of nodes, one for each axis, node by node."""
@@ -160,7 +160,7 @@ class Element(Block):
 
     @property
     def chain(self) -> tuple[Name, ...]:
-        """Return the nodes that it stands between, from end to end."""
+        """Return the nodes that the element connects, from end to end."""
         return tuple(node for _, node in self.named_nodes())
 
     @property

@@ -142,7 +142,7 @@ class Topology:
 
     @cached_property
     def unknowns(self) -> Index:
-        """Return where the displacement of each node along each axis stands in u, (N, d)."""
+        """Return the place in u of the displacement of each node along each axis, (N, d)."""
         return np.arange(self.size).reshape(-1, self.dimension)
 
     @property

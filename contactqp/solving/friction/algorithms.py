@@ -131,7 +131,7 @@ TAKEN = ("enumeration", "associated")
 
 
 def register(algorithm: Algorithm) -> None:
-    """Add an algorithm of one's own: `solve` knows it by its name from then on, on local problems and on bodies.
+    """Add an algorithm of one's own: `solve` finds it by its name from then on, for local problems and for bodies.
 
     Raises
     ------

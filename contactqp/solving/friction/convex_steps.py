@@ -208,7 +208,7 @@ class ConvexSteps:
 
 
 def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
-    """Solve one convex problem of a fixed point, made nondimensional where the method wants that.
+    """Solve one convex problem of a fixed point, made nondimensional where the method asks for it.
 
     Raises
     ------

@@ -80,14 +80,14 @@ def solve_by_iteration(
 def identified_by_iteration(
     problem: Limits, iteration: ContactIteration, settings: Settings, error: float = IDENTIFIED
 ) -> Candidate | None:
-    """Return a less accurate candidate, from whose set a method goes on; None where the iteration takes too long.
+    """Return a less accurate candidate, whose set another method starts from; None where the iteration takes too long.
 
     Parameters
     ----------
     problem, iteration, settings
         As in `solve_by_iteration`.
     error : float
-        The error in energy at which the set is taken, over the energy of the contact forces.
+        The error in energy at which the set is taken, over the energy of the displacement.
     """
     search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None

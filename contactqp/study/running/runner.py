@@ -356,7 +356,7 @@ class Running:
 
 @contextmanager
 def workers_of(running: Running, one_thread: bool = False) -> Iterator[Workers]:
-    """Yield the workers that `running` asks for; processes here take times on one thread, if told so."""
+    """Yield the workers that `running` asks for; with `one_thread` processes on this machine measure on one."""
     if running.dask is None:
         yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or cores(), one_thread)
         return
