@@ -36,6 +36,8 @@ ROUNDED_AWAY = 2.0**-90
 CAUTION = 1e4
 # What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
 NEGLIGIBLE = 1e-22
+# Displacements below this part of the forces, both in the root of energy, are refined by themselves.
+SMALL = 1e-3
 
 # A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
 # the resultant is none.
@@ -206,19 +208,26 @@ class _CorrectionSize:
             self._row = np.concatenate([self._row, self.row_sizes[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
-        moved = (self._unknown * abs(du)).max(initial=0.0)
         force = np.concatenate([dl, dn]) if dn.size else dl
-        return float(max(moved, (self._row * abs(force)).max(initial=0.0)))
+        return float(max(self._moved(du), (self._row * abs(force)).max(initial=0.0)))
+
+    def _moved(self, du: Vector) -> float:
+        return float((self._unknown * abs(du)).max(initial=0.0))
 
     def is_negligible(self, size: float, answer: tuple[Vector, Vector, Vector], whole: float) -> bool:
         """Return whether a correction is far below the rounding of doubles of size `whole`, or that of two doubles.
 
-        The rigid part of a displacement strains nothing and counts for the latter alone.
+        The rigid part of a displacement strains nothing and counts for the latter alone. A displacement that is small
+        beside forces, as they act past weak springs, decides on gaps on which these do work: there it counts as much.
         """
-        if size <= EPS * whole or not (size <= NEGLIGIBLE * whole and self._rigid.count):
-            return size <= NEGLIGIBLE * whole
+        if not EPS * whole < size <= NEGLIGIBLE * whole:
+            return size <= EPS * whole
         u, force, tie = answer
-        return size <= NEGLIGIBLE * self(without_rigid_part(self._problem, u, self._rigid), force, tie)
+        moved = self._moved(u)
+        if 0 < moved < SMALL * whole and size > max(NEGLIGIBLE * moved / whole, EPS) * moved:
+            return False
+        elastic = without_rigid_part(self._problem, u, self._rigid)
+        return not self._rigid.count or size <= NEGLIGIBLE * self(elastic, force, tie)
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
