@@ -132,9 +132,8 @@ def refuse_not_positive(name: str, value: Any) -> None:
     beyond = isinstance(value, int) and abs(value) > sys.float_info.max
     number = float(value) if isinstance(value, np.floating) else value  # half floats do not compare with 1.8e308
     if beyond or not is_number(value) or not 0 < number < np.inf:
-        raise InvalidProblem(
-            f"{name}: expected a positive number, got {'one beyond 1.8e308' if beyond else shown(value)}"
-        )
+        got = "one beyond 1.8e308" if beyond else shown(value)
+        raise InvalidProblem(f"{name}: expected a positive number, got {got}")
 
 
 def is_whole(value: Any) -> TypeGuard[int]:
@@ -162,9 +161,8 @@ def refuse_masked(name: str, value: Any) -> None:
 
 def _finite(name: str, values: NDArray[np.float64]) -> None:
     if not np.isfinite(values).all():
-        where = np.argwhere(~np.isfinite(values))[0]
-        at = ", ".join(str(int(i)) for i in where)
-        raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(where)]} at [{at}]")
+        at = np.argwhere(~np.isfinite(values))[0]
+        raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(at)]} at {at.tolist()}")
 
 
 def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
@@ -398,11 +396,7 @@ def read_friction(
     origin = np.zeros((m, per_contact)) if slip_origin is None else read_array("slip_origin", slip_origin)
     if not m and not origin.size:
         origin = np.zeros((0, per_contact))  # without contacts nothing says how many rows each would have
-    if (
-        origin.size != m * per_contact
-        or origin.ndim not in (1, 2)
-        or (origin.ndim == 2 and origin.shape != (m, per_contact))
-    ):
+    if origin.shape not in ((m * per_contact,), (m, per_contact)):
         raise InvalidProblem(
             f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
         )
