@@ -307,6 +307,8 @@ def law_residual(
     L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
     gap = np.where(found.gap_measure > 0, found.gap, 0.0)
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
+    # Bodies that move rigidly meet at no length but the gap and the slip themselves, beside which forces would drown.
+    L = np.maximum(L, np.maximum(abs(gap), lengths(slip)))
     rubbed = answer.friction_force
     rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
     force = np.column_stack([answer.normal_force, -rubbed]) * per_force[:, None]

@@ -243,3 +243,17 @@ def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
 def of_estimates(known: Bounds) -> tuple[str, ...]:
     said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     return (said,) if known.estimated else ()
+
+
+def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:
+    """Say which distances of a frictional answer from that of its own states are too large; `worst` is a contact."""
+    own = "the answer of its own combination of open, stick and slip"
+    named = {
+        "displacement": f"the displacement is {{:.3g}} of its size away from {own}",
+        "contact forces": f"the contact forces are {{:.3g}} of their size away from {own}",
+        "contact": f"the force of {problem.contact_name(worst)} is {{:.3g}} of all away from {own}",
+    }
+    limit = f" (tolerance {tolerance:.3g})"
+    return tuple(
+        f"state: {named[name].format(part)}{limit}" for name, part in relative.items() if not part <= tolerance
+    )

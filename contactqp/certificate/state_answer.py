@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from contactqp.certificate import messages
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, force_size, own_forces
@@ -63,7 +64,8 @@ HARDLY = 0.1
 AT_BOUND = 1e-9
 # Refinement whose last correction is this part of the limit of the distance has settled.
 SETTLED = 1e-3
-# Why an answer is compared with none.
+# Why an answer is refused, or compared with none.
+NONE_HOLDS = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
 SINGULAR = "the system of its combination of open, stick and slip has no inverse"
 UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
@@ -163,11 +165,12 @@ def state_verdict(
     if reason is not None:
         return _with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
     if distance is None:
-        text = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
-        return StateVerdict(STATE, float("inf"), failures=(f"state: {text}",))
+        return StateVerdict(STATE, float("inf"), failures=(f"state: {NONE_HOLDS}",))
     relative = distance.relative(nothing)
     largest = max(relative.values())
-    failures = _failures(problem, distance, relative, tolerance)
+    failures: tuple[str, ...] = ()
+    if not all(part <= tolerance for part in relative.values()):  # NaN fails
+        failures = messages.of_distances(problem, distance.worst, relative, tolerance)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
@@ -251,10 +254,8 @@ def _with_friction_held(
     failures = tuple(f"with friction held, {text}" for text in said)
     if fails_force_bound(known, tolerance, nothing):
         assert known.relative_force_bound is not None
-        from contactqp.certificate.messages import of_force_bound
-
         worst = int(np.argmax(known.relative_force_bound))
-        failures += (f"with friction held, {of_force_bound(problem, answer, known, worst, tolerance)}",)
+        failures += (f"with friction held, {messages.of_force_bound(problem, answer, known, worst, tolerance)}",)
     return replace(figures_alone(reason), energy=known.energy_scale, failures=failures)
 
 
@@ -267,8 +268,8 @@ class _Comparison:
         self._along, self._across = bodies.along, bodies.across
         self._own = own_compliances(problem, self._along, self._across)
         # Along a tangent whose unknowns are all supported any friction would do.
-        lengths_of_rows = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
-        self._felt = lengths_of_rows.reshape(problem.contacts, -1) > 0
+        moved = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
+        self._felt = moved.reshape(problem.contacts, -1) > 0
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
         self.compared: Compared | None = None
@@ -345,7 +346,9 @@ class _Comparison:
         moved = np.where(lengths(slip) > self.still, lengths(slip), 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
         status = np.where(sticks & self._frictional, STICK, self._sliding(slip, friction))
-        return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
+        # Where ties hold all that a contact touches it is closed by its force, and its gap by nothing.
+        closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & (gap <= self._found.nothing.normal))
+        return np.where(closed, status, OPEN).astype(np.int8)
 
     def _sliding(self, slip: Array, friction: Array) -> Status:
         """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
@@ -388,7 +391,9 @@ class _Comparison:
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._friction_size(other))
         own_normal, own_tangent = self._own
-        if not problem.diagonal.any():  # nothing is elastic: forces are compared as they act
+        if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
+            met = in_energy(self._found.lengths, own_normal)
+            strain = float(np.max(met[np.isfinite(met)], initial=strain))
             own_normal, own_tangent = (squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
             given = abs(answer.normal_force) * np.sqrt(own_normal)
             whole = max(float(given.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
@@ -483,18 +488,3 @@ def _part(size: float, scale: float, nothing: float) -> float:
     if size <= nothing:
         return 0.0
     return size / scale if scale > nothing else float("inf")
-
-
-def _failures(
-    problem: ContactProblem, distance: _Distance, relative: dict[str, float], tolerance: float
-) -> tuple[str, ...]:
-    own = "the answer of its own combination of open, stick and slip"
-    named = {
-        "displacement": f"the displacement is {{:.3g}} of its size away from {own}",
-        "contact forces": f"the contact forces are {{:.3g}} of their size away from {own}",
-        "contact": f"the force of {problem.contact_name(distance.worst)} is {{:.3g}} of all away from {own}",
-    }
-    limit = f" (tolerance {tolerance:.3g})"
-    return tuple(
-        f"state: {named[name].format(part)}{limit}" for name, part in relative.items() if not part <= tolerance
-    )

@@ -33,6 +33,8 @@ SETTLED_TURN = 1e-10
 # Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
 MOST_COMPARING = 150
 FAR = "it is far from the answers of the combinations that it leads to"
+# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
+HELD = 1e-13
 # Steps of conjugate gradients towards the response to forces.
 MOST_STEPS = 200
 
@@ -70,7 +72,8 @@ class CondensedBodies:
         self.width, self.frictional = self._rows.width, _with_friction(self._rows)
         self.floats = condensation.rigid.count > 0
         compliance = contact_compliance(problem, condensation)
-        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
+        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1)
+        per_contact = np.where(per_contact > HELD, per_contact, 0.0) * compliance.scale[:, None] ** 2
         self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
 
     def refined(self, status: Status, start: Answer) -> RefinedState:

@@ -297,3 +297,64 @@ def test_who_asks_for_less_is_given_it_where_a_body_moves_rigidly() -> None:
     forces = [2.0, 2.0], np.zeros((2, 1))
     assert cq.certify(problem, printed, *forces, tolerance=1e-4, error_tolerance=1e-3).passed
     assert not cq.certify(problem, printed, *forces).passed
+
+
+def _held_by_a_tie() -> cq.ContactProblem:
+    """A contact on an unknown without stiffness that two ties hold, open: no force moves it."""
+    return cq.ContactProblem(
+        stiffness=[[2.0, 0.0], [0.0, 0.0]], load=[2.0, 2.0], normal=[[0.0, -1.0]], gap=[1.0], tangent=[[1.0, 0.0]],
+        friction=1e3, slip_origin=[[-1.0]], tie=[[0.0, -1.0], [-1.0, 1.0]], tie_value=[-1.0, 0.0],
+    )  # fmt: skip
+
+
+def _masonry() -> cq.ContactProblem:
+    """Five unknowns without any stiffness, held by two ties and by three contacts, of which one grazes."""
+    return cq.ContactProblem(
+        stiffness=np.zeros((5, 5)), load=[4.0, -3.0, -4.0, 4.0, 1.0],
+        normal=[[1, 0, -1, -1, -1], [0, -1, 0, 0, -1], [-1, -1, -1, 0, 0]], gap=[2.0, 0.0, 0.0],
+        tangent=[[-1, -1, 0, 0, 1], [1, 0, 0, 0, 1], [-1, 0, -1, 0, -1]], friction=[0.25, 0.25, 1e6],
+        slip_origin=[[-1.0], [1.0], [0.0]], tie=[[0, 1, -1, 1, 1], [1, 0, 0, 1, 1]], tie_value=[0.0, 0.0],
+    )  # fmt: skip
+
+
+def _moved_without_strain() -> cq.ContactProblem:
+    """A body that ties move by a whole slip and that nothing strains there."""
+    K = [
+        [5, -3, 5, 0, 3, 4], [-3, 3, -5, 0, -3, -3], [5, -5, 9, 0, 7, 6], [0, 0, 0, 0, 0, 0], [3, -3, 7, 0, 9, 6],
+        [4, -3, 6, 0, 6, 5],
+    ]  # fmt: skip
+    unit = np.eye(6)
+    return cq.ContactProblem(
+        stiffness=np.array(K, dtype=float), load=[2.0, 0.0, -4.0, -3.0, 2.0, -4.0],
+        normal=[unit[2], -unit[0], -unit[5]], gap=np.zeros(3), tangent=unit[[3, 4, 1]], friction=[8.0, 1e6, 1.0],
+        slip_origin=[[0.0], [1.0], [0.0]], tie=[[1, 1, -1, 0, 1, 0], [0, 1, -1, 1, 0, 0]], tie_value=[0.0, 1.0],
+    )  # fmt: skip
+
+
+RIGID = [
+    (_held_by_a_tie, [1.0, 1.0], [0.0], [[0.0]], [-2.0, 0.0]),
+    (_moved_without_strain, [0, -4.0, -3.0, 2.0, 1.0, 0], [0, 5.0, 4.0], [[0.0], [-5.0], [-4.0]], [7.0, -3.0]),
+]
+
+
+@pytest.mark.parametrize(("make", "displacement", "normal", "friction", "tie"), RIGID)
+@pytest.mark.parametrize("wrong", ["", "normal", "friction", "tie"])
+def test_what_rounding_alone_measures_refuses_no_right_answer(make, displacement, normal, friction, tie, wrong) -> None:
+    """Compliances that ties leave, and lengths of bodies that move rigidly, are zero but for rounding."""
+    problem, off = make(), 1e-6
+    assert cq.solve(problem).certificate.passed
+    parts = {"normal": np.array(normal), "friction": np.array(friction), "tie": np.array(tie)}
+    if wrong:
+        parts[wrong] = parts[wrong].copy()
+        parts[wrong][-1] += 10 * off
+    given = parts["normal"], parts["friction"], parts["tie"]
+    assert cq.certify(problem, np.array(displacement), *given).passed is (not wrong)
+
+
+def test_without_stiffness_the_rounding_of_a_gap_is_none() -> None:
+    problem = _masonry()
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    u = solution.displacement + 1e-6 * np.array([0.0, 1.0, 0.0, 0.0, -1.0])
+    given = solution.normal_force, solution.friction_force, solution.tie_force
+    assert not cq.certify(problem, u, *given).passed
