@@ -166,7 +166,9 @@ def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     ledger = Ledger(str(path))
     found: Held = {}
     tie_names: tuple[str, ...] | None = None
+    headings: list[str] = []
     for table in read_tables(path, KEYS):
+        headings.append(",".join(table.columns))
         held = _by_node(table, problem, ledger) if table.columns[0] == "node" else _by_name(table, problem, ledger)
         twice = next((part for part in held if part in found), None)
         if twice is not None:
@@ -174,7 +176,8 @@ def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         found |= held
         tie_names = tuple(table.column("tie")) if "tie_force" in held else tie_names
     if not found:
-        raise wrong(path, "content", "a table of displacement or normal_force", "none")
+        expected = "a column displacement beside dof, or normal_force beside contact"
+        raise wrong(path, "content", expected, f"the columns {' and '.join(headings) or 'of no table'}")
     ledger.read.extend(f"{part}: {len(values)} values by name" for part, values in found.items())
     return AnswerFile(found, ledger, frozenset(found), tie_names)
 

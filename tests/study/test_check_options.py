@@ -74,7 +74,10 @@ BAD_CANDIDATES = {
     "cell.csv": ("dof,displacement\na.x,one\n", "cell.csv: line 2: expected a number, got 'one'"),
     "rows.csv": ("dof,displacement\na.x,1\nb.x,1\na.x,2\n", "rows.csv: displacement: expected every name once"),
     "columns.csv": ("dof,displacement,displacement\na.x,1,1\n", "columns.csv: line 1: expected every column once"),
-    "other.csv": ("dof,weight\na.x,1\n", "other.csv: content: expected a table of displacement or normal_force"),
+    "other.csv": (
+        "dof,weight\na.x,1\n",
+        "expected a column displacement beside dof, or normal_force beside contact, got the columns dof,weight",
+    ),
     "quote.csv": ('dof,displacement\n"a.x,1\n', "quote.csv: content: expected a table"),
     "length.txt": ("1\n2\n3\n4\n", "length.txt: content: expected 3 displacements or 2 normal forces, got 4 numbers"),
     "matrix.txt": ("1 2\n3 4\n5 6\n", "matrix.txt: content: expected 3 displacements or 2 normal forces, got 6"),
