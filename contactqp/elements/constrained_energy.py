@@ -322,6 +322,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
     @property
     def certificate(self) -> Certificate:
+        """The certificate of the solution behind it."""
         return self.solution.certificate
 
     @property

@@ -75,9 +75,11 @@ class Spring:
         object.__setattr__(self, "rest", read_number(f"{self.name}: rest", self.rest))
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return Contribution(squares=(Square(self.elongation, self.stiffness, self.rest),))
 
     def state(self, found: Found) -> PartState:
+        """Return elongation, force and status of the part at a minimum."""
         elongation = found.value(self.elongation)
         return PartState(elongation, self.stiffness * (elongation - self.rest), "elastic")
 
@@ -122,9 +124,11 @@ class Cable:
         _read_one_sided(self, "slack")
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return _one_sided(self.name, self.elongation, self.stiffness, self.slack)
 
     def state(self, found: Found) -> PartState:
+        """Return elongation, force and status of the part at a minimum."""
         tension = found.multiplier[self.name]
         return PartState(found.value(self.elongation), tension, "taut" if tension > 0 else "slack")
 
@@ -169,9 +173,11 @@ class Strut:
         _read_one_sided(self, "gap")
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return _one_sided(self.name, minus(self.elongation), self.stiffness, self.gap)
 
     def state(self, found: Found) -> PartState:
+        """Return elongation, force and status of the part at a minimum."""
         compression = found.multiplier[self.name]
         return PartState(found.value(self.elongation), compression, "pushes" if compression > 0 else "idle")
 
@@ -258,6 +264,7 @@ class PlasticHinge:
         return f"{self.name}: plastic +", f"{self.name}: plastic -"
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         forth, back = self._plastic
         elastic = plus(self.rotation, [(forth, -1.0), (back, 1.0)])
         squares = [Square({forth: 1.0, back: -1.0}, self.hardening)] if self.hardening else []
@@ -272,6 +279,7 @@ class PlasticHinge:
         )
 
     def state(self, found: Found) -> PartState:
+        """Return rotation, moment, plastic rotation and status of the hinge at a minimum."""
         forth, back = self._plastic
         plastic = found.unknown[forth] - found.unknown[back]
         to_yield, to_yield_back = found.multiplier[forth], found.multiplier[back]
@@ -298,6 +306,7 @@ class _Bound:
         object.__setattr__(self, "bound", read_number(f"{self.name}: bound", self.bound))
 
     def state(self, found: Found) -> PartState:
+        """Return the value of the form, its force and whether the bound is active at a minimum."""
         force = found.multiplier[self.name]
         return PartState(found.value(self.form), force, "active" if force > 0 else "inactive")
 
@@ -314,6 +323,7 @@ class AtMost(_Bound):
     """
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return Contribution(unilateral=(Condition(self.name, self.form, self.bound),))
 
 
@@ -329,6 +339,7 @@ class AtLeast(_Bound):
     """
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return Contribution(unilateral=(Condition(self.name, minus(self.form), -self.bound),))
 
 
@@ -346,9 +357,11 @@ class Equal(_Bound):
     bound: float = 0.0
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return Contribution(ties=(Condition(self.name, self.form, self.bound),))
 
     def state(self, found: Found) -> PartState:
+        """Return the value of the form and its force at a minimum."""
         return PartState(found.value(self.form), found.multiplier[self.name], "tied")
 
 
@@ -414,9 +427,11 @@ class Obstacle(ReadOnly):
         return np.broadcast_to(bounds, (count,))
 
     def contribution(self) -> Contribution:
+        """Return the energy and the constraints that the part adds."""
         return Contribution(unilateral=self._conditions)
 
     def state(self, found: Found) -> PartState:
+        """Return the least distance to a bound, the force and whether any bound is active at a minimum."""
         total = -sum(
             found.multiplier[condition.name] * factor
             for condition in self._conditions

@@ -63,6 +63,8 @@ class Traction:
     value: Field
 
     def forces(self, body: Body) -> Vector:
+        """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
+
         def per_reference_area(facets: Geometry) -> Vector:
             t = field_values(f"traction on {self.side!r}", self.value, facets.positions, (body.dimension,))
             return np.asarray(t * np.linalg.norm(facets.normal, axis=-1, keepdims=True))
@@ -90,6 +92,7 @@ class Pressure:
     value: Field
 
     def forces(self, body: Body | Membrane) -> Vector:
+        """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
         if isinstance(body, Membrane):
             return self._on_membrane(body)
 
@@ -129,6 +132,8 @@ class BodyForce:
     value: Field
 
     def forces(self, body: Body) -> Vector:
+        """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
+
         def per_reference_volume(elements: Geometry) -> Vector:
             b = field_values("body force", self.value, elements.positions, (body.dimension,))
             return b * elements.determinant[..., None]
@@ -152,6 +157,7 @@ class Gravity:
     acceleration: ArrayLike
 
     def forces(self, body: Body) -> Vector:
+        """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
         if not body.material.density > 0:
             raise InvalidProblem(f"{body.name}: gravity needs a density > 0, {body.material.name} has none")
         return BodyForce(self.body, body.material.density * np.asarray(self.acceleration, dtype=float)).forces(body)
@@ -198,6 +204,7 @@ class PointLoad:
     force: ArrayLike
 
     def forces(self, body: Body | Membrane) -> Vector:
+        """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
         d = len(body.axes)
         force = field_values("point load", self.force, np.zeros((1, body.mesh.dimension)), (d,))
         total = np.zeros((len(body.mesh.points), d))

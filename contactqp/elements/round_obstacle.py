@@ -132,6 +132,7 @@ class Cylinder:
 
     @property
     def dimension(self) -> int:
+        """The dimension of space, 2 or 3."""
         return 3
 
     def distance(self, points: Any) -> NDArray[np.float64]:
@@ -217,6 +218,7 @@ class Paraboloid:
 
     @property
     def dimension(self) -> int:
+        """The dimension of space, 2 or 3."""
         return len(self.apex)
 
     def distance(self, points: Any) -> NDArray[np.float64]:

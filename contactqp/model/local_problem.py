@@ -265,6 +265,7 @@ class LocalProblem(ReadOnly):
         return self.contact_scale[:, None] * self.offset.reshape(self.contacts, self.dimension)
 
     def contact_name(self, i: int) -> str:
+        """Return the name of contact i, or "contact i" without names."""
         return name_of("contact", i, self.contacts, self.contact_names)
 
     def __repr__(self) -> str:

@@ -292,9 +292,9 @@ class ContactProblem:
         names = self.contact_names if named else None
         kept = dict(contact_names=names, tie_names=None, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
-        data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
-        rows = {name: csr_rows(matrix) for name, matrix in (("normal", normal), ("tie", tie))}
-        return ContactProblem._of_checked(kept | frictionless | data | rows | dict(load_sum=load_size), Computed())
+        rows = dict(stiffness=stiffness, normal=csr_rows(normal), tie=csr_rows(tie))
+        data = dict(load=load, load_sum=load_size, gap=gap, tie_value=tie_value)
+        return ContactProblem._of_checked(kept | frictionless | data | rows, Computed())
 
     @cached_property
     def dimension(self) -> int:
@@ -413,8 +413,7 @@ class ContactProblem:
         kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
-            width = self.slip_origin.shape[1]
-            rows = (width * contacts[:, None] + np.arange(width)).ravel()
+            rows = np.arange(self.tangent.shape[0]).reshape(self.slip_origin.shape)[contacts].ravel()
             of_kept = dict(friction=self.friction[contacts], slip_origin=self.slip_origin[contacts])
             kept.update(tangent=self.tangent[rows], **of_kept)
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
@@ -423,8 +422,7 @@ class ContactProblem:
     @cached_property
     def has_idle_rows(self) -> bool:
         """Return whether a contact or a tie constrains nothing: its row is zero, or its gap infinite."""
-        contacts, ties = self.idle_rows()
-        return bool(contacts.any() or ties.any())
+        return any(bool(which.any()) for which in self.idle_rows())
 
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
@@ -462,8 +460,7 @@ class ContactProblem:
 
         Every process has its own: one that is forked while another thread holds it would wait for ever.
         """
-        locks = self._computed.locks
-        return locks.get(os.getpid()) or locks.setdefault(os.getpid(), threading.RLock())
+        return self._computed.locks.setdefault(os.getpid(), threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the problem for copies and pickles, without anything that was computed from it."""
@@ -486,12 +483,15 @@ class ContactProblem:
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u)
 
     def contact_name(self, i: int) -> str:
+        """Return the name of contact i, or "contact i" without names."""
         return name_of("contact", i, self.contacts, self.contact_names)
 
     def dof_name(self, j: int) -> str:
+        """Return the name of unknown j, or "unknown j" without names."""
         return name_of("unknown", j, self.dimension, self.dof_names)
 
     def tie_name(self, i: int) -> str:
+        """Return the name of tie i, or "tie i" without names."""
         return name_of("tie", i, self.ties, self.tie_names)
 
     def __repr__(self) -> str:

@@ -1,11 +1,17 @@
-"""Public functions with many arguments say what each of them is."""
+"""Public names say what they are, and functions with many arguments what each of these is."""
 
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import contactqp as cq
+from contactqp import testing
 
 PACKAGE = Path(__file__).parents[2] / "contactqp"
 MANY = 4
@@ -115,3 +121,23 @@ def _private(a, b, c, d): ...
         "one.py:21: __init__: a, b, c, d",
         "one.py:23: pose: d",
     ]
+
+
+def members(kind: type) -> Iterator[tuple[str, Any]]:
+    """Yield the public methods and properties that a class defines itself."""
+    for name, value in vars(kind).items():
+        if not name.startswith("_") and (inspect.isroutine(value) or isinstance(value, property | cached_property)):
+            yield name, value
+
+
+def test_public_names_have_docstrings() -> None:
+    public = {name: getattr(module, name) for module in (cq, testing) for name in module.__all__}
+    kinds = {name: one for name, one in public.items() if inspect.isclass(one)}
+    functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
+    assert len(kinds) > 40
+    assert len(functions) > 30
+    missing = [name for name, one in (kinds | functions).items() if not one.__doc__]
+    for name, kind in kinds.items():
+        listed = set(re.findall(r"\w+", kind.__doc__ or ""))  # attributes may be described with their class
+        missing += [f"{name}.{one}" for one, value in members(kind) if not inspect.getdoc(value) and one not in listed]
+    assert missing == []

@@ -107,10 +107,12 @@ class ExactProblem:
 
     @property
     def unknowns(self) -> int:
+        """The number n of unknowns."""
         return len(self.stiffness)
 
     @property
     def contacts(self) -> int:
+        """The number m of contacts."""
         return len(self.normal)
 
     @property
