@@ -246,7 +246,18 @@ def of_estimates(known: Bounds) -> tuple[str, ...]:
 
 
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:
-    """Say which distances of a frictional answer from that of its own states are too large; `worst` is a contact."""
+    """Say which distances of a frictional answer from that of its own states are too large.
+
+    Parameters
+    ----------
+    problem : ContactProblem or the like, with names
+    worst : int
+        The contact whose force is farthest away.
+    relative : dict of str to float
+        The distances of "displacement", "contact forces" and "contact", over their scales.
+    tolerance : float
+        The largest that passes.
+    """
     own = "the answer of its own combination of open, stick and slip"
     named = {
         "displacement": f"the displacement is {{:.3g}} of its size away from {own}",
