@@ -291,6 +291,10 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     return "\n".join([*parts, *_order(list(before.values()), list(now.values()))])
 
 
+# Pairs of methods that are named, at most, where they have changed places.
+MOST_PAIRS = 6
+
+
 def _order(before: list[Row], now: list[Row]) -> Iterator[str]:
     """Return in words which methods have changed places by their times in linear solves."""
     old, new = ({line.method: line for line in conclude(rows).lines if line.linear_solves} for rows in (before, now))
@@ -306,6 +310,8 @@ def _order(before: list[Row], now: list[Row]) -> Iterator[str]:
     ]
     if len(names) > 1 and not beyond:
         within = ", ".join(" and ".join(pair) for pair in swapped)
+        if len(swapped) > MOST_PAIRS:
+            within = f"{len(swapped)} of {len(names) * (len(names) - 1) // 2} pairs"
         exception = f", but for {within}, whose times lie within their spreads" if swapped else ""
         yield f"the {len(names)} methods have the same order by time{exception}"
     for fast, slow in beyond:

@@ -66,7 +66,7 @@ def is_told_elsewhere(function: Function) -> bool:
 
 def unnamed_arguments(modules: dict[str, ast.Module]) -> list[str]:
     """Return the functions with four and more arguments, one of which no section of parameters names."""
-    classes = {one.name: one for tree in modules.values() for one in ast.walk(tree) if isinstance(one, ast.ClassDef)}
+    classes = {one.name: one for tree in modules.values() for one in tree.body if isinstance(one, ast.ClassDef)}
     missing = []
     for place, tree in modules.items():
         for function, owner in public_functions(tree):

@@ -118,6 +118,11 @@ def test_methods_that_change_places_are_told_beyond_their_spreads() -> None:
     assert changes(before, before).endswith("the 3 methods have the same order by time")
     neighbours = changes(before, _timed(osqp=3.1, clarabel=3.0, piqp=9.0))
     assert neighbours.endswith("same order by time, but for osqp and clarabel, whose times lie within their spreads")
+    many = {name: 2.0 + i / 100 for i, name in enumerate(("osqp", "clarabel", "piqp", "daqp", "scs"))}
+    turned = dict(zip(many, reversed(many.values()), strict=True))
+    assert changes(_timed(**many), _timed(**turned)).endswith(
+        "but for 10 of 10 pairs, whose times lie within their spreads"
+    )
     text = changes(before, _timed(osqp=9.0, clarabel=3.0, piqp=2.0))
     assert "piqp is faster than osqp now: 2 and 9 linear solves before, 9 and 2 now" in text
     assert "piqp is faster than clarabel now: 3 and 9 linear solves before, 3 and 2 now" not in text  # within, now
