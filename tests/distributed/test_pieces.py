@@ -83,12 +83,11 @@ def test_a_wrong_problem_is_seen(on_ranks):
         on_ranks("same_as_one_process.py", 2, "--spoil", FOLDER / "hertz_line.toml")
 
 
-@pytest.mark.parametrize(
-    ("ranks", "names"),
-    [(2, FEW[:1]), *(pytest.param(ranks, CASES[:5], marks=pytest.mark.slow) for ranks in (1, 2, 3, 4))],
-    ids=str,
-)
-def test_claims_are_answered_as_by_one_process(on_ranks, ranks, names, of_a_file):
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [1, 2, 3, 4])
+def test_claims_are_answered_as_by_one_process(on_ranks, ranks, of_a_file):
+    """Those of two cases are compared every time, by the command line."""
+    names = CASES[:5]
     said = on_ranks("claims_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in names), of_a_file)
     assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in (*names, "of_a_file")]
 
@@ -100,8 +99,7 @@ def test_what_is_wrong_is_refused_on_all_ranks_in_the_same_words(on_ranks, ranks
     assert said.count("None") < len(said), "some are refused"
 
 
-@pytest.mark.parametrize(
-    ("ranks", "name"), [(4, "patch_two_blocks"), pytest.param(7, "flat_punch", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("ranks", "name"), [(4, "patch_two_blocks"), (7, "flat_punch")])
 def test_more_ranks_than_layers_of_elements(on_ranks, ranks, name):
     assert on_ranks("same_as_one_process.py", ranks, FOLDER / f"{name}.toml") == f"{name}: the same on {ranks}\n"

@@ -378,7 +378,7 @@ def _stability_page(folder: Path) -> Path:
     return file
 
 
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 400])
 def test_the_page_of_stability_is_read_on_a_screen_and_on_a_telephone(session: Any, tmp_path: Path, width: int) -> None:
     """Bars of all axes first, whole on a screen; no heat map of few methods has a blank below, nor cells too narrow."""
     file = _stability_page(tmp_path)
