@@ -29,7 +29,7 @@ from contactqp.model.arrays import Vector, on_one_thread, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any
-from contactqp.solving.friction.conic import refuse_unbalanced
+from contactqp.solving.friction.conic import refuse_penetrated, refuse_unbalanced
 from contactqp.solving.friction.enumeration import Combinations, refuse_many
 from contactqp.solving.friction.exact_enumeration import (
     MOST_PROVEN,
@@ -77,7 +77,8 @@ def solve_local(
     Raises
     ------
     NoEquilibrium
-        Enumeration, asked for or the last resort in the plane, finds no answer; or no forces balance the load.
+        Enumeration, asked for or the last resort in the plane, finds no answer; or no forces balance the load, or open
+        all contacts.
     SeveralEquilibria
         Enumeration was asked for and finds several answers.
     NotConverged
@@ -116,6 +117,7 @@ def solve_local(
     with on_one_thread() if WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY else nullcontext():
         if algorithm is None:
             refuse_unbalanced(form)
+            refuse_penetrated(form)
             outcome = run_any(form, settings, start, accepted)
         else:
             outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from contactqp.linalg.existence import unresisted
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import around
+from contactqp.model.local_problem import LocalProblem
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.backends import collected_words
@@ -174,6 +176,52 @@ def _resisting(V: Array, mu: Vector) -> Array:
         -V[:, 0] + mu[:, None] * np.einsum("w,iwp->ip", direction, V[:, 1:]) for direction in around(V.shape[1] - 1)
     ]
     return np.vstack(parts)
+
+
+# Least eigenvalue, relative to the largest, of what is regular; denominators of a proof's weights.
+REGULAR, LARGEST_DENOMINATOR = 1e-10, 10_000
+
+
+def refuse_penetrated(form: LocalForm) -> None:
+    """Raise NoEquilibrium if no forces whatever open all contacts of a local problem.
+
+    The proof are weights y >= 0 of normal velocities that no force changes, W_N'y = 0 and V_N'y = 0, with y'q_N < 0:
+    then y'u_N = y'q_N < 0, where no u_N may be negative. For forces of the cones alone c = W_N'y with c'r <= 0 would
+    do, but then y'W_NN y = y'c_N <= 0, and c is zero where W is semidefinite. A linear program proposes the weights,
+    rational sums of the data decide.
+    """
+    d = form.d
+    if not np.any(form.q[::d] < 0):
+        return
+    W = form.W[::d].toarray() if form.sparse else form.W[::d]
+    values = np.linalg.eigvalsh((W[:, ::d] + W[:, ::d].T) / 2)
+    if values[0] > REGULAR * values[-1]:
+        return
+    rows = np.vstack([W.T, form.V[::d].T])
+    size = np.max(abs(rows), axis=1)
+    weights = unresisted(-form.q[::d], -np.eye(form.m), rows[size > 0] / size[size > 0, None])
+    if weights is None or not np.any(weights > 0):
+        return
+    largest = float(np.max(weights))
+    y = [Fraction(max(w, 0.0) / largest).limit_denominator(LARGEST_DENOMINATOR) for w in weights.tolist()]
+    scale = form.problem.contact_scale.tolist()
+    if _proven(form.problem, [w * Fraction(s) for w, s in zip(y, scale, strict=True)]):
+        where = ", ".join(form.problem.contact_name(i) for i in range(form.m) if y[i])
+        raise NoEquilibrium(f"no contact forces keep {where} from being penetrated, proven in rational numbers")
+
+
+def _proven(problem: LocalProblem, weights: list[Fraction]) -> bool:
+    """Return whether these weights of normal velocities (m,) are a proof in rational numbers."""
+    d, driven = problem.dimension, Fraction(0)
+    rows = [sp.csr_array(some) for some in (problem.delassus, problem.bilateral)]
+    sums = [[Fraction(0)] * some.shape[1] for some in rows]
+    for i in np.flatnonzero([weight > 0 for weight in weights]).tolist():
+        driven += weights[i] * Fraction(float(problem.offset[d * i]))
+        for some, total in zip(rows, sums, strict=True):
+            own = slice(some.indptr[d * i], some.indptr[d * i + 1])
+            for j, value in zip(some.indices[own].tolist(), some.data[own].tolist(), strict=True):
+                total[j] += weights[i] * Fraction(value)
+    return driven < 0 and not any(map(any, sums))
 
 
 def balancing_forces(form: LocalForm) -> Array | None:

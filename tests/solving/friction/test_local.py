@@ -446,3 +446,35 @@ def test_forces_whose_figures_leave_the_doubles_are_refused(huge: float) -> None
     judged = cq.certify_local(problem, force)
     assert not judged.passed
     assert judged.failures
+
+
+def _wedged(offset: float) -> cq.LocalProblem:
+    """Two contacts face to face on one rigid rod in space: what opens the one closes the other."""
+    push = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
+    return cq.LocalProblem(
+        delassus=np.outer(push, push), offset=[-1.0, 0.0, 0.0, offset, 0.0, 0.0], friction=0.3, dimension=3
+    )
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**20, 1e-3])
+def test_that_no_forces_open_all_contacts_is_proven_in_space(unit: float) -> None:
+    """Weights of normal velocities that no force changes are positive, where offsets make their sum negative."""
+    nothing = cq.LocalProblem(delassus=np.zeros((3, 3)), offset=[-unit, 0.0, 0.0], friction=0.5, dimension=3)
+    with pytest.raises(cq.NoEquilibrium, match="no contact forces keep contact 0 from being penetrated, proven"):
+        cq.solve(nothing)
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1"):
+        cq.solve(_wedged(0.5))
+    with pytest.raises(cq.NoEquilibrium):
+        cq.solve(_wedged(1.0 - 1e-6))
+    for offset in (1.0, 1.0 + 1e-6, 2.0):  # they touch, or one is open
+        solution = cq.solve(_wedged(offset))
+        assert solution.certificate.passed
+        assert solution.force[0, 0] - solution.force[1, 0] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_joints_that_open_contacts_are_no_proof_of_absence() -> None:
+    jointed = cq.LocalProblem(
+        delassus=np.zeros((3, 3)), offset=[-1.0, 0.0, 0.0], friction=0.5, dimension=3,
+        bilateral=[[1.0], [0.0], [0.0]], bilateral_delassus=[[0.0]], bilateral_offset=[0.0],
+    )  # fmt: skip
+    assert cq.solve(jointed).certificate.passed
