@@ -236,7 +236,9 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("contactqp")
     if name not in _HOME:
-        raise AttributeError(f"module 'contactqp' has no attribute {name!r}")
+        near = [] if name.startswith("_") else importlib.import_module("difflib").get_close_matches(name, _HOME, n=1)
+        cure = f"; nearest: {near[0]}" if near else ""
+        raise AttributeError(f"module 'contactqp' has no attribute {name!r}{cure}")
     found = globals()[name] = getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
     return found
 

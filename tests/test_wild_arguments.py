@@ -298,6 +298,13 @@ def test_an_unknown_argument_is_told_with_the_function_and_the_nearest_one() -> 
         cq.draw(solution, "x.png", pairings=[])
 
 
+def test_a_misspelled_name_of_the_package_is_answered_with_the_nearest() -> None:
+    for name, words in (("solv", "; nearest: solve"), ("Structre", "; nearest: Structure"), ("xyzzy", "")):
+        with pytest.raises(AttributeError, match=f"^module 'contactqp' has no attribute '{name}'{words}$"):
+            getattr(cq, name)
+    assert not hasattr(cq, "__wrapped__")
+
+
 def test_the_misspelled_argument_is_told_and_not_that_one_is_missing() -> None:
     mesh, steel = cq.rectangle(1.0, 1.0, (1, 1), "quad4"), cq.Material(210e9, 0.3)
     with pytest.raises(cq.InvalidProblem, match=r"^Body: no argument is called 'modl' \(do you mean 'model'\?\)$"):

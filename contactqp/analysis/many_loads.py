@@ -302,6 +302,9 @@ def solve_many(
     >>> many.normal_force.ravel(), many.passed.all(), many.envelope().load
     (array([0., 2., 4.]), np.True_, array([2]))
     """
+    for meant in ("loads", "gaps"):
+        if meant[:-1] in options:
+            raise InvalidProblem(f"solve_many: no argument is called {meant[:-1]!r} (do you mean {meant!r}?)")
     if "warm_start" in options:
         raise InvalidProblem("solve_many: a case starts from the one before it; expected no warm_start")
     method, cases, started = registered_name(method), LoadCases(problem, loads, gaps, friction), time.perf_counter()

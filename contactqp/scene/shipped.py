@@ -131,8 +131,8 @@ def first_case(name: str) -> str:
 
 def nearest_files(named: Path) -> list[str]:
     """Return the names of the case files in the folder of one that is missing which it may mean, as many as three."""
-    there = sorted(str(file) for file in named.parent.glob(f"*{SUFFIX}"))
-    return difflib.get_close_matches(str(named), there, n=3)
+    there = {file.stem: str(file) for file in sorted(named.parent.glob(f"*{SUFFIX}"))}
+    return [there[stem] for stem in difflib.get_close_matches(named.stem, there, n=3)]
 
 
 def nearest_names(named: str | Path) -> list[str]:

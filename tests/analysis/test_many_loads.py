@@ -134,6 +134,8 @@ def test_bad_arguments_are_one_clear_error() -> None:
         (lambda: cq.solve_many(BAR, loads=[[1.0]], friction=[0.3]), r"friction: expected a number, shape \(N, 1\)"),
         (lambda: cq.solve_many(BAR, friction=[[0.3]]), "friction: a coefficient was given without tangent"),
         (lambda: cq.solve_many(BAR, loads=[[1.0]], warm_start=None), "expected no warm_start"),
+        (lambda: cq.solve_many(BAR, load=[[1.0]]), "no argument is called 'load' .do you mean 'loads'"),
+        (lambda: cq.solve_many(BAR, gap=[[1.0]]), "no argument is called 'gap' .do you mean 'gaps'"),
         (lambda: cq.solve_many(indefinite, loads=[[1.0, 2.0]], penalty=1.0), "unknown option 'penalty'"),
         (lambda: cq.solve_many(BAR, loads=[[1.0]])["a"], "i: expected a whole number, got 'a'"),
     ):
