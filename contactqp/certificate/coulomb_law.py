@@ -309,9 +309,9 @@ def law_residual(
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
     # Bodies that move rigidly meet at no length but the gap and the slip themselves, beside which forces would drown.
     L = np.maximum(L, np.maximum(abs(gap), lengths(slip)))
-    rubbed = answer.friction_force
-    rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
-    force = np.column_stack([answer.normal_force, -rubbed]) * per_force[:, None]
+    given = answer.friction_force
+    given = np.zeros_like(slip) if given is None else np.where(felt[:, None], given, 0.0)
+    force = np.column_stack([answer.normal_force, -given]) * per_force[:, None]
     velocity = np.column_stack([gap, slip]) * reciprocal(L)[:, None]
     mu = np.where(felt, friction, 0.0)
     missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * per_force

@@ -183,11 +183,11 @@ class ActingRows:
     def _violations(self, found: Violations, answer: Answer) -> Violations:
         """Return the figures of all rows; rows of zeros are measured by the forces on them."""
         whole = self.whole
-        push, rub = _pushes(whole, answer)
+        push, drag = _pushes(whole, answer)
         free = np.where(np.isinf(whole.gap) | (whole.gap >= 0), 0.0, 1.0)
         others: dict[str, Vector] = {name: np.zeros(whole.contacts) for name in _OF_CONTACTS}
         others |= dict(lengths=np.full(whole.contacts, np.inf), tangential_lengths=np.full(whole.contacts, np.inf))
-        others |= dict(gap=whole.gap, force_measure=push, cone=rub, penetration=free)
+        others |= dict(gap=whole.gap, force_measure=push, cone=drag, penetration=free)
         others |= dict(gap_measure=np.where(whole.gap == 0, 0.0, 1.0))
         others["tension"] = np.where(answer.normal_force < 0, push, 0.0)
         others["complementarity"] = np.where(answer.normal_force > 0, push, 0.0)
@@ -331,9 +331,9 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
     if answer.friction_force is None or problem.tangent is None:
         return push, np.zeros(m)
-    rub = vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))
+    drag = vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))
     held = np.diff(problem.tangent.indptr).reshape(answer.friction_force.shape) == 0
-    return push, np.where(np.any(held & (answer.friction_force != 0), axis=1), 1.0, rub)
+    return push, np.where(np.any(held & (answer.friction_force != 0), axis=1), 1.0, drag)
 
 
 # A row that makes less than this part of another takes no part in it, both of unit length.

@@ -386,7 +386,7 @@ class _Comparison:
         strain, _ = energy_norm(problem, refined.displacement)
         other = refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
-        rubbed = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
+        dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
         size = self._bodies.response_norm(refined.normal_force.double(), other)
         size = size if size > NEXT_TO_NOTHING * strain else strain
         whole = max(size, force_size(problem, refined.normal_force.double()), self._friction_size(other))
@@ -397,28 +397,28 @@ class _Comparison:
             own_normal, own_tangent = (squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
             given = abs(answer.normal_force) * np.sqrt(own_normal)
             whole = max(float(given.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
-        of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(rubbed) * np.sqrt(own_tangent))
+        of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(dragged) * np.sqrt(own_tangent))
         if refined.redundant:
             of_contact = np.zeros_like(of_contact)
         worst = int(np.argmax(of_contact))
-        force = self._bodies.response_norm(normal, rubbed), size
+        force = self._bodies.response_norm(normal, dragged), size
         return _Distance(
             (apart, strain),
-            max(force, self._with_ties(refined, normal, rubbed), key=lambda one: _part(one[0], one[1], 0.0)),
+            max(force, self._with_ties(refined, normal, dragged), key=lambda one: _part(one[0], one[1], 0.0)),
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 
-    def _with_ties(self, refined: RefinedState, normal: Vector, rubbed: Array) -> tuple[float, float]:
+    def _with_ties(self, refined: RefinedState, normal: Vector, dragged: Array) -> tuple[float, float]:
         """Return the distance of all forces on untied bodies and their size; else that of ties at their unknowns."""
         if not self._problem.ties:
             return 0.0, 1.0
         push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)
         tie, missed = refined.tie_force, extend(self._answer.tie_force) - refined.tie_force
         whole = self._bodies.untied_norm(push, other, tie.double())
-        apart = self._bodies.untied_norm(normal, rubbed, missed.double())
+        apart = self._bodies.untied_norm(normal, dragged, missed.double())
         if whole is not None and apart is not None and whole[1] <= FEW_DIGITS * whole[0]:
             return apart[0], whole[0]
         if refined.redundant:

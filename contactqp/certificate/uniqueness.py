@@ -312,7 +312,7 @@ class _State:
         frictional = loaded & (problem.friction > 0)
         self.stuck = np.flatnonzero(frictional & (found.slip_measure <= tolerance))
         self.slides = np.flatnonzero(frictional & (found.slip_measure > tolerance))
-        # What touches without pressing and slips would rub as soon as it took its share.
+        # What touches without pressing and slips would have friction as soon as it took its share.
         moves = (problem.friction > 0) & (found.slip_measure > tolerance)
         self.dragged = self.closed[moves[self.closed]]
         slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin

@@ -328,7 +328,7 @@ class Final:
     free_motions: tuple[FreeMotion, ...] = ()
     corrections: int = 0  # of the contact set
     polished: bool = False
-    friction_force: NDArray[np.float64] | None = None  # (m, d-1); None: nothing rubs
+    friction_force: NDArray[np.float64] | None = None  # (m, d-1); None without friction
     contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
 
 

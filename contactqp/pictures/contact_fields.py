@@ -316,8 +316,8 @@ def contact_fields(
     fields = []
     for pairing, name, size, end in zip(pairings, names, sizes, ends, strict=True):
         here = slice(end - size, end)
-        rubbed = None if friction is None else friction[here]
-        fields.append(_pairing_fields(system, bodies, pairing, name, u, force[here], rubbed, status[here]))
+        dragged = None if friction is None else friction[here]
+        fields.append(_pairing_fields(system, bodies, pairing, name, u, force[here], dragged, status[here]))
     return ContactFields(tuple(bodies), tuple(fields), solution.problem.units)
 
 
@@ -352,7 +352,7 @@ def _pairing_fields(
 ) -> PairingFields:
     owner, node, on_obstacle = contact_nodes(system.structure, pairing, name)
     first = np.cumsum([0, *[len(body.points) for body in bodies]])
-    rubbed = None if friction is None else _friction_on_nodes(pairing, first[owner] + node, friction)
+    dragged = None if friction is None else _friction_on_nodes(pairing, first[owner] + node, friction)
     displacement = np.empty(pairing.points.shape)
     for number in np.unique(owner):
         mine = owner == number
@@ -366,10 +366,10 @@ def _pairing_fields(
         direction=pairing.direction,
         force=force,
         pressure=None if pairing.projection is None else pairing.pressure(force),
-        friction=rubbed,
+        friction=dragged,
         shear=None
-        if rubbed is None or pairing.projection is None
-        else np.column_stack([pairing.per_area(component) for component in rubbed.T]),
+        if dragged is None or pairing.projection is None
+        else np.column_stack([pairing.per_area(component) for component in dragged.T]),
         gap=np.asarray(pairing.gap - pairing.normal @ u),
         initial_gap=pairing.gap,
         status=status,

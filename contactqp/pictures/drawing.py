@@ -203,10 +203,10 @@ def _draw_arrows(
             bars = np.stack([heads[i], heads[j], (heads - shafts)[j], (heads - shafts)[i]], axis=1)
             look: dict[str, Any] = dict(facecolor=style.PRESSURE, alpha=0.3, edgecolor="none", zorder=3, gid="pressure")
             axes.add_collection(PolyCollection(list(bars), **look), autolim=False)
-        rubbed = pairing.shear if under_pressure else pairing.friction
-        if rubbed is not None:
-            shafts += longest / largest * np.nan_to_num(rubbed)
-            tilted = tilted or bool(np.any(np.nan_to_num(rubbed)))
+        dragged = pairing.shear if under_pressure else pairing.friction
+        if dragged is not None:
+            shafts += longest / largest * np.nan_to_num(dragged)
+            tilted = tilted or bool(np.any(np.nan_to_num(dragged)))
         tails.append(heads - shafts)
         pushed = style.arrows_to_draw(pairing.position, value, MOST_ARROWS)
         starts, arrows = tails[-1][pushed].T, shafts[pushed].T

@@ -376,7 +376,7 @@ def _systems(problem: ContactProblem) -> BuildingBlock:
     systems = systems_of(problem)
     if systems is Systems.ITERATED:
         many = problem.frictional and problem.dimension < LARGE
-        why = "contacts that rub are many" if many else "the body is too large to factorise"
+        why = "contacts with friction are many" if many else "the body is too large to factorise"
         return BuildingBlock("condensation", False, f"{why}: it is iterated on")
     if systems is Systems.SPARSE:
         return BuildingBlock("condensation", False, "constraints are many: sparse systems are predicted to cost less")

@@ -156,7 +156,7 @@ def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, lim
             lambda i: f"{answer.normal_force[i]:.4g}{force} across a gap of {found.gap[i]:.3g}{length}",
             "pushing without touching",
         ),
-        ("cone", found.cone, lambda i: _friction_of(problem, answer, i), "rubbing beyond mu l_N"),
+        ("cone", found.cone, lambda i: _friction_of(problem, answer, i), "exceeding the friction bound mu l_N"),
         (
             "slip",
             found.slip_direction,

@@ -144,7 +144,7 @@ class Balls:
     f: list[arb]
     E: Rows
     g: list[arb]
-    T: Rows  # one a contact, none where nothing rubs
+    T: Rows  # one a contact, none without friction
     friction: list[arb]
     origin: list[arb]
     A: Rows
@@ -220,8 +220,8 @@ def _balls(exact: ExactProblem) -> Balls:
         [(x + y) / 2 for x, y in zip(row, column, strict=True)]
         for row, column in zip(K, zip(*K, strict=True), strict=True)
     ]
-    rubs = any(contact.friction for contact in exact.contacts)
-    contacts = exact.contacts if rubs else ()
+    frictional = any(contact.friction for contact in exact.contacts)
+    contacts = exact.contacts if frictional else ()
     return Balls(
         K=K,
         f=[to_arb(exact.load.get(name, Fraction(0))) for name in free],
@@ -256,12 +256,12 @@ def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
             other[i:] = [x - share * y for x, y in zip(other[i:], row[i:], strict=True)]
 
 
-def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclosed:
+def _solved(balls: Balls, states: tuple[str, ...], drags: list[float]) -> Enclosed:
     """Return the system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
     n, m = len(balls.f), len(balls.g)
     closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
     stuck = [i for i in closed if states[i] == "stick"]
-    sign = {i: (1 if rubs[i] > 0 else -1) for i in closed if states[i] == "slip"}
+    sign = {i: (1 if drags[i] > 0 else -1) for i in closed if states[i] == "slip"}
     pushed = [
         [x + sign[i] * balls.friction[i] * y for x, y in zip(balls.E[i], balls.T[i], strict=True)]
         if i in sign
@@ -278,16 +278,16 @@ def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclose
     if not all(y.is_finite() for y in x):
         raise ZeroDivisionError
     u, tie, rest = x[:n], x[n : n + len(balls.A)], x[n + len(balls.A) :]
-    push, rub = [arb(0)] * m, [arb(0)] * len(balls.T)
+    push, drag = [arb(0)] * m, [arb(0)] * len(balls.T)
     for i, value in zip(closed, rest, strict=False):
         push[i] = value
         if i in sign:
-            rub[i] = sign[i] * balls.friction[i] * value
+            drag[i] = sign[i] * balls.friction[i] * value
     for i, value in zip(stuck, rest[len(closed) :], strict=True):
-        rub[i] = value
+        drag[i] = value
     gap = [arb(0) if i in closed else balls.g[i] - sum_of_products(balls.E[i], u) for i in range(m)]
     slip = [arb(0) if i in stuck else sum_of_products(row, u) - balls.origin[i] for i, row in enumerate(balls.T)]
-    return Enclosed(u, push, rub, tie, gap, slip)
+    return Enclosed(u, push, drag, tie, gap, slip)
 
 
 def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any) -> str:

@@ -204,12 +204,12 @@ class _Walk:
         """Return whether a continuation is one in these states too, where they leave a motion free: then it rests."""
         approach, slips = (self.data.E * rate.displacement).entries(), (self.data.T * rate.displacement).entries()
         for i, state in enumerate(states):
-            push, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
+            push, drag = rate.normal_force[i, 0], rate.friction_force[i, 0]
             if state == OPEN:
-                same = push == rub == 0
+                same = push == drag == 0
             else:
                 same = approach[i] == 0 and (state != STICK or slips[i] == 0)
-                same = same and (state not in SLIPPING or rub == state * self.data.friction[i] * push)
+                same = same and (state not in SLIPPING or drag == state * self.data.friction[i] * push)
             if not same:
                 return False
         return True
@@ -218,17 +218,17 @@ class _Walk:
         choices = list[States]()
         gap = self.data.gap(self.answer.displacement).entries()
         for i, mu in enumerate(self.data.friction):
-            push, rub = self.answer.normal_force[i, 0], self.answer.friction_force[i, 0]
+            push, drag = self.answer.normal_force[i, 0], self.answer.friction_force[i, 0]
             if gap[i] > 0:
                 choices.append((OPEN,))
             elif push == 0:
                 choices.append((OPEN, CLOSED) if mu == 0 else plane_states(mu))
             elif mu == 0:
                 choices.append((CLOSED,))
-            elif abs(rub) < mu * push:
+            elif abs(drag) < mu * push:
                 choices.append((STICK,))
             else:
-                choices.append((STICK, SLIP_ON if rub > 0 else SLIP_BACK))
+                choices.append((STICK, SLIP_ON if drag > 0 else SLIP_BACK))
         count = 1
         for choice in choices:
             count *= len(choice)
@@ -246,7 +246,7 @@ class _Walk:
         rooms = list[fmpq]()
         for i, state in enumerate(states):
             mu, push = self.data.friction[i], self.answer.normal_force[i, 0]
-            more, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
+            more, drag = rate.normal_force[i, 0], rate.friction_force[i, 0]
             if state == OPEN:
                 rooms += [gaps[i]] if now[i] <= 0 else []
                 continue
@@ -254,9 +254,9 @@ class _Walk:
                 rooms.append(state * slips[i])
             edge = self.answer.friction_force[i, 0]
             if push == 0:
-                rooms += [more, *((mu * more - rub, mu * more + rub) if state == STICK else ())]
+                rooms += [more, *((mu * more - drag, mu * more + drag) if state == STICK else ())]
             elif state == STICK and abs(edge) == mu * push:
-                rooms.append(mu * more - (rub if edge > 0 else -rub))
+                rooms.append(mu * more - (drag if edge > 0 else -drag))
         return rooms
 
     def _ahead(self, rate: RationalAnswer) -> fmpq:
@@ -266,10 +266,10 @@ class _Walk:
         for i, state in enumerate(self.states):
             mu = self.data.friction[i]
             push, more = self.answer.normal_force[i, 0], rate.normal_force[i, 0]
-            rub, turn = self.answer.friction_force[i, 0], rate.friction_force[i, 0]
+            drag, turn = self.answer.friction_force[i, 0], rate.friction_force[i, 0]
             rooms = [(gaps[i], -rates[i])] if state == OPEN else [(push, more)]
             if state == STICK:
-                rooms += [(mu * push - s * rub, mu * more - s * turn) for s in (-1, 1)]
+                rooms += [(mu * push - s * drag, mu * more - s * turn) for s in (-1, 1)]
             for room, slope in rooms:
                 if room > 0 > slope:
                     nearest = min(nearest, room / -slope)

@@ -108,16 +108,16 @@ class System:
     def answer(self, u: fmpq_mat, forces: fmpq_mat) -> RationalAnswer:
         """Return the forces laid out contact by contact."""
         data, chosen, values = self.data, self.combination, forces.entries()
-        push, rub = zeros(data.contacts, 1), zeros(data.T.nrows(), 1)
+        push, drag = zeros(data.contacts, 1), zeros(data.T.nrows(), 1)
         k, w = data.ties, data.width
         for at, i in enumerate(chosen.closed):
             push[i, 0] = values[k + at]
             for axis, t in enumerate(chosen.directions.get(i, ())):
-                rub[w * i + axis, 0] = data.friction[i] * t * values[k + at]
+                drag[w * i + axis, 0] = data.friction[i] * t * values[k + at]
         for at, i in enumerate(chosen.stuck):
             for axis in range(w):
-                rub[w * i + axis, 0] = values[k + len(chosen.closed) + w * at + axis]
-        return RationalAnswer(u, push, rub, take(forces, range(k)))
+                drag[w * i + axis, 0] = values[k + len(chosen.closed) + w * at + axis]
+        return RationalAnswer(u, push, drag, take(forces, range(k)))
 
 
 def system_of(data: RationalProblem, combination: Combination) -> System:
@@ -169,12 +169,12 @@ class Balance:
 def states(data: RationalProblem, u: fmpq_mat) -> Combination:
     """Return the states at a displacement: contacts without a gap, which of these stick, along what the others slip."""
     closed = tuple(i for i, x in enumerate(data.gap(u).entries()) if x == 0)
-    rubbing = [i for i in closed if data.friction[i] > 0]
-    if not rubbing:
+    frictional = [i for i in closed if data.friction[i] > 0]
+    if not frictional:
         return Combination(closed)
     slip, w = data.slip(u).entries(), data.width
     stuck, directions = list[int](), dict[int, Direction]()
-    for i in rubbing:
+    for i in frictional:
         moved = slip[w * i : w * (i + 1)]
         if any(moved):
             directions[i] = unit(moved)
@@ -234,10 +234,10 @@ def _conditions(system: System) -> Iterator[fmpq_mat]:
         row[0, k + at] = fmpq(1)
         yield row
         if i in chosen.stuck and data.width == 1:
-            rub = k + len(chosen.closed) + chosen.stuck.index(i)
+            drag = k + len(chosen.closed) + chosen.stuck.index(i)
             for sign in (-1, 1):
                 row = zeros(1, size)
-                row[0, k + at], row[0, rub] = data.friction[i], fmpq(sign)
+                row[0, k + at], row[0, drag] = data.friction[i], fmpq(sign)
                 yield row
 
 
@@ -365,8 +365,8 @@ def _free_motions(data: RationalProblem, found: Balance) -> fmpq_mat:
     """Return the motions (n, r) that K, the ties and all contacts that can carry a force leave without resistance."""
     pushing = [i for i, (_, high) in enumerate(found.ranges) if high is None or high > 0]
     w = data.width
-    rubbing = [w * i + axis for i in pushing if data.friction[i] > 0 for axis in range(w)]
-    return null_space(stack(data.K, data.A, take(data.E, pushing), take(data.T, rubbing)))
+    frictional = [w * i + axis for i in pushing if data.friction[i] > 0 for axis in range(w)]
+    return null_space(stack(data.K, data.A, take(data.E, pushing), take(data.T, frictional)))
 
 
 def _rested(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:

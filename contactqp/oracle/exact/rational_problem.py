@@ -55,7 +55,7 @@ class RationalProblem:
     g: fmpq_mat  # (m, 1)
     A: fmpq_mat  # (k, n)
     b: fmpq_mat  # (k, 1)
-    T: fmpq_mat  # ((d-1) m, n), without rows where nothing rubs
+    T: fmpq_mat  # ((d-1) m, n), without rows where there is no friction
     friction: tuple[fmpq, ...]  # (m,)
     slip_origin: fmpq_mat  # ((d-1) m, 1)
 
@@ -167,7 +167,7 @@ class RationalAnswer:
 
     displacement: fmpq_mat  # (n, 1)
     normal_force: fmpq_mat  # (m, 1)
-    friction_force: fmpq_mat  # ((d-1) m, 1), without entries where nothing rubs
+    friction_force: fmpq_mat  # ((d-1) m, 1), without entries where there is no friction
     tie_force: fmpq_mat  # (k, 1)
 
 
@@ -192,10 +192,10 @@ STATEMENTS = (
 
 def wrong(data: RationalProblem, answer: RationalAnswer) -> Iterator[Wrong]:
     """Yield every statement that does not hold; none is a proof that the answer solves the problem."""
-    u, push, rub = answer.displacement, answer.normal_force, answer.friction_force
+    u, push, drag = answer.displacement, answer.normal_force, answer.friction_force
     left = data.K * u + data.E.transpose() * push + data.A.transpose() * answer.tie_force - data.f
-    if rub.nrows():
-        left += data.T.transpose() * rub
+    if drag.nrows():
+        left += data.T.transpose() * drag
     yield from (Wrong("equilibrium", j) for j, x in enumerate(left.entries()) if x != 0)
     yield from (Wrong("tie", i) for i, x in enumerate((data.A * u - data.b).entries()) if x != 0)
     gap, forces = data.gap(u).entries(), push.entries()
@@ -210,9 +210,9 @@ def _wrong_friction(data: RationalProblem, answer: RationalAnswer) -> Iterator[W
     if not width:
         return
     slip = data.slip(answer.displacement).entries()
-    rub, forces = answer.friction_force.entries(), answer.normal_force.entries()
+    drag, forces = answer.friction_force.entries(), answer.normal_force.entries()
     for i, mu in enumerate(data.friction):
-        force, moved = rub[width * i : width * (i + 1)], slip[width * i : width * (i + 1)]
+        force, moved = drag[width * i : width * (i + 1)], slip[width * i : width * (i + 1)]
         bound = mu * mu * forces[i] * forces[i]
         if sum_of_products(force, force) > bound:
             yield Wrong("cone", i)

@@ -157,7 +157,7 @@ def _iteratively(B: Any, r: Vector) -> Vector:
 
 # Forces of dependent frictional contacts that obey Coulomb's law, from a displacement.
 #
-# A touching contact that slips pushes and rubs along one direction, l_N (1, mu s/|s|); one that sticks along any
+# A touching contact that slips pushes and drags along one direction, l_N (1, mu s/|s|); one that sticks along any
 # combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
 # equilibrium over such combinations with no negative part are forces within the law, where such forces exist.
 

@@ -14,7 +14,7 @@ HAND = "equilibrium by hand"
 
 
 def _klarbring(
-    mu: Fraction, push: Fraction, u: tuple[Fraction, Fraction], normal: Fraction, rubbing: Fraction, description: str
+    mu: Fraction, push: Fraction, u: tuple[Fraction, Fraction], normal: Fraction, drag: Fraction, description: str
 ) -> Contents:
     return stated(
         stiffness=[[1, -2], [-2, 5]],
@@ -25,7 +25,7 @@ def _klarbring(
         friction=mu,
         displacement=u,
         normal_force=[normal],
-        friction_force=[[rubbing]],
+        friction_force=[[drag]],
         description=description,
         source=KLARBRING,
         formula="critical mu = K11 / |K12| = 1/2; stuck l = (1, P), sliding u_x = (P - mu) / (1 - 2 mu)",
@@ -80,7 +80,7 @@ def klarbring_opens() -> Contents:
     )
 
 
-def _pad(pull: int, extension: Fraction, rubbing: Fraction, description: str) -> Contents:
+def _pad(pull: int, extension: Fraction, drag: Fraction, description: str) -> Contents:
     """Return a plane with the normal (-3, 4) / 5, rows five times as long: forces of the rows are a fifth of those
     in N.
     """
@@ -93,7 +93,7 @@ def _pad(pull: int, extension: Fraction, rubbing: Fraction, description: str) ->
         friction=Fraction(1, 4),
         displacement=[extension * 4 / 5, extension * 3 / 5],
         normal_force=[2400],
-        friction_force=[[rubbing / 5]],
+        friction_force=[[drag / 5]],
         description=description,
         source=HAND,
         formula="mu N = 3000 N; what friction does not hold, over 1000 N/m",

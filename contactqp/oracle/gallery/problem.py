@@ -460,8 +460,8 @@ def stated(
         tie=rows_of(tie),
         tie_value=numbers([0] * len(tie) if tie_value is None else tie_value),
     )
-    rubbing: list[Numbers] = [numbers(row) for row in friction_force]
-    answer = exact_answer(data, numbers(displacement), numbers(normal_force), rubbing, numbers(tie_force))
+    drags: list[Numbers] = [numbers(row) for row in friction_force]
+    answer = exact_answer(data, numbers(displacement), numbers(normal_force), drags, numbers(tie_force))
     names: dict[str, Any] = dict(
         units=dict(zip(("length", "force"), units, strict=True)),
         dof_names=None if unknowns is None else tuple(unknowns),

@@ -130,7 +130,7 @@ class _Touch:
     approach: Fraction  # along the normal, in lengths of the frame
     slip: Numbers  # (d-1,), likewise along the tangents
     pressed: Fraction  # l_N
-    rubbing: Numbers  # (d-1,) l_T
+    drag: Numbers  # (d-1,) l_T
     gap: Fraction
 
     def motion(self, axis: int) -> Fraction:
@@ -160,16 +160,16 @@ def frictional(draw: Draw, difficulty: str) -> Contents:
         for node, touch in enumerate(touches)
     ]
     normal, tangent = tuple(row[0] for row in rows), tuple(row for frame in rows for row in frame[1:])
-    force, rubbing = tuple(touch.pressed for touch in touches), [touch.rubbing for touch in touches]
+    force, drag = tuple(touch.pressed for touch in touches), [touch.drag for touch in touches]
     load = plus(
         times(stiffness, u),
         transposed_times(normal, force, n),
-        transposed_times(tangent, [x for row in rubbing for x in row], n),
+        transposed_times(tangent, [x for row in drag for x in row], n),
     )
     gap = plus(times(normal, u), [touch.gap for touch in touches])
     origin = (Fraction(0),) * len(tangent)
     data = ExactProblem(stiffness, load, normal, gap, tangent, (friction,) * touching, origin)
-    answer = exact_answer(data, tuple(u), force, rubbing)
+    answer = exact_answer(data, tuple(u), force, drag)
     found = ", ".join(sorted(set(answer.contact_status)))
     text = f"A network of springs in {dimension}D on rough obstacles, mu = {friction}: {found}; slip starts at zero."
     return with_uniqueness(data, answer, text, "made for this gallery", FRICTIONAL_CONSTRUCTION, {})
@@ -188,7 +188,7 @@ def _touch(draw: Draw, dimension: int, state: str, friction: Fraction, turned: b
         approach=Fraction(draw.integer(-16, 16), 16),
         slip=tuple(way * x for x in direction),
         pressed=pressed,
-        rubbing=tuple(share * friction * pressed * x / length for x in direction),
+        drag=tuple(share * friction * pressed * x / length for x in direction),
         gap=Fraction(draw.integer(1, 32), 16) if state == "open" else Fraction(0),
     )
 

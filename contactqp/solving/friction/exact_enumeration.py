@@ -392,11 +392,11 @@ class _Members:
 
 def _signs_of_law(state: int, friction: Fraction, force: tuple[Row, Row], gap: Row, slip: Row) -> list[Row]:
     """Return the forms, their constant last, that Coulomb's law keeps from being negative in one state of a contact."""
-    push, rub = force
+    push, drag = force
     if state == OPEN:
         return [gap]
     if state == STICK:
-        return [push, *([friction * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1))]
+        return [push, *([friction * p + s * r for p, r in zip(push, drag, strict=True)] for s in (-1, 1))]
     return [push, *([[state * x for x in slip]] if friction else [])]
 
 
@@ -435,10 +435,10 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
     for states in all_combinations(mu):
         zero, signs = list(joints), list[Row]()
         for i, state in enumerate(states):
-            push, rub, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
+            push, drag, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
             zero += [push if state == OPEN else opens]
-            zero += [slips if state == STICK else rub if state == OPEN else _sum(rub, push, state * mu[i])]
-            signs += _signs_of_law(state, mu[i], (push, rub), opens, slips)
+            zero += [slips if state == STICK else drag if state == OPEN else _sum(drag, push, state * mu[i])]
+            signs += _signs_of_law(state, mu[i], (push, drag), opens, slips)
         found = solutions([_equation(row) for row in zero], 2 * m + p)
         if found is None:
             continue

@@ -114,7 +114,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 
     (the course chapter, eqs 2.43 and 2.45, the latter's sign corrected). It sticks while |beta_T (E_T u - o)| is at
     most mu lambda_N, so that a contact that sticks has moved by lambda_T / beta_T. The tangential spring hangs on a
-    slider that rubs: `slip_origin` o is where the slider is when the step starts, and it ends at
+    slider with friction: `slip_origin` o is where the slider is when the step starts, and it ends at
     E_T u - lambda_T / beta_T (`contactqp.solving.methods.penalty.sliders`), from where a next step goes on.
 
     Options
