@@ -124,6 +124,7 @@ class Bounds:
     scope: str | None = None  # with friction: "global", or "local", the only equilibrium within `radius`
     radius: float | None = None
     by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
+    apart: float | None = None  # |u - U|_K over |U|_K from the solution U that was found, there, if K has factors
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 
@@ -439,8 +440,10 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     )
     for name, what, scale, none, absolute, forgiven in pairs:
         value = getattr(known, name)
-        if value is None or (name == "energy_error" and known.by_energy):
-            continue  # `failed_energy` judges the energy itself
+        if name == "energy_error" and known.by_energy:
+            value = known.apart  # `failed_energy` judges the energy itself
+        if value is None:
+            continue
         if scale > none:
             kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
         else:

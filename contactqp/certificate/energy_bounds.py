@@ -34,7 +34,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.energy_norm import energy_norm
-from contactqp.linalg.convexity import stiffness_factor
+from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
 from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
@@ -80,7 +80,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         K is indefinite.
     """
     twin, scaling = equilibrated(problem)
-    factor = stiffness_factor(problem, known=factors_of_saddle(twin))
+    factor = stiffness_factor(problem, known=factors_of_saddle(twin), least=DEFINITE)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
     scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
@@ -89,8 +89,8 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     state = settled(twin, start, effort)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
-    found = _from_solution(twin, start, state, scaling)
-    if factor is None or found.by_energy or found.force_error is None:
+    found = _from_solution(twin, start, state, scaling, definite=factor is not None)
+    if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
     # K sees all: forces are compared by what the bodies, untied, would feel of their difference, with ties and without.
     change = extend(start.normal_force) - state.answer.normal_force, extend(start.tie_force) - state.answer.tie_force
@@ -105,7 +105,9 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     return replace(found, force_error=error, force_scale=size)
 
 
-def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling) -> Bounds:
+def _from_solution(
+    problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
+) -> Bounds:
     """Return bounds in the units of the problem, from an answer and a solution in those of its equilibrated twin.
 
     Where the contacts that it holds closed conflict by rounding, a vertex solves what is left; that the contacts which
@@ -149,6 +151,8 @@ def _from_solution(problem: ContactProblem, answer: Answer, held: ClosedState, s
         energy_size=size * unit,
         energy_rounding=rounded * unit,
         by_energy=not sees,
+        # A slender body answers a force as a motion does that nothing resists; its factors tell that it has energy.
+        apart=_relative(distance * root, strained * root) if definite and not sees else None,
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
         reasons=() if unique.forces else (f"force_bound: {REDUNDANT}",),
     )

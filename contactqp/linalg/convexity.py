@@ -21,6 +21,8 @@ from contactqp.model.problem import ContactProblem
 CURVED = 1e-12
 # Pivots beneath this part of their diagonal entry are those of a stiffness that is singular to working precision.
 REGULAR = 1e-8
+# Pivots above this part of it are more than the raised diagonal leaves of a motion without energy.
+DEFINITE = 1e-10
 # Unknowns of a direction that a message names.
 NAMED = 6
 # Steps of conjugate gradients that show a negative eigenvalue.
@@ -33,7 +35,7 @@ def refuse_indefinite(problem: ContactProblem) -> None:
 
 
 def stiffness_factor(
-    problem: ContactProblem, wanted: bool = True, known: pardiso.Pardiso | None = None
+    problem: ContactProblem, wanted: bool = True, known: pardiso.Pardiso | None = None, least: float = REGULAR
 ) -> StiffnessFactor | None:
     """Return factors of K if they are wanted, None where K is singular to working precision.
 
@@ -45,6 +47,8 @@ def stiffness_factor(
         Whether the factors are wanted, or only that K is found to be semidefinite.
     known : Pardiso, optional
         Factors of a matrix that may have the entries of K, whose analysis then serves.
+    least : float, optional
+        The pivot, as a part of its diagonal entry, beneath which K counts as singular: from `DEFINITE` on it is not.
 
     Raises
     ------
@@ -58,7 +62,7 @@ def stiffness_factor(
     if not wanted:
         return None
     factor = factor or _factorised(problem, known)
-    return None if factor is None or factor.smallest_pivot < REGULAR else factor
+    return None if factor is None or factor.smallest_pivot < least else factor
 
 
 class StiffnessFactor:

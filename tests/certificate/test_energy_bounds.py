@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.certificate.bounds import failed_errors
 from contactqp.certificate.energy_bounds import REACH, diagonal_dominance, energy_bounds, reach
 from contactqp.model.solution import Answer
 
@@ -165,3 +166,30 @@ def test_an_unknown_that_runs_away_hides_no_penetration() -> None:
     assert not found.passed
     assert found.force_bound is None or found.force_bound[0] >= 1.125 * (1 - 1e-9)
     assert found.energy_error is None or found.energy_error > 1.0
+
+
+@pytest.mark.parametrize("part", [0.0, 1e-8, 3e-6, 1e-5])
+def test_the_displacement_of_a_slender_beam_is_judged_where_its_energy_is(part: float) -> None:
+    """Its factors tell that it is held, though forces move it as far as they move what nothing holds."""
+    count = 500
+    h = 1.0 / count
+    element = 1.0 / h**3 * np.array([
+        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+    ])  # fmt: skip
+    K = np.zeros((2 * count + 2,) * 2)
+    for k in range(count):
+        K[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] += element
+    K, load = K[2:, 2:], np.tile([-h, 0.0], count)
+    stop = np.zeros((1, 2 * count))
+    stop[0, -2] = -1.0
+    problem = cq.ContactProblem(sp.csr_array(K), load, stop, [0.05])
+    solution = cq.solve(problem)
+    x = np.arange(1, count + 1) * h
+    bump = np.column_stack([np.sin(np.pi * x) ** 4, 4 * np.pi * np.sin(np.pi * x) ** 3 * np.cos(np.pi * x)]).ravel()
+    u = solution.displacement
+    u = u + part * np.sqrt(u @ (K @ u) / (bump @ (K @ bump))) * bump
+    known = energy_bounds(problem, Answer(u, solution.normal_force, None, np.zeros(0)))
+    assert known.by_energy
+    assert known.apart == pytest.approx(part, rel=1e-2, abs=1e-8)
+    assert any(failed_errors(known, 1e-6, 0.0)) is (part > 1e-6)
