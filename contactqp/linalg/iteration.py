@@ -70,11 +70,11 @@ def systems_of(problem: ContactProblem) -> Systems:
 def iterated(problem: ContactProblem) -> bool:
     """Return whether a problem is solved and judged without a factorisation.
 
-    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, with more than 300 frictional contacts
-    in space from 10 000. What cannot be iterated on, bodies that float along motions that nobody has stated and methods
-    that work with factors (`factorised`), is left to PARDISO, which refuses what does not fit into memory. SuperLU,
-    which cannot tell, is left bodies that float, up to a size. Always if the variable CONTACTQP_SPARSE_SOLVER says
-    pyamg, never if it names another solver.
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, in space with more than 300
+    frictional contacts from 10 000. What cannot be iterated on, bodies that float along motions that nobody has
+    stated and methods that work with factors (`factorised`), is left to PARDISO, which refuses what does not fit
+    into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the variable
+    CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
