@@ -120,7 +120,7 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
 def _longest_length(problem: DistributedProblem, displacement: Vector, along: bool) -> float:
     """Return the longest of the lengths |g|, |b| and |E||u| of all bodies together [square root of energy]. Collective.
 
-    It is infinite if none is stated; `along` is that of `contactqp.linalg.measures.longest_lengths`.
+    It is infinite if none is stated; `along` is that of `contactqp.linalg.measures`.
     """
     stated = moved = 0.0
     for rows, limit in (one for one in rows_and_limits(problem) if along or one[0] is not problem.tangent):

@@ -185,29 +185,35 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
         return np.asarray(np.maximum(part * of_rows(problem, rows, size), held))
 
-    across, tangent = np.minimum(size, OF_ALL_LENGTHS * longest_lengths(problem, u, along=False)), np.zeros(0)
+    across, tangent = _beside_lengths(problem, u, size, along=False), np.zeros(0)
     if problem.tangent is not None:
-        tangent = lengths(problem.tangent, np.minimum(size, OF_ALL_LENGTHS * longest_lengths(problem, u, along=True)))
+        tangent = lengths(problem.tangent, _beside_lengths(problem, u, size, along=True))
     return Nothing(force, lengths(problem.normal, across), tangent, lengths(problem.tie, across))
 
 
-def longest_lengths(problem: ContactProblem, displacement: Vector, along: bool) -> Vector:
-    """Return the longest of the lengths |g|, |b| and |E||u| in the part of each unknown (n,) [square root of energy].
+def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector, along: bool) -> Vector:
+    """Return sizes S (n,), where larger cut to 1e3 times the longest of |g|, |b| and |E||u| in the part over |E_i D|.
 
-    Those `along` contacts count with their slip origins only where asked for: what slides far may lie close. It is
-    infinite in parts where no length is stated.
+    Lengths `along` contacts count, with their slip origins, only where asked for: what slides far may lie close. Sizes
+    stay as they are in parts where no length is stated.
     """
     part = parts(problem)
-    stated, moved = np.zeros((2, int(part.max(initial=-1)) + 1))
-    for rows, limit in rows_and_limits(problem):
-        if not limit.size or (rows is problem.tangent and not along):
-            continue
+    longest = np.zeros(int(part.max(initial=-1)) + 1)
+    rows_here = [one for one in rows_and_limits(problem) if one[1].size and (along or one[0] is not problem.tangent)]
+    for rows, limit in rows_here:
+        _raise_to(longest, part, row_sizes(problem, rows), np.where(np.isfinite(limit), abs(limit), 0.0))
+    cut = (longest > 0)[part] & (size > OF_ALL_LENGTHS * longest[part])
+    if not cut.any():
+        return size
+    for rows, _ in rows_here:
         of_row = row_sizes(problem, rows)
-        for largest, length in ((stated, abs(limit)), (moved, of_row.lengths(abs(displacement)))):
-            finite = np.where(np.isfinite(length), length, 0.0)
-            size = in_energy(finite, of_row.compliance)[of_row.touching]
-            np.maximum.at(largest, part[of_row.first], size)
-    return np.asarray(np.where(stated > 0, np.maximum(stated, moved), np.inf)[part])
+        _raise_to(longest, part, of_row, of_row.lengths(abs(displacement)))
+    return np.where(cut, np.minimum(size, OF_ALL_LENGTHS * longest[part]), size)
+
+
+def _raise_to(largest: Vector, part: NDArray[np.intp], of_row: RowSizes, length: Vector) -> None:
+    """Raise the largest length of each part to those of rows (r,), in the root of energy."""
+    np.maximum.at(largest, part[of_row.first], in_energy(length, of_row.compliance)[of_row.touching])
 
 
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
