@@ -237,7 +237,7 @@ def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
 
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
     """Raise NoEquilibrium if no displacement satisfies E u <= g, A u = b; the message names rows that conflict."""
-    _refuse(problem, conflict(problem, condensation))
+    refuse_proven(problem, conflict(problem, condensation))
 
 
 def refuse_sparse_conflict(problem: ContactProblem) -> None:
@@ -246,10 +246,11 @@ def refuse_sparse_conflict(problem: ContactProblem) -> None:
     twin, scaling = equilibrated(problem)
     lengths = float(np.max(abs(np.concatenate([np.minimum(twin.gap, 0.0), twin.tie_value])), initial=0.0))
     least = lengths * scaling.length * np.concatenate([scaling.contacts, scaling.ties])
-    _refuse(problem, _conflict(problem, rows, scaling.unknowns, least))
+    refuse_proven(problem, _conflict(problem, rows, scaling.unknowns, least))
 
 
-def _refuse(problem: ContactProblem, found: Conflict | None) -> None:
+def refuse_proven(problem: ContactProblem, found: Conflict | None) -> None:
+    """Raise NoEquilibrium with a conflict, if there is one; the message names its rows."""
     if found is None:
         return
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
@@ -327,7 +328,7 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
     """
     from scipy.optimize import linprog
 
-    twin, scaling = equilibrated(problem)
+    twin, _ = equilibrated(problem)
     soft = np.flatnonzero(np.diff(twin.stiffness_rows.indptr) == 0)
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
     held = held[np.flatnonzero(np.diff(held.indptr))]
@@ -343,14 +344,27 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
     )
     if answer.x is None or not soft.size:
         return
-    found_motion: Vector = np.asarray(answer.x, dtype=float)
-    z: Vector = np.where(abs(found_motion) > DRIVEN, found_motion, 0.0)
+    refuse_drive_along(problem, np.asarray(answer.x, dtype=float))
+
+
+def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool = False) -> None:
+    """Raise NoEquilibrium if a motion near this one (n,), of scaled unknowns, is driven and nothing resists it.
+
+    With `strictly` K z is zero to the last digit: along smooth motions of long chains a regular K resists no more than
+    by rounding of its entries.
+    """
+    twin, scaling = equilibrated(problem)
+    held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
+    held = held[np.flatnonzero(np.diff(held.indptr))]
+    z: Vector = np.where(abs(motion) > DRIVEN * np.max(abs(motion), initial=0.0), motion, 0.0)
     z = _projected(twin, held, z)
     least = DRIVEN * float(np.max(abs(twin.load)))
     for motion in (np.round(z), z):  # whole numbers are exact, where they will do
         work = float(extend(twin.load).dot(extend(motion)))
         rounding = ROUNDING * float(abs(twin.load) @ abs(motion))
-        if work > max(rounding, least) and _unresisted_exactly(twin, held, motion):
+        if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
+            continue
+        if not (strictly and np.any((SparseRows(twin.stiffness_rows) @ extend(motion)).double())):
             _refuse_drive(problem, scaling, motion, work, rounding)
 
 

@@ -25,7 +25,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
+from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.existence import (
+    DRIVEN,
+    NO_PART,
+    PROJECTIONS,
+    ROUNDING,
+    Conflict,
+    refuse_drive_along,
+    refuse_proven,
+)
+from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.sparse_saddle import (
@@ -37,9 +47,9 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, Candidate
 
 # Forces of a linear program beneath this part of what they carry are none.
 CARRIES = 1e-9
@@ -213,6 +223,8 @@ def _solved(cost: Vector, **constraints: Any) -> Any:
     return found if found.x is not None and found.status == 0 else None
 
 
+# Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
+NEARLY = 1e-5
 # A backend's displacement is taken to be off by this part of its size.
 BACKEND_IS_OFF = 1e-9
 # Added to the diagonal of the matrix of a step; refinement in double precision takes it back.
@@ -412,3 +424,100 @@ def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Call
         return u, l, nu
 
     return refined
+
+
+def refuse_ray(problem: ContactProblem, diverged: Candidate) -> None:
+    """Raise NoEquilibrium where an answer that a backend does not call solved is a ray that proves it.
+
+    Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements
+    along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
+    unknowns first, and the rest is formed in extended precision.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    diverged : Candidate
+        In the units of the problem's equilibrated twin.
+    """
+    if not diverged.finite:
+        return
+    twin, scaling = equilibrated(problem)
+    weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)
+    if weights is not None:
+        normal, tie = weights[: problem.contacts] / scaling.contacts, weights[problem.contacts :] / scaling.ties
+        refuse_proven(problem, _checked(problem, scaling.unknowns, normal, tie))
+    largest = float(np.max(abs(diverged.displacement), initial=0.0))
+    if largest > 0:
+        motion = diverged.displacement / largest
+        if twin.load @ motion > DRIVEN * (abs(twin.load) @ abs(motion)) and _rests(twin, motion):
+            refuse_drive_along(problem, motion, strictly=True)
+
+
+def _rests(problem: ContactProblem, motion: Vector) -> bool:
+    """Return whether nothing resists a motion by more than a backend's tolerance could hide."""
+    felt = (abs(problem.stiffness_rows @ motion), np.maximum(problem.normal @ motion, 0.0), abs(problem.tie @ motion))
+    return all(float(np.max(part, initial=0.0)) <= NEARLY for part in felt)
+
+
+def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | None:
+    """Return weights (m + k,) near these with which the rows nearly cancel and overlap; None where they do not."""
+    limit = np.concatenate([problem.gap, problem.tie_value])
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    weights = np.concatenate([normal, tie])
+    size = float(np.max(abs(weights), initial=0.0))
+    if not size > 0:
+        return None
+    weights = np.where(abs(weights) > NO_PART * size, weights / size, 0.0)
+    if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
+        return None
+    from scipy.sparse.linalg import lsqr
+
+    across, bounds = SparseRows(rows.T.tocsr()), _nearest_bounds(problem)
+    for _ in range(PROJECTIONS):
+        left = (across @ extend(weights)).double()
+        taken = np.where(left > 0, bounds[0], bounds[1])
+        open_ones = np.flatnonzero((left != 0) & (taken < 0))
+        if not open_ones.size:
+            break
+        part = sp.csr_matrix(sp.diags(abs(weights)) @ rows[:, open_ones])
+        weights = weights * (1.0 - np.sign(weights) * lsqr(part.T, left[open_ones], atol=1e-16, btol=1e-16)[0])
+    left = (across @ extend(weights)).double()
+    taken = np.where(left > 0, bounds[0], bounds[1])
+    on = np.flatnonzero((left != 0) & (taken >= 0))
+    entries = abs(problem.normal.data[problem.normal.indptr[taken[on]]])
+    np.add.at(weights, taken[on], abs(left[on]) / entries)
+    return None if np.any(weights[: problem.contacts] < 0) else weights
+
+
+def _nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
+    """Return the contacts that alone bound each unknown from below and from above most closely (n,), -1 for none."""
+    rows = problem.normal
+    single = np.flatnonzero((np.diff(rows.indptr) == 1) & np.isfinite(problem.gap))
+    unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
+    value, found = problem.gap[single] / entry, np.full((2, problem.dimension), -1, dtype=np.intp)
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        of_side = np.flatnonzero(sign * entry > 0)
+        of_side = of_side[np.argsort(-sign * value[of_side], kind="stable")]  # the nearest is written last
+        found[side][unknown[of_side]] = single[of_side]
+    return found[0], found[1]
+
+
+def _checked(problem: ContactProblem, scale: Vector, normal: Vector, tie: Vector) -> Conflict | None:
+    """Return weights as a conflict if their rows cancel to the rounding of entries and overlap by more than that.
+
+    Lengths are looked for within FARTHEST times the largest that is imposed; scale (n,) is that of unknowns.
+    """
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    limit, weights = np.concatenate([problem.gap, problem.tie_value]), np.concatenate([normal, tie])
+    weights = weights / np.max(abs(weights))
+    limit = np.where(weights != 0, limit, 0.0)
+    across, size = rows.T.tocsr(), abs(rows).T @ abs(weights)
+    left = abs((SparseRows(across) @ extend(weights)).double())
+    if np.any(left > ROUNDING * size):
+        return None
+    imposed = np.divide(abs(limit), abs(rows) @ scale, out=np.zeros(len(limit)), where=weights != 0)
+    farthest = FARTHEST * scale * float(np.max(imposed, initial=0.0))
+    excess = -float(extend(limit).dot(extend(weights)))
+    rounding = ROUNDING * float(abs(weights) @ abs(limit) + size @ farthest)
+    cut = problem.contacts
+    return Conflict(weights[:cut], weights[cut:], excess, rounding, exact=False) if excess > rounding else None

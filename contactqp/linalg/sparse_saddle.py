@@ -66,8 +66,9 @@ ALMOST_FREE = 1e-3
 BALANCED = 1e-20
 # Forces that miss balance by more than this part of those that meet are no residue of a backend's tolerance.
 NEARLY_BALANCED = 1e-7
-# Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up.
-WASTED = 25
+# Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up; and where more than
+# FEW_WRONG of them are, before another backend is asked, whose answer may be nearer.
+WASTED, WASTED_AT_FIRST, FEW_WRONG = 25, 6, 10
 # Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
 # approach that is none.
 BLOCKING, STANDS_STILL = 50, 1e-9
@@ -227,10 +228,16 @@ def factorised(
 
 @dataclass
 class Effort:
-    """The number of factorisations and back-substitutions of saddle points so far."""
+    """The number of factorisations and back-substitutions of saddle points so far, and what they may be spent on.
+
+    `wasted` is how many changes of the closed contacts may leave no fewer of them wrong; `cut` says that one more was
+    not made.
+    """
 
     factorisations: int = 0
     back_substitutions: int = 0
+    wasted: int = WASTED
+    cut: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,7 +448,8 @@ def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
         pulled, penetrated = state.pulled, state.penetrated
         wrong = int(np.sum(pulled) + np.sum(penetrated))
         wasted = 0 if wrong < fewest else wasted + 1
-        if wasted > WASTED:
+        if wasted > (WASTED if wrong <= FEW_WRONG else effort.wasted):
+            effort.cut = wasted <= WASTED
             break
         fewest = min(fewest, wrong)
         after = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)

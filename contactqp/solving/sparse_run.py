@@ -18,13 +18,13 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
-from contactqp.linalg.interior_point import solved_from
+from contactqp.linalg.interior_point import refuse_ray, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import BALANCED, ClosedState, Effort, uniqueness
+from contactqp.linalg.sparse_saddle import BALANCED, WASTED, WASTED_AT_FIRST, ClosedState, Effort, uniqueness
 from contactqp.model.arrays import on_one_thread
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
@@ -54,7 +54,8 @@ class SparseRun(Run):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
         super().__init__(problem, method)
-        self._effort = Effort()
+        self._effort = Effort(wasted=WASTED_AT_FIRST)
+        self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
         self._twin, self._scaling = equilibrated(problem)
         self._state: ClosedState | None = None
         if not in_range(self._twin):
@@ -69,7 +70,8 @@ class SparseRun(Run):
     def _identified(self, settings: Settings) -> Candidate:
         """Return the answer of the first backend whose closed contacts lead to a solution in the last digits.
 
-        Where none does, it is that of the backend with the least residuals.
+        Where none does, it is that of the backend with the least residuals. Where many changes of the set lead from
+        one answer to no solution, the next is asked for first.
         """
         tried: list[str] = []
         if not self.problem.contacts:
@@ -78,13 +80,18 @@ class SparseRun(Run):
         failed: list[Candidate] = []
         for found in self._candidates(settings, tried):
             before = self._state
+            if not found.claimed:
+                refuse_ray(self.problem, self._scaling.scale(found))
             state = self._settle(found)
             if state.holds and (before is None or state.residual < before.residual):
                 best = found
             else:
                 self._state = before
-                failed.append(found)
-                tried.append(found.status)
+                if self._effort.cut:
+                    self._waiting.append(found)
+                if found not in failed:
+                    failed.append(found)
+                    tried.append(found.status)
             if self._state is not None and self._state.force_residual <= BALANCED:
                 break
         if best is None:
@@ -111,6 +118,9 @@ class SparseRun(Run):
             else:
                 yield self._scaling.unscale(found) if scaled else found
         if self._state is None:
+            self._effort.wasted, waiting = WASTED, tuple(self._waiting)
+            yield from waiting
+        if self._state is None:
             try:
                 yield find(LAST).solve(self.problem, Settings(1e-9, None, settings.time_limit or LONGEST, None, {}))
             except (BackendFailed, BackendMissing, Unsupported) as error:
@@ -129,6 +139,7 @@ class SparseRun(Run):
     def _settle(self, candidate: Candidate, driven: bool = False) -> ClosedState:
         """Return the state that a candidate leads to (`solved_from`); it is kept if it solves the problem."""
         tell("sparse systems settle the closed contacts")
+        self._effort.cut = False
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
         state = solved_from(self._twin, answer, self._effort, driven)

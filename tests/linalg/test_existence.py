@@ -8,9 +8,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import existence
 from contactqp.linalg.existence import Conflict, DrivenMotion
+from contactqp.linalg.interior_point import refuse_ray
+from contactqp.model.solution import Candidate
 
 METHODS = ("active-set", "lemke", "daqp", "clarabel", "lagrange-multiplier")
 BAR = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -227,3 +231,58 @@ def test_an_overlap_is_said_as_a_length() -> None:
     walls = cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [0.5, -0.55], units={"length": "mm", "force": "N"})
     with pytest.raises(cq.NoEquilibrium, match=r"contact 0, contact 1 \(weighted, they overlap by 0.05 mm, rounding"):
         cq.solve(walls)
+
+
+def held_grid(side: int, flux: float) -> cq.ContactProblem:
+    """A grid whose values lie between 0 and 10, all their second differences zero, with this slope at the border."""
+    chain = sp.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(side, side)).tolil()
+    chain[0, 0] = chain[-1, -1] = -1.0
+    one, size = sp.identity(side), side * side
+    ends = np.zeros(side)
+    ends[0] = ends[-1] = 1.0
+    value = flux * (np.kron(ends, np.ones(side)) + np.kron(np.ones(side), ends))
+    both = sp.vstack([sp.identity(size), -sp.identity(size)], format="csr")
+    gap = np.concatenate([np.full(size, 10.0), np.zeros(size)])
+    tie = sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one))
+    return cq.ContactProblem(sp.identity(size, format="csr"), np.ones(size), both, gap, tie=tie, tie_value=value)
+
+
+def test_forces_that_diverge_prove_a_conflict_without_a_linear_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A linear program took a minute of these constraints, of which an interior point's forces are the proof."""
+    monkeypatch.setattr(existence, "_least_excess", None)
+    problem = held_grid(12, 1.0)
+    with pytest.raises(cq.NoEquilibrium, match="no displacement satisfies") as error:
+        cq.solve(problem, condense=False)
+    proof = error.value.proof
+    assert isinstance(proof, Conflict)
+    assert_conflict(problem, proof)
+    assert cq.solve(held_grid(12, 0.0), condense=False).certificate.proven
+
+
+def test_a_displacement_that_diverges_proves_a_drive_without_a_linear_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scipy.optimize.linprog", None)
+    size = 60
+    K = sp.diags([1.0] * size + [0.0] * size, format="csr")
+    tie = sp.csr_matrix(np.hstack([np.zeros((size - 1, size)), np.diff(np.eye(size), axis=0)]))
+    load = np.concatenate([np.ones(size), np.full(size, 0.25)])
+    below = sp.hstack([sp.csr_matrix((size, size)), -sp.identity(size)], format="csr")
+    with pytest.raises(cq.NoEquilibrium, match="energy falls for ever") as error:
+        cq.solve(cq.ContactProblem(K, load, below, np.zeros(size), tie=tie), condense=False)
+    proof = error.value.proof
+    assert isinstance(proof, DrivenMotion)
+    assert np.all(tie @ proof.motion == 0)
+    assert np.all(below @ proof.motion <= 0)
+    assert np.all(K @ proof.motion == 0)
+    assert load @ proof.motion > 0
+
+
+def test_a_smooth_motion_of_a_long_chain_is_no_proof() -> None:
+    """A beam of ten thousand differences resists it by less than rounding of its entries, and holds all the same."""
+    size = 10_000
+    second = sp.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(size, size))
+    K = sp.csr_matrix(second.T @ second)
+    smooth = np.sin(np.pi * (np.arange(size) + 1) / (size + 1))
+    assert np.max(abs(K @ smooth)) < 1e-14
+    problem = cq.ContactProblem(K, np.ones(size), -sp.identity(size, format="csr"), np.ones(size))
+    diverged = Candidate(1e20 * smooth, np.zeros(size), np.zeros(0), claimed=False)
+    refuse_ray(problem, diverged)
