@@ -35,7 +35,14 @@ import scipy.sparse as sp
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.energy_norm import energy_norm
 from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
-from contactqp.linalg.equilibration import Scaling, equilibrated, in_range, least_length, mostly_bare
+from contactqp.linalg.equilibration import (
+    Scaling,
+    bounds_of_unknowns,
+    equilibrated,
+    in_range,
+    least_length,
+    mostly_bare,
+)
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import MET_TOGETHER, settled, without_conflict
@@ -43,7 +50,6 @@ from contactqp.linalg.measures import row_sizes
 from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
-    bounds_of_unknowns,
     factors_of_saddle,
     rows_alone,
     uniqueness,

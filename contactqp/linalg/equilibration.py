@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
-from contactqp.model.arrays import Array, Index, Mask, Vector
+from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
@@ -396,3 +396,28 @@ def _unit_rows(rows: Any, D: Array) -> tuple[Any, Array]:
     scaled = sp.csr_array(rows @ sp.diags(D))
     length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
     return sp.csr_array(sp.diags(1.0 / length) @ scaled), length
+
+
+def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
+    """Return the least and the largest value (n,) that contacts and ties of one unknown alone leave each [length]."""
+    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
+    for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
+        single = np.flatnonzero(np.diff(rows.indptr) == 1)
+        unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
+        value = limit[single] / entry
+        np.minimum.at(upper, unknown[(entry > 0) | both], value[(entry > 0) | both])
+        np.maximum.at(lower, unknown[(entry < 0) | both], value[(entry < 0) | both])
+    return lower, upper
+
+
+def nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
+    """Return the contacts that alone bound each unknown from below and from above most closely (n,), -1 for none."""
+    rows = problem.normal
+    single = np.flatnonzero((np.diff(rows.indptr) == 1) & np.isfinite(problem.gap))
+    unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
+    value, found = problem.gap[single] / entry, np.full((2, problem.dimension), -1, dtype=np.intp)
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        of_side = np.flatnonzero(sign * entry > 0)
+        of_side = of_side[np.argsort(-sign * value[of_side], kind="stable")]  # the nearest is written last
+        found[side][unknown[of_side]] = single[of_side]
+    return found[0], found[1]

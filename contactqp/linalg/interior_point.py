@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.equilibration import equilibrated, nearest_bounds
 from contactqp.linalg.existence import (
     DRIVEN,
     NO_PART,
@@ -47,7 +47,7 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 
@@ -59,6 +59,8 @@ MET_TOGETHER = 1e-20
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
 SECONDS = 20.0
+# HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
+HIGHEST_COST = 1e9
 # Forces of so many times what is unbalanced stay; and how often what remains is balanced anew.
 LARGE_FORCE, ROUNDS = 1e6, 6
 
@@ -185,9 +187,9 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
     farthest = np.minimum(FARTHEST, yields)
     found = _solved(
         cost,
-        **_given("ub", problem.normal[others], gap[others]),
-        **_given("eq", equal, np.concatenate([gap[kept], state.left.tie.double() / length])),
-        bounds=np.column_stack([-farthest, farthest]),
+        **_given("ub", problem.normal[others], _felt(gap[others])),
+        **_given("eq", equal, _felt(np.concatenate([gap[kept], state.left.tie.double() / length]))),
+        bounds=np.column_stack([-_felt(farthest), _felt(farthest)]),
     )
     if found is None:
         return None
@@ -211,10 +213,17 @@ def _given(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
     return {f"A_{kind}": rows, f"b_{kind}": limits} if rows.shape[0] else {}
 
 
+def _felt(limits: Vector) -> Vector:
+    """Return limits of a linear program without those beneath its tolerance, which may make it infeasible."""
+    return np.where(abs(limits) > CARRIES, limits, 0.0)
+
+
 def _solved(cost: Vector, **constraints: Any) -> Any:
-    """Solve a linear program by the simplex method; None where it fails or returns a number that is not finite."""
+    """Solve a linear program by the simplex method; None where it fails, or costs are beyond what it stands."""
     from scipy.optimize import linprog
 
+    if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
+        return None
     options = {"time_limit": SECONDS, "primal_feasibility_tolerance": CARRIES, "dual_feasibility_tolerance": CARRIES}
     try:
         found = linprog(cost, method="highs-ds", options=options, **constraints)
@@ -472,7 +481,7 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
         return None
     from scipy.sparse.linalg import lsqr
 
-    across, bounds = SparseRows(rows.T.tocsr()), _nearest_bounds(problem)
+    across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
     for _ in range(PROJECTIONS):
         left = (across @ extend(weights)).double()
         taken = np.where(left > 0, bounds[0], bounds[1])
@@ -487,19 +496,6 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
     entries = abs(problem.normal.data[problem.normal.indptr[taken[on]]])
     np.add.at(weights, taken[on], abs(left[on]) / entries)
     return None if np.any(weights[: problem.contacts] < 0) else weights
-
-
-def _nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
-    """Return the contacts that alone bound each unknown from below and from above most closely (n,), -1 for none."""
-    rows = problem.normal
-    single = np.flatnonzero((np.diff(rows.indptr) == 1) & np.isfinite(problem.gap))
-    unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
-    value, found = problem.gap[single] / entry, np.full((2, problem.dimension), -1, dtype=np.intp)
-    for side, sign in ((0, -1.0), (1, 1.0)):
-        of_side = np.flatnonzero(sign * entry > 0)
-        of_side = of_side[np.argsort(-sign * value[of_side], kind="stable")]  # the nearest is written last
-        found[side][unknown[of_side]] = single[of_side]
-    return found[0], found[1]
 
 
 def _checked(problem: ContactProblem, scale: Vector, normal: Vector, tie: Vector) -> Conflict | None:

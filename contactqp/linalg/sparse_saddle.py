@@ -69,6 +69,8 @@ NEARLY_BALANCED = 1e-7
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up; and where more than
 # FEW_WRONG of them are, before another backend is asked, whose answer may be nearer.
 WASTED, WASTED_AT_FIRST, FEW_WRONG = 25, 6, 10
+# Factorisations from the answer of one backend before another is asked.
+SYSTEMS_AT_FIRST = 150
 # Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
 # approach that is none.
 BLOCKING, STANDS_STILL = 50, 1e-9
@@ -176,18 +178,6 @@ def rows_alone(rows: Any) -> tuple[Indices, Indices]:
     return single[alone], unknown[alone].astype(np.intp)
 
 
-def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
-    """Return the least and the largest value (n,) that contacts and ties of one unknown alone leave each [length]."""
-    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
-    for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
-        single = np.flatnonzero(np.diff(rows.indptr) == 1)
-        unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
-        value = limit[single] / entry
-        np.minimum.at(upper, unknown[(entry > 0) | both], value[(entry > 0) | both])
-        np.maximum.at(lower, unknown[(entry < 0) | both], value[(entry < 0) | both])
-    return lower, upper
-
-
 def factorised(
     matrix: Any, kind: int, order: pardiso.EliminationOrder, unknowns: Indices
 ) -> Callable[[Vector], Vector]:
@@ -230,14 +220,21 @@ def factorised(
 class Effort:
     """The number of factorisations and back-substitutions of saddle points so far, and what they may be spent on.
 
-    `wasted` is how many changes of the closed contacts may leave no fewer of them wrong; `cut` says that one more was
-    not made.
+    `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
+    after which no more are made; `cut` says that one was not made for either reason.
     """
 
     factorisations: int = 0
     back_substitutions: int = 0
     wasted: int = WASTED
+    most: float = np.inf
     cut: bool = False
+
+    @property
+    def spent(self) -> bool:
+        """Whether all factorisations are spent that may be; `cut` says so afterwards."""
+        self.cut |= (spent := self.factorisations >= self.most)
+        return spent
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +353,9 @@ class ClosedState:
 
 
 def _part(value: float, size: float) -> float:
-    return value / size if size > 0 else (np.inf if value > 0 else 0.0)
+    if value == 0 and size == size:
+        return 0.0
+    return value / size if value < np.inf and size > 0 else np.inf  # NaN is no residual of a solution
 
 
 def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
@@ -449,7 +448,9 @@ def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
         wrong = int(np.sum(pulled) + np.sum(penetrated))
         wasted = 0 if wrong < fewest else wasted + 1
         if wasted > (WASTED if wrong <= FEW_WRONG else effort.wasted):
-            effort.cut = wasted <= WASTED
+            effort.cut |= wasted <= WASTED
+            break
+        if effort.spent:
             break
         fewest = min(fewest, wrong)
         after = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
@@ -466,7 +467,7 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
     """
     problem, gap = start.problem, np.maximum(start.left.gap.double(), 0.0)
     for _ in range(BLOCKING):
-        if driven.force_residual <= BALANCED:
+        if driven.force_residual <= BALANCED or effort.spent:
             break
         refuse_late("contacts close that a driven motion reaches")
         force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))

@@ -32,10 +32,10 @@ from contactqp.certificate.figures import contact_status
 from contactqp.certificate.subset_bounds import among, candidates_around, first_candidates, take_all, widened
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.equilibration import bounds_of_unknowns
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.runtime import tell
-from contactqp.linalg.sparse_saddle import bounds_of_unknowns
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work

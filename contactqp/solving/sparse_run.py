@@ -24,7 +24,15 @@ from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import BALANCED, WASTED, WASTED_AT_FIRST, ClosedState, Effort, uniqueness
+from contactqp.linalg.sparse_saddle import (
+    BALANCED,
+    SYSTEMS_AT_FIRST,
+    WASTED,
+    WASTED_AT_FIRST,
+    ClosedState,
+    Effort,
+    uniqueness,
+)
 from contactqp.model.arrays import on_one_thread
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
@@ -139,7 +147,8 @@ class SparseRun(Run):
     def _settle(self, candidate: Candidate, driven: bool = False) -> ClosedState:
         """Return the state that a candidate leads to (`solved_from`); it is kept if it solves the problem."""
         tell("sparse systems settle the closed contacts")
-        self._effort.cut = False
+        hasty = self._effort.wasted < WASTED
+        self._effort.cut, self._effort.most = False, self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
         state = solved_from(self._twin, answer, self._effort, driven)

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import sparse_saddle
+from contactqp.linalg import interior_point, sparse_saddle
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.interior_point import MET_TOGETHER, without_conflict
@@ -165,3 +165,27 @@ def test_a_limit_of_time_ends_the_search_for_what_closes(monkeypatch: pytest.Mon
     monkeypatch.setattr(sparse_saddle, "refuse_late", late)
     with pytest.raises(cq.NotConverged, match="before contacts close that a driven motion reaches"):
         reached(in_one_unknown(1.0, [3.0, 1.0, 2.0]), [0], driven=False)
+
+
+def test_costs_beyond_what_the_simplex_method_stands_are_not_given_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """HiGHS frees memory twice on them, and the process ends."""
+    monkeypatch.setattr("scipy.optimize.linprog", None)
+    assert interior_point._solved(np.array([1e12, 1.0]), bounds=(-1, 1)) is None
+
+
+def convex_sequence(size: int) -> cq.ContactProblem:
+    """The convex sequence nearest to a sine (YAO of Maros and Meszaros): nearly every second difference is zero."""
+    second = sp.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size, size + 2), format="csr")
+    first = sp.csr_matrix(([-1.0], ([0], [0])), shape=(1, size + 2))
+    rows, gap = sp.vstack([-second, first], format="csr"), np.append(np.zeros(size), -0.08)
+    tie = sp.csr_matrix((np.ones(2), ([0, 1], [size, size + 1])), shape=(2, size + 2))
+    load = np.round(np.sin(np.arange(1, size + 3) / (size + 2)), 6)
+    return cq.ContactProblem(sp.identity(size + 2, format="csr"), load, rows, gap, tie=tie, tie_value=np.zeros(2))
+
+
+@pytest.mark.slow
+def test_where_changes_of_the_set_lead_nowhere_another_backend_is_asked() -> None:
+    """Two hundred changes of the closed contacts had come to nothing before PIQP's answer was a solution at once."""
+    solution = cq.solve(convex_sequence(2000))
+    assert solution.certificate.proven
+    assert solution.work.factorisations < 250

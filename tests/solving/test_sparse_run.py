@@ -465,3 +465,15 @@ def test_slender_bodies_with_many_contacts_are_condensed_where_sparse_systems_kn
     assert solution.certificate.proven
     assert solution.work.routes[-1] == "condensed: its answer is certified"
     assert np.allclose(solution.normal_force, cq.solve(problem, condense=True).normal_force, rtol=1e-5, atol=1e-9)
+
+
+def test_numbers_that_are_none_solve_nothing() -> None:
+    """A state of NaN had residuals of zero, and was returned as the solution."""
+    problem = membrane(4, 0.03)
+    closed, nothing = np.ones(16, dtype=bool), np.zeros(16)
+    for u, force in ((np.full(16, np.nan), nothing), (nothing, np.full(16, np.nan)), (np.full(16, np.inf), nothing)):
+        answer = extended.ExtendedAnswer(*(extended.extend(part) for part in (u, force, np.zeros(0))))
+        with np.errstate(all="ignore"):
+            state = sparse_saddle.ClosedState.of(problem, closed, answer)
+        assert not state.solved
+        assert not state.holds
