@@ -42,6 +42,7 @@ from contactqp.linalg.equilibration import (
     in_range,
     least_length,
     mostly_bare,
+    rows_alone,
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
@@ -51,7 +52,6 @@ from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
     factors_of_saddle,
-    rows_alone,
     uniqueness,
 )
 from contactqp.model.arrays import Vector

@@ -421,3 +421,12 @@ def nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
         of_side = of_side[np.argsort(-sign * value[of_side], kind="stable")]  # the nearest is written last
         found[side][unknown[of_side]] = single[of_side]
     return found[0], found[1]
+
+
+def rows_alone(rows: Any) -> tuple[Indices, Indices]:
+    """Return the rows that have one entry and an unknown for themselves, and these unknowns."""
+    single = np.flatnonzero(np.diff(rows.indptr) == 1)
+    single = single[rows.data[rows.indptr[single]] != 0]
+    unknown = rows.indices[rows.indptr[single]]
+    alone = np.bincount(unknown, minlength=rows.shape[1])[unknown] == 1
+    return single[alone], unknown[alone].astype(np.intp)

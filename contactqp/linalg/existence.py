@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, IDLE
-from contactqp.linalg.equilibration import Scaling, equilibrated, unknown_scale
+from contactqp.linalg.equilibration import equilibrated, unknown_scale
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import RigidMotions, right_singular
@@ -49,6 +49,8 @@ PROJECTIONS = 2
 NO_PART = 1e-9
 # Rounding of a length and of the sums behind it, relative to the lengths that meet; of a weighted sum of rows likewise.
 ROUNDING = 8 * np.finfo(float).eps
+# Solutions are looked for within so many times the lengths that are imposed, beside a conflict found without one.
+SOUGHT = 1e3
 # A conflict of more constraints than this is not solved for in rational numbers: its weights are looked for among
 # ratios of whole numbers up to LARGEST_DENOMINATOR, which what a linear program leaves of them determines.
 MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
@@ -365,18 +367,11 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
         if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
             continue
         if not (strictly and np.any((SparseRows(twin.stiffness_rows) @ extend(motion)).double())):
-            _refuse_drive(problem, scaling, motion, work, rounding)
-
-
-def _refuse_drive(problem: ContactProblem, scaling: Scaling, motion: Vector, work: float, rounding: float) -> None:
-    moved = scaling.unknowns * motion
-    largest = float(np.max(abs(moved)))
-    found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
-    raise NoEquilibrium(
-        f"the load drives a motion that nothing resists, and the energy falls for ever: "
-        f"{describe_motion(problem, found.motion)}",
-        found,
-    )
+            moved = scaling.unknowns * motion
+            largest = float(np.max(abs(moved)))
+            found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
+            said = f"energy falls for ever: {describe_motion(problem, found.motion)}"
+            raise NoEquilibrium(f"the load drives a motion that nothing resists, and the {said}", found)
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
@@ -477,3 +472,23 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
         if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):
             return False
     return True
+
+
+def conflict_of(problem: ContactProblem, scale: Vector, weights: Vector) -> Conflict | None:
+    """Return weights (m + k,) as a conflict if rows cancel to the rounding of entries and overlap by more than that.
+
+    Solutions are looked for within SOUGHT times the largest imposed length; scale (n,) is that of unknowns.
+    """
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    limit, weights = np.concatenate([problem.gap, problem.tie_value]), weights / np.max(abs(weights))
+    limit = np.where(weights != 0, limit, 0.0)
+    across, size = rows.T.tocsr(), abs(rows).T @ abs(weights)
+    left = abs((SparseRows(across) @ extend(weights)).double())
+    if np.any(left > ROUNDING * size):
+        return None
+    imposed = np.divide(abs(limit), abs(rows) @ scale, out=np.zeros(len(limit)), where=weights != 0)
+    farthest = SOUGHT * scale * float(np.max(imposed, initial=0.0))
+    excess = -float(extend(limit).dot(extend(weights)))
+    rounding = ROUNDING * float(abs(weights) @ abs(limit) + size @ farthest)
+    cut = problem.contacts
+    return Conflict(weights[:cut], weights[cut:], excess, rounding, exact=False) if excess > rounding else None

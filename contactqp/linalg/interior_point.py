@@ -30,8 +30,7 @@ from contactqp.linalg.existence import (
     DRIVEN,
     NO_PART,
     PROJECTIONS,
-    ROUNDING,
-    Conflict,
+    conflict_of,
     refuse_drive_along,
     refuse_proven,
 )
@@ -440,21 +439,15 @@ def refuse_ray(problem: ContactProblem, diverged: Candidate) -> None:
 
     Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements
     along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
-    unknowns first, and the rest is formed in extended precision.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    diverged : Candidate
-        In the units of the problem's equilibrated twin.
+    unknowns first, and the rest is formed in extended precision. `diverged` is in the units of the equilibrated twin.
     """
     if not diverged.finite:
         return
     twin, scaling = equilibrated(problem)
     weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)
     if weights is not None:
-        normal, tie = weights[: problem.contacts] / scaling.contacts, weights[problem.contacts :] / scaling.ties
-        refuse_proven(problem, _checked(problem, scaling.unknowns, normal, tie))
+        units = np.concatenate([scaling.contacts, scaling.ties])
+        refuse_proven(problem, conflict_of(problem, scaling.unknowns, weights / units))
     largest = float(np.max(abs(diverged.displacement), initial=0.0))
     if largest > 0:
         motion = diverged.displacement / largest
@@ -496,24 +489,3 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
     entries = abs(problem.normal.data[problem.normal.indptr[taken[on]]])
     np.add.at(weights, taken[on], abs(left[on]) / entries)
     return None if np.any(weights[: problem.contacts] < 0) else weights
-
-
-def _checked(problem: ContactProblem, scale: Vector, normal: Vector, tie: Vector) -> Conflict | None:
-    """Return weights as a conflict if their rows cancel to the rounding of entries and overlap by more than that.
-
-    Lengths are looked for within FARTHEST times the largest that is imposed; scale (n,) is that of unknowns.
-    """
-    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
-    limit, weights = np.concatenate([problem.gap, problem.tie_value]), np.concatenate([normal, tie])
-    weights = weights / np.max(abs(weights))
-    limit = np.where(weights != 0, limit, 0.0)
-    across, size = rows.T.tocsr(), abs(rows).T @ abs(weights)
-    left = abs((SparseRows(across) @ extend(weights)).double())
-    if np.any(left > ROUNDING * size):
-        return None
-    imposed = np.divide(abs(limit), abs(rows) @ scale, out=np.zeros(len(limit)), where=weights != 0)
-    farthest = FARTHEST * scale * float(np.max(imposed, initial=0.0))
-    excess = -float(extend(limit).dot(extend(weights)))
-    rounding = ROUNDING * float(abs(weights) @ abs(limit) + size @ farthest)
-    cut = problem.contacts
-    return Conflict(weights[:cut], weights[cut:], excess, rounding, exact=False) if excess > rounding else None

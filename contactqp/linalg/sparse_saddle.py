@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
-from contactqp.linalg.equilibration import least_length
+from contactqp.linalg.equilibration import least_length, rows_alone
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
 from contactqp.linalg.measures import outer_forces, row_sizes
@@ -167,15 +167,6 @@ class SparseSaddle:
             du, dl, dn = self.solve(left, open_rows[: self._contacts], open_rows[self._contacts :])
             found, last = (found[0] + du, found[1] + dl, found[2] + dn), size
         return *found, 1 + CORRECTIONS
-
-
-def rows_alone(rows: Any) -> tuple[Indices, Indices]:
-    """Return the rows that have one entry and an unknown for themselves, and these unknowns."""
-    single = np.flatnonzero(np.diff(rows.indptr) == 1)
-    single = single[rows.data[rows.indptr[single]] != 0]
-    unknown = rows.indices[rows.indptr[single]]
-    alone = np.bincount(unknown, minlength=rows.shape[1])[unknown] == 1
-    return single[alone], unknown[alone].astype(np.intp)
 
 
 def factorised(
