@@ -132,11 +132,12 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     size = np.sqrt(np.maximum(strain, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
     u, stiff = answer.displacement, problem.diagonal > 0
+    few_yield = not (stiff.all() or mostly_bare(problem))
     for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
         of_row = row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         length = imposed(limit, *lengths, of_row.compliance)
-        if not stiff.all():  # what an unknown without stiffness may take up is imposed as far as the others move
+        if few_yield:  # what an unknown without stiffness may take up is imposed as far as the others move
             yields = of_row.lengths(np.where(stiff, 0.0, 1.0)) > 0
             moved = in_energy(WITHIN_REACH * of_row.lengths(np.where(stiff, abs(u), 0.0)), of_row.compliance)
             length[yields] = np.minimum(length, moved)[yields]
