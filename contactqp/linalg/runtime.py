@@ -200,8 +200,8 @@ def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
     return on_one_thread() if rows >= WORTHWHILE and problem.contacts < THREADS_PAY else nullcontext()
 
 
-# Where SciPy keeps its copy of NumPy's names.
-_COPY = "scipy._lib.array_api_compat.numpy"
+# How the name ends of the modules where SciPy keeps copies of NumPy's names.
+_COPY = "array_api_compat.numpy"
 
 
 def import_scipy() -> None:
@@ -212,7 +212,7 @@ def import_scipy() -> None:
     asked for them. It is meant for a process of our own, such as that of a command, and does nothing where SciPy has
     been imported already.
     """
-    if _COPY in sys.modules or not hasattr(np, "__getattr__"):
+    if any(name.endswith(_COPY) for name in sys.modules) or not hasattr(np, "__getattr__"):
         return
     own = vars(np)
     stated: dict[str, Any] = {name: own[name] for name in ("__all__", "__dir__") if name in own}
@@ -223,7 +223,7 @@ def import_scipy() -> None:
     finally:
         own.pop("__dir__")
         own.update(stated)
-    if (copy := sys.modules.get(_COPY)) is not None:
+    for copy in [module for name, module in sys.modules.items() if name.endswith(_COPY)]:
         vars(copy)["__getattr__"] = partial(getattr, np)
 
 
