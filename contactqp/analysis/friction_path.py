@@ -196,7 +196,7 @@ class FrictionSteps(LazySolutions):
             state = self._stepper.solve(1.0, origin, np.zeros(problem.contacts, dtype=bool))
         # A contact that is closed and carries nothing is where the caller anchored it.
         at_rest = state.touching & ~state.pushes
-        self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.position), state.touching))
+        self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.settled), state.touching))
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
@@ -215,7 +215,7 @@ class FrictionSteps(LazySolutions):
         try:
             with one_blas_thread(self._problem):
                 state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
-                self._keep(state, Anchors(state.position, state.touching))
+                self._keep(state, Anchors(state.settled, state.touching))
         except NoEquilibrium as error:
             message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
             raise NoEquilibrium(message, error.proof) from error

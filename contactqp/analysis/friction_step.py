@@ -13,14 +13,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from contactqp.analysis.history import Unfinished
 from contactqp.certificate.figures import balance
-from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.measures import own_compliance, row_sizes
@@ -49,6 +49,8 @@ WIDENED = 1e3
 DRIVEN = 1e-6
 # Displacements that differ by this part of the largest are one.
 SAME = 1e-8
+# Positions are refined where the contacts would move so many times as far without their forces: digits cancel there.
+CANCELS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,19 @@ class State:
     touching: Mask  # (m,) closed, or with no gap but rounding
     overlap: Mask  # (m,) held open, and too far in to be rounding
     step: Unfinished
+    cancelled: bool = False  # whether the positions have lost digits
+
+    @cached_property
+    def settled(self) -> Array:
+        """The positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are lost."""
+        if not self.cancelled:
+            return self.position
+        try:
+            solution = self.step.finish()
+        except ContactQPError:  # which the step will raise where it is asked for
+            return self.position
+        tangent: Any = solution.problem.tangent
+        return np.asarray((tangent @ solution.displacement).reshape(self.position.shape))
 
 
 # The equilibrium at a fraction of the leg, from slip origins (m, d-1), with contacts held open.
@@ -110,7 +125,7 @@ def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> S
             anchored[:] = True
             continue
         closing = ~anchored & (touched.touching | touched.overlap)
-        origin[closing] = touched.position[closing]
+        origin[closing] = touched.settled[closing]
         anchored |= closing
         low = touched
 
@@ -282,6 +297,8 @@ class PlaneStepper:
         rounding = TOUCHING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
         position = origin[:, 0] + found.slip * rows.tangent_length
         pushes = found.normal > TOUCHING * step.lengths.felt(status)
+        moved = abs(step.lengths.target[: 2 * m] + np.concatenate([-found.gap, found.slip]))
+        most = float(np.max(moved[np.isfinite(moved)], initial=0.0))
         return State(
             fraction=fraction,
             gap=gap,
@@ -291,6 +308,7 @@ class PlaneStepper:
             touching=(status != OPEN) | (abs(found.gap) <= rounding),
             overlap=held_open & (found.gap < -rounding),
             step=step,
+            cancelled=bool(np.max(abs(lengths[0]), initial=0.0) > CANCELS * most),
         )
 
 

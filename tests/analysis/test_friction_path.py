@@ -6,6 +6,7 @@ Steps that jump across a snap, or take one of several continuations, are noted.
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -230,6 +231,20 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
     space = cq.ContactProblem(np.eye(3), np.zeros(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential rows"):
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
+
+
+def test_slips_go_on_from_refined_positions() -> None:
+    """A body that forces from everywhere hold where its load would carry it a thousand times as far: digits cancel."""
+    random = np.random.default_rng(2)
+    problem = random_problem(random)
+    corners = [random.normal(size=problem.dimension) * np.max(abs(problem.load)) for _ in range(3)]
+    history = cq.follow_path(problem, [*corners, corners[0]], steps=1)
+    slipping = 0
+    for before, solution in pairwise(history):
+        position = problem.tangent @ before.displacement
+        assert solution.problem.slip_origin.ravel() == pytest.approx(position, rel=1e-14, abs=1e-14)
+        slipping += int(np.sum(abs(solution.slip) > 1e-4))
+    assert slipping > 2
 
 
 @pytest.mark.slow
