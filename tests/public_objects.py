@@ -118,7 +118,15 @@ def objects() -> dict[str, Any]:
             cq.Paraboloid([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], 1.0),
             cq.SignedDistance(from_floor, 2),
         ),
-        "bodies": (free, cq.UpdatedTruss(arch), solid(), block(), cq.Support("block", "top", 0, 0.0), *loads()),
+        "bodies": (
+            free,
+            cq.UpdatedTruss(arch),
+            solid(),
+            block(),
+            membrane(),
+            cq.Support("block", "top", 0, 0.0),
+            *loads(),
+        ),
         "contacts": cq.ContactGroup([floor]),
         "errors": tuple(example(kind) for kind in sorted(errors(), key=lambda kind: kind.__name__)),
     }
@@ -127,6 +135,10 @@ def objects() -> dict[str, Any]:
 def block() -> cq.Structure:
     steel = cq.Material(1.0, poisson=0.0)
     return cq.Structure([cq.Body(cq.rectangle(1.0, 1.0, (1, 1)), steel, "plane-strain", name="block")])
+
+
+def membrane() -> cq.Membrane:
+    return cq.Membrane(cq.rectangle(1.0, 1.0, (1, 1)), 2.0, name="sheet")
 
 
 def loads() -> tuple[Any, ...]:

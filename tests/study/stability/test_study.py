@@ -113,9 +113,10 @@ def test_methods_with_dense_matrices_are_cut_off_where_these_take_gigabytes() ->
 def test_very_many_contacts_are_right_in_little_memory(axis: str, method: str) -> None:
     """A process of its own, whose peak is that of this row and of its imports."""
     code = (
-        "import resource, sys; from contactqp.study.stability.stability_cells import stability_row;"
+        "from contactqp.study.footprint_child import peak;"
+        "from contactqp.study.stability.stability_cells import stability_row;"
         f"row = stability_row({axis!r}, 1e5, {method!r});"
-        "print(row.verdict, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+        "print(row.verdict, peak() // 2**20)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300)
     verdict, megabytes = done.stdout.split()
