@@ -378,10 +378,12 @@ def _force_bound(
 ) -> tuple[Vector | None, str | None]:
     """Return bounds (m,) on the errors of the pair's contact forces, or None with the reason.
 
-    They are (4) on contacts closed in v, and the bound by the gap on those that are open.
+    They are (4) on contacts closed in v, and the bound by the gap on those that are open. Of the solution, gaps that
+    its radius does not tell from zero are closed, too: (4) holds for any choice.
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    touches = pair.open_gap <= WITHIN_ROUNDING * length
+    untold = pair.dual_radius * np.sqrt(condensation.delassus.compliance[: problem.contacts]) if pair.exact else 0.0
+    touches = pair.open_gap <= np.maximum(WITHIN_ROUNDING * length, untold)
     active, outside = touches.nonzero()[0], (~touches).nonzero()[0]
     saddle = saddle_point(condensation, active)
     if saddle.redundant:

@@ -476,3 +476,18 @@ def test_gaps_are_refined_beside_loads_that_contacts_carry_past_weak_springs(
     certificate = cq.solve(problem).certificate
     assert certificate.passed
     assert certificate.energy_error <= 1e-9
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-38, 1e-30, 1e-20, 1e-12])
+def test_bounds_on_forces_do_not_depend_on_what_rounding_leaves_of_zero(noise: float) -> None:
+    """A rigid machine on two of six feet at rest: gaps of 1e-38 are no open contacts."""
+    place = np.array([-41.216, 43.84, 24.128, 49.984, 63.808, -9.536])
+    gap = [0.028125, 0.0, 0.03875, 0.050625, 0.015, 0.0]
+    problem = cq.ContactProblem(
+        np.diag([2.0**-22, 2.0**-10]), [-1024.0, -30539.776], np.column_stack([-np.ones(6), -place]), gap
+    )
+    force = cq.solve(problem).normal_force
+    certificate = cq.certify(problem, [noise, 0.0], force)
+    assert certificate.passed
+    assert np.max(certificate.force_bound) <= 1e-6
+    assert cq.certify(problem, normal_force=force).passed

@@ -64,7 +64,7 @@ def stack(supported, friction=0.0):
 PROBLEMS = {
     "free": free_block,
     "free along z": lambda: free_block(held=("left", "front"), tilt=0.0),
-    "steel in mm and N": lambda: free_block(size=(100.0, 100.0, 50.0), modulus=210e3, weight=5e4),
+    "steel in mm and N": lambda: free_block(size=(100.0, 100.0, 50.0), modulus=210e3, weight=1e5),
     "micrometres and uN": lambda: free_block(size=(50.0, 50.0, 25.0), modulus=70e3, weight=1e6),
     "tall and slender": lambda: free_block((5, 5, 60), (1.0, 1.0, 12.0), weight=0.005, tilt=0.05),
     "far above the obstacle": lambda: free_block(below=100.0),
