@@ -49,12 +49,15 @@ def test_nothing_is_noted_unasked_or_by_other_threads():
 
 
 def test_solving_passes_through_the_stages_once_and_counts_what_the_solution_says():
-    problem, solve = chain(), cq.solve  # imported before the clock runs
-    with timed() as clock:
-        solution = solve(problem)
-    assert {CONDENSE, METHOD, POLISH, CERTIFY} <= set(clock.seconds)
-    assert clock.seconds[""] < 0.5 * solution.seconds
-    assert (clock.factorisations, clock.back_substitutions) == (1, solution.work.back_substitutions)
+    solve, outside = cq.solve, []  # imported before the clock runs
+    for _ in range(5):  # whatever else the machine does, it leaves one of them alone
+        problem = chain()
+        with timed() as clock:
+            solution = solve(problem)
+        assert {CONDENSE, METHOD, POLISH, CERTIFY} <= set(clock.seconds)
+        assert (clock.factorisations, clock.back_substitutions) == (1, solution.work.back_substitutions)
+        outside.append(clock.seconds[""] / solution.seconds)
+    assert min(outside) < 0.5
     with timed() as again:
         solve(problem.replace(load=2 * problem.load))
     assert again.factorisations == 0
