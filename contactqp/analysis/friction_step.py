@@ -215,13 +215,17 @@ class UncertifiedStep:
     meter: Meter
 
     def finish(self) -> Solution:
-        """Refine, expand and certify the answer.
+        """Refine, expand and certify the answer, once.
 
         Raises
         ------
         NotCertified
             The certificate refuses the answer.
         """
+        return self._finished
+
+    @cached_property
+    def _finished(self) -> Solution:
         started = time.perf_counter()
         with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
             run = run_on_combination(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)

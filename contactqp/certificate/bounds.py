@@ -290,9 +290,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale)
-        if floats
-        else 0.0,
+        free_distance=free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale),
         cleared=pair.cleared,
         undecided=pair.undecided,
     )

@@ -221,11 +221,11 @@ class Effort:
     most: float = np.inf
     cut: bool = False
 
-    @property
-    def spent(self) -> bool:
-        """Whether all factorisations are spent that may be; `cut` says so afterwards."""
-        self.cut |= (spent := self.factorisations >= self.most)
-        return spent
+    def exhausted(self) -> bool:
+        """Return whether no more factorisations may be made, and note in `cut` that one was wanted."""
+        at_end = self.factorisations >= self.most
+        self.cut |= at_end
+        return at_end
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +344,7 @@ class ClosedState:
 
 
 def _part(value: float, size: float) -> float:
-    if value == 0 and size == size:
+    if value == 0 and not np.isnan(size):
         return 0.0
     return value / size if value < np.inf and size > 0 else np.inf  # NaN is no residual of a solution
 
@@ -441,7 +441,7 @@ def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
         if wasted > (WASTED if wrong <= FEW_WRONG else effort.wasted):
             effort.cut |= wasted <= WASTED
             break
-        if effort.spent:
+        if effort.exhausted():
             break
         fewest = min(fewest, wrong)
         after = solved_on(problem, (state.closed & ~pulled) | penetrated, state.answer, effort)
@@ -458,7 +458,7 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
     """
     problem, gap = start.problem, np.maximum(start.left.gap.double(), 0.0)
     for _ in range(BLOCKING):
-        if driven.force_residual <= BALANCED or effort.spent:
+        if driven.force_residual <= BALANCED or effort.exhausted():
             break
         refuse_late("contacts close that a driven motion reaches")
         force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))
