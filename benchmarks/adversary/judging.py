@@ -369,7 +369,15 @@ def intrinsic_sizes(problem: cq.ContactProblem, u: Array, force: Array) -> Array
     if not np.any(problem.load) and not np.any(problem.tie_value):
         gives = (problem.gap > 0) & np.isfinite(problem.gap) & (felt > 0)
         size = max(size, float(np.min(problem.gap[gives] / felt[gives]))) if np.any(gives) else size
-    return size * np.where(np.isfinite(root), root, 0.0)
+    return size * np.where(np.isfinite(root), root, _roots_through_rows(problem, root))
+
+
+def _roots_through_rows(problem: cq.ContactProblem, root: Array) -> Array:
+    """(n,) the sizes of forces at unknowns without stiffness, whose scale is that of what rows join them to; else 0."""
+    rows = abs(problem.normal.toarray())
+    felt = np.max(rows / root, axis=1, initial=0.0)  # nothing where a row touches nothing stiff
+    scale = np.max(np.where(rows > 0, felt[:, None] / np.where(rows > 0, rows, 1.0), 0.0), axis=0, initial=0.0)
+    return np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
 
 
 def with_tension(problem: cq.ContactProblem, u: Array, force: Array, friction: Array | None) -> Array | None:
