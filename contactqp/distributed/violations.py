@@ -31,6 +31,7 @@ from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
     OF_ALL_LENGTHS,
     RowSizes,
+    beside_yielding,
     force_measure,
     imposed,
     in_energy,
@@ -90,10 +91,16 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
     """
     u, ranks = answer.displacement, problem.ranks
     D = reciprocal(np.sqrt(problem.diagonal))
+    stiff = problem.diagonal > 0
+    some_yield = ranks.any(not stiff.all())
     sizes = [float(np.max(D * abs(problem.load), initial=0.0))]
     for rows, limit in rows_and_limits(problem):
-        moved = rows.lengths(u), rows.length_sizes(u), rows.length_sizes(elastic)
-        sizes.append(float(np.max(imposed(limit, *moved, row_sizes(problem, rows).compliance), initial=0.0)))
+        moved, compliance = rows.length_sizes(u), row_sizes(problem, rows).compliance
+        length = imposed(limit, rows.lengths(u), moved, rows.length_sizes(elastic), compliance)
+        if some_yield:
+            of_stiff, may = (rows.length_sizes(one) for one in (np.where(stiff, u, 0.0), 1.0 - stiff))
+            length = beside_yielding(length, of_stiff, may > 0, compliance)
+        sizes.append(float(np.max(length, initial=0.0)))
     strain = ranks.dot(elastic, problem.product(elastic))
     return float(max(ranks.max(max(sizes)), np.sqrt(max(strain, 0.0))))
 

@@ -137,10 +137,9 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
         of_row = row_sizes(problem, rows)
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         length = imposed(limit, *lengths, of_row.compliance)
-        if few_yield:  # what an unknown without stiffness may take up is imposed as far as the others move
-            yields = of_row.lengths(np.where(stiff, 0.0, 1.0)) > 0
-            moved = in_energy(WITHIN_REACH * of_row.lengths(np.where(stiff, abs(u), 0.0)), of_row.compliance)
-            length[yields] = np.minimum(length, moved)[yields]
+        if few_yield:
+            moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), 1.0 - stiff))
+            length = beside_yielding(length, moved, may > 0, of_row.compliance)
         np.maximum.at(size, part[of_row.first], length[of_row.touching])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
     whole = float(size.max(initial=0.0))
@@ -289,6 +288,25 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
     closes = finite & (abs(limit - moved) <= CLOSED * (whole + length))
     reached = np.minimum(length, WITHIN_REACH * elastic)  # elastic lengths are not negative
     return in_energy(np.where(closes, length, reached), compliance)
+
+
+def beside_yielding(length: Vector, moved: Vector, may_yield: NDArray[np.bool_], compliance: Vector) -> Vector:
+    """Return the lengths (r,) that rows impose, where unknowns without stiffness may take them up [root of energy].
+
+    A row that touches such an unknown imposes at most ten times what its stiff unknowns move.
+
+    Parameters
+    ----------
+    length : (r,) array
+        The lengths as `imposed` returns them [square root of energy].
+    moved : (r,) array
+        |E||u| over the stiff unknowns alone [length].
+    may_yield : (r,) array of bool
+        Whether the row touches an unknown without stiffness.
+    compliance : (r,) array
+        |E_i D|^2 [length / force].
+    """
+    return np.where(may_yield, np.minimum(length, in_energy(WITHIN_REACH * moved, compliance)), length)
 
 
 def in_energy(length: Vector, compliance: Vector) -> Vector:

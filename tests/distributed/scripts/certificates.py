@@ -97,7 +97,34 @@ def judge(problem: cq.ContactProblem, ranks: Ranks, what: str) -> None:
             )
 
 
+def lever() -> cq.ContactProblem:
+    """Return a stiff bar against two equal stops, tied to an unknown without stiffness that takes up its length."""
+    stops, tie = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"tie": [[0.5, 0.0, 1.0]], "tie_value": [0.25]}
+    stiffness = np.array([[3.2e7, -1.6e7, 0.0], [-1.6e7, 1.6e7, 0.0], [0.0, 0.0, 0.0]])
+    return cq.ContactProblem(stiffness, [1.0, 0.0, 0.0], stops, [0.0, 0.0], **tie)
+
+
+def pulling(ranks: Ranks) -> None:
+    """One of the two equal stops pulls with a part of the load."""
+    problem = lever()
+    part = distribute(problem, ranks)
+    for tension in (0.0, 1e-6, 1e-3):
+        candidate = Answer(np.array([0.0, 0.0, 0.25]), np.array([1.0 + tension, -tension]), None, np.zeros(1))
+        here = Answer(
+            candidate.displacement[part.dof_number],
+            candidate.normal_force[part.contact_number],
+            None,
+            candidate.tie_force[part.tie_number],
+        )
+        many, one = certify_distributed(part, here), of_one_process(problem, candidate)
+        assert many.passed == one.passed == (tension == 0.0), (tension, many.failures, one.failures)
+        if ranks.rank == 0:
+            print(f"lever, tension {tension:g}: judged", flush=True)
+
+
 if __name__ == "__main__":
+    if sys.argv[1:] == ["lever"]:
+        sys.exit(pulling(Ranks()))
     for name in sys.argv[1:]:
         scene = cq.load_scene(CASES / f"{name}.toml")
         judge(build(scene).problem, Ranks(), name)
