@@ -98,7 +98,7 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
         moved, compliance = rows.length_sizes(u), row_sizes(problem, rows).compliance
         length = imposed(limit, rows.lengths(u), moved, rows.length_sizes(elastic), compliance)
         if some_yield:
-            of_stiff, may = (rows.length_sizes(one) for one in (np.where(stiff, u, 0.0), 1.0 - stiff))
+            of_stiff, may = (rows.length_sizes(one) for one in (np.where(stiff, u, 0.0), np.where(stiff, 0.0, 1.0)))
             length = beside_yielding(length, of_stiff, may > 0, compliance)
         sizes.append(float(np.max(length, initial=0.0)))
     strain = ranks.dot(elastic, problem.product(elastic))

@@ -138,7 +138,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
         lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
         length = imposed(limit, *lengths, of_row.compliance)
         if few_yield:
-            moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), 1.0 - stiff))
+            moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), np.where(stiff, 0.0, 1.0)))
             length = beside_yielding(length, moved, may > 0, of_row.compliance)
         np.maximum.at(size, part[of_row.first], length[of_row.touching])
     size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
