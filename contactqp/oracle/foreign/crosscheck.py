@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Literal
@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck.reading import read_deck_model
-from contactqp.exchange.files import Path, naming
+from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Index, Vector, own_floating_point
 from contactqp.model.problem_data import Units, read_units
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
-from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, Found, PairVerdict, Word, causes_of, is_plane
+from contactqp.oracle.foreign.crosscheck_verdict import (
+    WORTH,
+    CrossCheck,
+    Found,
+    PairVerdict,
+    Word,
+    causes_of,
+    is_plane,
+)
 from contactqp.scene.deck.contacts import Discretisation, note
 from contactqp.scene.deck.deck import Deck, Enforcement, read_deck
 
@@ -91,7 +99,7 @@ def crosscheck(
     if not time_limit > 0:
         raise InvalidProblem(f"time_limit: expected a positive number of seconds, got {time_limit:g}")
     named = read_units(units)
-    deck = read_deck(path)
+    deck = Deck(read_deck(path).model, expanded=True)
     warnings: tuple[str, ...] = ()
     code, file = "its results", results
     with naming(path):
@@ -137,7 +145,8 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
     deck.ledger.read.extend(ledger.read)
     with np.errstate(divide="ignore"):
         exponent = np.floor(np.log10(abs(u)))
-    return u, np.where(u == 0, 0.0, 10.0 ** (np.where(u == 0, 0.0, exponent) - digits + 1))
+    unit = np.where(u == 0, 0.0, 10.0 ** (np.where(u == 0, 0.0, exponent) - digits + 1))
+    return deck.assembly.with_thicknesses(u), np.pad(unit, (0, len(topology.thicknesses)))
 
 
 @dataclass(frozen=True)
@@ -301,7 +310,25 @@ class _Judging:
             gap=found.gap[kept],
             points=judged.contact.slave.points[judged.nodes[kept]],
             area=(judged.shares @ judged.area)[kept],
-            notes=judged.contact.pairing.notes,
+            notes=(*judged.contact.pairing.notes, *self._stress_across(number, size)),
+        )
+
+    def _stress_across(self, number: int, size: float) -> Iterator[str]:
+        """Say what the contact force would be in plane stress, where CalculiX's elements make a difference."""
+        if self._in_plane_stress:
+            judged = self._nodes[number]
+            here, there = (float(judged.along(one[number]).sum()) for one in (self._by_nodes, self._in_plane_stress))
+            if abs(here - there) > WORTH * self.tolerance * size:
+                yield f"CalculiX's elements have stress across the plane; without it the exact resultant is {there:.6g}"
+
+    @cached_property
+    def _in_plane_stress(self) -> list[Forces]:
+        """Return the exact forces without stress across the plane, for elements of plane stress; [] for others."""
+        if not len(self.deck.assembly.topology.thicknesses):
+            return []
+        plain = Deck(replace(self.deck.model, ledger=Ledger(self.deck.model.file, read=self.deck.ledger.read[:1])))
+        return self._if_any(
+            "answer in plane stress", lambda: reference_forces(plain, self._nodes, "exact", "node-to-segment")
         )
 
     def _causes(self, found: Found, number: int) -> Iterator[str]:
@@ -378,7 +405,7 @@ class _Judging:
         if not self.deck.model.long_numbers:
             return
         try:
-            cut = Deck(read_deck_model(self.deck.model.file, columns=20))
+            cut = Deck(read_deck_model(self.deck.model.file, columns=20), self.deck.expanded)
             forces = cut.assembly.stiffness @ self.answer.u - cut.assembly.load
         except ContactQPError:
             return

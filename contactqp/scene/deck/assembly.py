@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from contactqp.elements.loads import integrated
@@ -40,7 +41,8 @@ class DeckAssembly:
         """Return each group, the body of its elements, and the unknowns of that body in u."""
         found = []
         for group in self.topology.groups:
-            body, used = group.body(self.points, self.topology.labels)
+            solid = replace(group, model="plane-strain") if self._thickens(group) else group
+            body, used = solid.body(self.points, self.topology.labels)
             found.append((group, body, self.topology.unknowns[used].ravel()))
         return found
 
@@ -49,11 +51,48 @@ class DeckAssembly:
         """Return K of all unknowns, symmetric to the last digit, CSC [force / length]."""
         n = self.topology.size
         total = sp.csc_array((n, n))
-        for _, body, unknowns in self.bodies:
+        for group, body, unknowns in self.bodies:
             part = sp.coo_array(body.stiffness)
             rows, columns = part.coords
             total = total + sp.csc_array(sp.coo_array((part.data, (unknowns[rows], unknowns[columns])), shape=(n, n)))
+            if self._thickens(group):
+                total = total + self._of_thickness(group, body)
         return sp.csc_array(total + self._links())
+
+    def _thickens(self, group: Group) -> bool:
+        return self.topology.expanded and group.model == "plane-stress"
+
+    def _of_thickness(self, group: Group, body: Body) -> Any:
+        """Return what the unknown changes of thickness bring to K, CSC.
+
+        CalculiX makes plane stress of elements in space, displaced by (u_x, u_y, w z / t): with the strains
+        eps_z = w / t, gamma_xz = z / t dw/dx and gamma_yz likewise the energy of plane strain has besides
+
+            integral of  lambda div(u) w  +  (lambda + 2 mu) w^2 / (2 t)  +  mu t |grad w|^2 / 24  over the plane.
+        """
+        block = body.mesh.blocks[0]
+        geometry, weights = body.integration(block, body.stiffness_rule(block))
+        G, N, t = geometry.gradient, geometry.shape, group.thickness
+        lame_lambda, lame_mu = body.material.lame_lambda, body.material.lame_mu
+        coupling = lame_lambda / t * np.einsum("eq,eqia,qj->eiaj", weights, G, N)
+        square = (lame_lambda + 2 * lame_mu) / t**2 * np.einsum("eq,qi,qj->eij", weights, N, N)
+        square += lame_mu / 12 * np.einsum("eq,eqia,eqja->eij", weights, G, G)
+        w = self.topology.thicknesses_of(group)
+        moved = self.topology.unknowns[group.nodes][..., None]
+        entries = [(coupling, moved, w[:, None, None, :]), ((square + np.swapaxes(square, 1, 2)) / 2, *_pairs(w))]
+        entries.append((coupling, w[:, None, None, :], moved))
+        data, rows, columns = (
+            np.concatenate([np.broadcast_arrays(*one)[at].ravel() for one in entries]) for at in range(3)
+        )
+        return sp.csc_array(sp.coo_array((data, (rows, columns)), shape=(self.topology.size,) * 2))
+
+    def with_thicknesses(self, displacement: Vector) -> Vector:
+        """Return u of all unknowns from the displacements of all nodes: thicknesses are in balance with them."""
+        w = self.topology.thicknesses
+        u = np.concatenate([displacement, np.zeros(len(w))])
+        if len(w):
+            u[w] = -scipy.sparse.linalg.spsolve(sp.csc_array(self.stiffness[w][:, w]), (self.stiffness @ u)[w])
+        return u
 
     def _links(self) -> Any:
         n = self.topology.size
@@ -187,13 +226,18 @@ class DeckAssembly:
             turn = np.zeros_like(x)
             turn[:, a], turn[:, b] = -x[:, b], x[:, a]
             motions.append(turn.ravel())
-        return np.stack(motions, axis=1)
+        return np.pad(np.stack(motions, axis=1), ((0, len(self.topology.thicknesses)), (0, 0)))
 
     def contents(self) -> str:
         """Return how many unknowns there are, for the ledger."""
         free = int(np.isnan(self.prescribed).sum())
         axes = ", ".join(AXES[: self.topology.dimension])
         return f"{counted('unknown', self.topology.size)} ({axes} of each node), {free} of them free"
+
+
+def _pairs(nodes: Index) -> tuple[Index, Index]:
+    """Return rows and columns (E, n, n) of element matrices."""
+    return nodes[:, :, None], nodes[:, None, :]
 
 
 @dataclass(frozen=True, eq=False)

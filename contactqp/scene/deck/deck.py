@@ -48,9 +48,14 @@ class Deck:
     ----------
     model : DeckModel
         The cards as they were read, with the ledger.
+    expanded : bool
+        Take elements of plane stress as CalculiX does, which makes solids of them: the change of thickness at each node
+        is an unknown ``"thickness of node 17"`` behind the displacements, linear across the plane. By default no point
+        has a stress across the plane, as in Abaqus.
     """
 
     model: DeckModel
+    expanded: bool = False
 
     def __repr__(self) -> str:
         return f"Deck({self.model.file}: {self.ledger.read[0]}, {counted('contact pair', len(self.model.pairs))})"
@@ -67,7 +72,7 @@ class Deck:
 
     @cached_property
     def _surfaces(self) -> Surfaces:
-        return Surfaces(topology_of(self.model))
+        return Surfaces(topology_of(self.model, expanded=self.expanded))
 
     @cached_property
     def by_nodes(self) -> DeckContacts:
@@ -112,7 +117,7 @@ class Deck:
     def displacements(self, displacement: ArrayLike) -> tuple[Index, NDArray[np.float64]]:
         """Return the labels (N,) of the nodes and their displacements (N, d) from those of the problem's unknowns."""
         u = self.expand(displacement)
-        return self.assembly.topology.labels, u.reshape(-1, self.assembly.topology.dimension)
+        return self.assembly.topology.labels, u[self.assembly.topology.unknowns]
 
     def problem(
         self, enforcement: Enforcement = "exact", discretisation: Discretisation = "node-to-segment"
@@ -170,7 +175,7 @@ class Deck:
         slipped = None
         for count in range(1, len(self.model.steps)):
             own = Ledger(self.model.file, read=self.ledger.read[:1])
-            deck = Deck(replace(self.model, steps=self.model.steps[:count], ledger=own))
+            deck = replace(self, model=replace(self.model, steps=self.model.steps[:count], ledger=own))
             problem, contacts = deck._problem(enforcement, discretisation, slipped), deck.contacts(discretisation)
             try:
                 u = solve(problem).displacement

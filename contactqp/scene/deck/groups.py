@@ -37,9 +37,8 @@ _DIFFERS = {
     "CPS": "no stress across the plane at any point; CalculiX leaves the thickness at each node free, which is stiffer",
     "CAX": "of the full circle; CalculiX takes a wedge of 2 degrees with plane sides, which differs by some 1e-4",
     "CAX3": "half of the pressure on an edge goes to either end in CalculiX, whatever their radii",
-    "T3D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
-    "T2D": "a bar of E A / L; CalculiX makes it of hexahedra with hinges",
 }
+_EXPANDED = "as CalculiX has them: the thickness at each node is an unknown, which is stiffer than plane stress"
 LINKS = ("T2D2", "T3D2", "SPRINGA")
 
 
@@ -118,12 +117,15 @@ class Topology:
     groups : sequence of Group
     links : sequence of (Elements, sizes)
         Trusses and springs with the area or the stiffness of each.
+    expanded : bool
+        Whether elements of plane stress are those of CalculiX, with unknown thicknesses behind all displacements.
     """
 
     model: DeckModel
     active: Index
     groups: Sequence[Group]
     links: Sequence[tuple[Elements, NDArray[np.float64], Sequence[DeckMaterial | None]]]
+    expanded: bool = False
 
     @property
     def dimension(self) -> int:
@@ -133,7 +135,29 @@ class Topology:
     @property
     def size(self) -> int:
         """Return the number of all unknowns, held ones included."""
-        return len(self.active) * self.dimension
+        return self.unknowns.size + len(self._thick)
+
+    @cached_property
+    def _thick(self) -> NDArray[np.float64]:
+        """Return node and thickness for each unknown thickness, (w, 2): sections of other thicknesses have others."""
+        plane = [group for group in self.groups if self.expanded and group.model == "plane-stress"]
+        every = [
+            np.column_stack([nodes, np.full(len(nodes), group.thickness)])
+            for group in plane
+            for nodes in [np.unique(group.nodes)]
+        ]
+        return np.unique(np.concatenate([np.zeros((0, 2)), *every]), axis=0)
+
+    @property
+    def thicknesses(self) -> Index:
+        """Return the places in u of the unknown changes of thickness."""
+        return np.arange(self.unknowns.size, self.size)
+
+    def thicknesses_of(self, group: Group) -> Index:
+        """Return the place in u of the change of thickness at each node of the elements of a group, (E, n)."""
+        mine = np.flatnonzero(self._thick[:, 1] == group.thickness)
+        found = mine[np.searchsorted(self._thick[mine, 0], group.nodes)]
+        return np.asarray(self.unknowns.size + found)
 
     @cached_property
     def labels(self) -> Index:
@@ -143,7 +167,7 @@ class Topology:
     @cached_property
     def unknowns(self) -> Index:
         """Return the place in u of the displacement of each node along each axis, (N, d)."""
-        return np.arange(self.size).reshape(-1, self.dimension)
+        return np.arange(len(self.active) * self.dimension).reshape(-1, self.dimension)
 
     @property
     def revolved(self) -> bool:
@@ -151,7 +175,11 @@ class Topology:
         return any(group.model == "axisymmetric" for group in self.groups)
 
     def name(self, unknown: int) -> str:
-        """Return ``17.y``, the name of an unknown."""
+        """Return ``17.y``, the name of an unknown, or ``thickness of node 17``."""
+        if unknown >= self.unknowns.size:
+            node, size = self._thick[unknown - self.unknowns.size]
+            several = np.count_nonzero(self._thick[:, 0] == node) > 1
+            return f"thickness of node {self.labels[int(node)]}{f' where it is {size:g}' if several else ''}"
         return f"{self.labels[unknown // self.dimension]}.{AXES[unknown % self.dimension]}"
 
     def places(self, labels: Index, place: str) -> tuple[Index, Index]:
@@ -210,8 +238,8 @@ class Topology:
         return found
 
 
-def topology_of(model: DeckModel) -> Topology:
-    """Return the groups of a deck's elements and the nodes that have unknowns.
+def topology_of(model: DeckModel, *, expanded: bool = False) -> Topology:
+    """Return the groups of a deck's elements and the nodes that have unknowns; plane stress `expanded` as in Topology.
 
     Raises
     ------
@@ -246,8 +274,9 @@ def topology_of(model: DeckModel) -> Topology:
             model.ledger.ignored.append(f"{section.place}: *SOLID SECTION: a thickness, which solids have not")
     for kind in model.types():
         told = [_DIFFERS[name] for name in dict.fromkeys((kind[:3], kind)) if name in _DIFFERS]
+        told = [_EXPANDED] if expanded and kind.startswith("CPS") else told
         model.ledger.assumed.extend(f"{kind}: {one}" for one in told)
-    return Topology(model, at, groups, links)
+    return Topology(model, at, groups, links, expanded)
 
 
 def _of_missing_node(model: DeckModel, label: int) -> str:
