@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import contactqp as cq
+from contactqp.elements.members import beam_stiffness
 from contactqp.elements.reference_elements import REFERENCES, Geometry, Quadrature, Reference, gauss
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.processes import run_calculix as calculix
@@ -242,3 +243,28 @@ def test_bars_meet_in_hinges_in_calculix_too(tmp_path: pathlib.Path, dimension: 
     labels, ours = deck.displacements(cq.solve(deck.problem()).displacement)
     theirs, _ = read_displacements(calculix(file, labels, tmp_path / "run", 60.0).results)
     assert abs(theirs.values[:, :dimension] - ours).max() <= 1e-6 * abs(ours).max()
+
+
+def cantilever(elements: int) -> str:
+    """Return a deck of beams, 10 long and 0.2 thick, held at one end, with a force of 1 across the other."""
+    nodes = [f"{i + 1}, {10 * i / elements}, 0., 0." for i in range(elements + 1)]
+    beams = [f"{i + 1}, {i + 1}, {i + 2}" for i in range(elements)]
+    cards = ["*ELEMENT, TYPE=B31, ELSET=E", *beams, "*MATERIAL, NAME=M", "*ELASTIC", f"{MODULUS}, {POISSON}"]
+    cards += ["*BEAM SECTION, ELSET=E, MATERIAL=M, SECTION=RECT", "0.2, 0.2", "0., 1., 0.", "*BOUNDARY", "1, 1, 6"]
+    cards += ["*STEP", "*STATIC", "*CLOAD", f"{elements + 1}, 3, 1.", "*NODE PRINT, NSET=ALL", "U", "*END STEP", ""]
+    return "\n".join(["*NODE, NSET=ALL", *nodes, *cards])
+
+
+def test_beams_are_refused_as_they_are_solids_in_calculix(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"line 4: \*ELEMENT: elements B31: CalculiX makes solids of beams, "):
+        cq.read_deck(write(tmp_path, cantilever(1)))
+
+
+@needs_calculix
+def test_beams_of_calculix_bend_less_than_beams_do(tmp_path: pathlib.Path) -> None:
+    beam = beam_stiffness(MODULUS, 0.2**2, 0.2**4 / 12, np.zeros(2), np.array([10.0, 0.0]))[3:, 3:]
+    deflection = np.linalg.solve(np.asarray(beam, dtype=float), [0.0, 1.0, 0.0])[1]
+    for elements, part in ((1, 0.75), (4, 0.983)):
+        run_calculix(tmp_path, cantilever(elements))
+        theirs, _ = read_displacements(tmp_path / "job.dat")
+        assert theirs.values[theirs.nodes.tolist().index(elements + 1), 2] == pytest.approx(part * deflection, rel=1e-3)
