@@ -256,8 +256,10 @@ def cantilever(elements: int) -> str:
 
 
 def test_beams_are_refused_as_they_are_solids_in_calculix(tmp_path: pathlib.Path) -> None:
-    with pytest.raises(cq.InvalidProblem, match=r"line 4: \*ELEMENT: elements B31: CalculiX makes solids of beams, "):
+    with pytest.raises(cq.InvalidProblem, match=r"line 9: \*BEAM SECTION: CalculiX makes solids of beams, "):
         cq.read_deck(write(tmp_path, cantilever(1)))
+    with pytest.raises(cq.InvalidProblem, match=r"line 4: \*ELEMENT: elements B31: CalculiX makes solids of beams, "):
+        cq.read_deck(write(tmp_path, cantilever(1).replace("*BEAM SECTION", "*HEADING")))
 
 
 @needs_calculix

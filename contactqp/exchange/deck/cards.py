@@ -22,6 +22,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from contactqp.errors import InvalidProblem
+from contactqp.exchange.deck.model import BEAMS
 from contactqp.exchange.files import DECIMAL_COMMA, Path, number, read_bytes
 from contactqp.model.arrays import Index, Vector
 
@@ -449,8 +450,7 @@ _IDLE = {
          "NODE RESPONSE", "EL RESPONSE", "DIAGNOSTICS", "CONTACT CONTROLS OUTPUT", "FILTER"), PRINTED),
     **dict.fromkeys(("CONTROLS", "SOLUTION TECHNIQUE", "CONTACT CONTROLS", "SOLVER CONTROLS"), _COURSE),
     "EXPANSION": "no temperatures change",
-    "CONDUCTIVITY": "no heat flows",
-    "SPECIFIC HEAT": "no heat flows",
+    **dict.fromkeys(("CONDUCTIVITY", "SPECIFIC HEAT"), "no heat flows"),
     "DAMPING": "nothing moves in statics",
     "PHYSICAL CONSTANTS": "no heat is radiated",
     "ORIENTATION": "the materials are isotropic",
@@ -458,13 +458,14 @@ _IDLE = {
 }  # fmt: skip
 
 _REFUSED = {
+    **dict.fromkeys(("BEAM SECTION", "BEAM GENERAL SECTION"), BEAMS),
     **dict.fromkeys(("SYSTEM", "NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY"), _GENERATED),
     **dict.fromkeys(
         ("PLASTIC", "HYPERELASTIC", "HYPERFOAM", "CREEP", "CYCLIC HARDENING", "DEFORMATION PLASTICITY",
          "USER MATERIAL", "MOHR COULOMB", "VISCOELASTIC", "DEPVAR", "RATE DEPENDENT", "NO COMPRESSION", "POTENTIAL",
          "ANISOTROPIC HARDENING"), _ELASTIC),
     **dict.fromkeys(
-        ("SHELL SECTION", "BEAM SECTION", "BEAM GENERAL SECTION", "MEMBRANE SECTION", "SURFACE SECTION",
+        ("SHELL SECTION", "MEMBRANE SECTION", "SURFACE SECTION",
          "FLUID SECTION", "COHESIVE SECTION", "GASKET SECTION", "CONNECTOR SECTION", "USER SECTION", "MASS", "DASHPOT",
          "GAP", "USER ELEMENT", "MATRIX ASSEMBLE", "SUBSTRUCTURE GENERATE", "ROTARY INERTIA"),
         "the elements that are offered are solids of one body, plane, axisymmetric or in space, trusses and springs"),

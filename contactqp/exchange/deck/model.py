@@ -25,7 +25,7 @@ ELEMENT_NODES = {
 }  # fmt: skip
 _ONE_POINT = "its forces against hourglasses differ from code to code; {}, which is fully integrated, is offered"
 _MODES = "its incompatible modes differ from code to code; {} without them, or the quadratic {} is offered"
-_BEAMS = (
+BEAMS = (
     "CalculiX makes solids of beams, each of which bends less than a beam does; model it by C3D20, or as one of the "
     "beams of a case file"
 )
@@ -39,7 +39,7 @@ OTHER_ELEMENTS = {
     **dict.fromkeys(("C3D10M", "C3D10T", "C3D10I", "C3D10HS", "CPE6M", "CPS6M", "CAX6M"), "C3D10, CPE6 are offered"),
     **dict.fromkeys(("S3", "S4", "S4R", "S6", "S8", "S8R", "M3D3", "M3D4", "M3D4R", "M3D6", "M3D8"),
                     "shells and membranes are not offered"),
-    **dict.fromkeys(("B21", "B22", "B23", "B31", "B31R", "B32", "B32R", "B33"), _BEAMS),
+    **dict.fromkeys(("B21", "B22", "B23", "B31", "B31R", "B32", "B32R", "B33"), BEAMS),
     **dict.fromkeys(("T2D3", "T3D3"), "trusses of three nodes are not offered; T2D2 and T3D2 are"),
     **dict.fromkeys(("SPRING1", "SPRING2", "GAPUNI", "DASHPOTA", "MASS", "DCOUP3D", "R3D3", "R3D4", "D", "RNODE3D"),
                     "SPRINGA is offered, and *EQUATION"),
