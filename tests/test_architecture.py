@@ -207,7 +207,7 @@ def _run(code: str) -> str:
 
 
 # Files that a problem of two unknowns may enter, and moves between them: a reader follows each of them.
-PATHS = {"solve": (24, 188), "certify": (23, 143), "friction": (37, 400)}
+PATHS = {"solve": (24, 170), "certify": (23, 122), "friction": (37, 379)}
 
 
 def path_length(call: Callable[[], object]) -> tuple[int, int]:

@@ -53,9 +53,7 @@ from contactqp.certificate.energy_norm import (
     energy_norm,
     energy_norms,
     force_norm,
-    force_size,
     free_distance,
-    own_forces,
     residual_noise,
     rigid_rounding,
     shared_by_rounding,
@@ -72,7 +70,15 @@ from contactqp.linalg.extended import EPS, Extended, Residuals, extend, residual
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, outer_forces, own_compliance, parts
+from contactqp.linalg.measures import (
+    force_size,
+    forces_that_meet,
+    lengths_that_meet,
+    outer_forces,
+    own_compliance,
+    own_forces,
+    parts,
+)
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
@@ -265,16 +271,17 @@ def iterated_bounds(problem: Limits, answer: Forces, iteration: ContactIteration
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
-    solution, change = extend(answer.displacement) + pair.to_middle, extend(answer.normal_force) - pair.force
-    push, changed = pair.force.double(), change.double()
+    solution = extend(answer.displacement) + pair.to_middle
+    changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
+    push, changed = pair.force.double(), changes[0].double()
     floats = bool(condensation.rigid.count)
     forces = (pair.force, pair.tie_force) if pair.exact else None
     stretched = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
     (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
-    size = force_size(problem, push)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
+    size = force_size(problem, push)
     own = np.sqrt(own_compliance(problem, problem.normal))
     if floats:
         # A solution that is known has its own rigid part, however far away the answer is.
@@ -285,16 +292,17 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
+    free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
     known = Bounds(
         energy_scale=energy_scale,
         rounding=rounding,
         rigid_rounding=rigid,
         force_rounding=force_rounding,
-        free_distance=free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale),
+        free_distance=free,
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
-    error, scale = _force_error(problem, answer, condensation, pair, known)
+    error, scale = _force_error(problem, condensation, pair, changes, known)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -328,9 +336,15 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
 
 
 def _force_error(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, known: Bounds
+    problem: ContactProblem,
+    condensation: Condensation,
+    pair: AdmissiblePair,
+    changes: tuple[Extended, Extended],
+    known: Bounds,
 ) -> tuple[float, float]:
     """Return the bound (3) on the distance of the answer's forces from the pair's relative to |l*|_W, and |l*|_W.
+
+    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair.
 
     Forces beneath the rounding of the data are zero: one unit in the last place of a load changes |l*|_W by as much as
     |u*|_K. Where ties act, W is also taken without them, of contact forces and those of ties together, which differ
@@ -343,13 +357,10 @@ def _force_error(
     if problem.ties > 0 and not (floats and independent):
         norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
     vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.rounding, known.force_rounding, 2 * pair.undecided)
-    changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     found: list[tuple[float, float, float]] = []
     for tied, with_ties in norms:
-        (scale, uncertain), error = (
-            force_norm(problem, condensation, contact, tied, tie if with_ties else None)
-            for contact, tie in ((pair.force, pair.tie_force), changes)
-        )
+        scale, uncertain = force_norm(problem, condensation, pair.force, tied, pair.tie_force if with_ties else None)
+        error = force_norm(problem, condensation, changes[0], tied, changes[1] if with_ties else None)
         if not tied and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
             continue  # without its ties K is singular to rounding, and has no such norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))

@@ -140,6 +140,7 @@ def certificate_of(
         failures = list(messages.not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():
+        problem.refuse_exchanged_arrays()
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             theirs = rows.answer(answer)
             judged = _judged(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
@@ -176,7 +177,6 @@ def _judged(
     factorization: Condensation | None,
     prove_friction: bool,
 ) -> Certificate:
-    problem.refuse_exchanged_arrays()
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(_absurd_parts(seen)):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from operator import is_
 from typing import Any, TypeVar
 
@@ -241,8 +242,9 @@ def violations(
     rigid : RigidMotions, optional
         The null space of K; none where no body floats.
     """
-    elastic, size, F = _kept(problem, answer, "sizes", lambda: _meeting(problem, answer, rigid), rigid)
+    elastic, size, F = _kept(problem, answer, "sizes", partial(_meeting, problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
+    missed = left.force.double(), left.gap.double(), left.tie.double()
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
@@ -253,7 +255,7 @@ def violations(
         coulomb = coulomb_data(problem, answer, F, none.force, hardly)
     return figures(
         answer,
-        (left.force.double(), left.gap.double(), left.tie.double()),
+        missed,
         Sizes(
             meeting=F,
             push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
@@ -270,7 +272,7 @@ def violations(
 
 def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     """Return the residuals of an answer in extended precision; those of the last answer are kept."""
-    return _kept(problem, answer, "residuals", lambda: residuals(problem, answer))
+    return _kept(problem, answer, "residuals", partial(residuals, problem, answer))
 
 
 def _kept(

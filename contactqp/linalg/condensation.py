@@ -40,7 +40,7 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, LastBlock, NestedBlock, eliminate
-from contactqp.model.arrays import Array, Vector, inverse_root
+from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 from contactqp.model.solution import Candidate
@@ -159,10 +159,10 @@ class Condensation:
 
     def _scale(self, of_stiffness: Array) -> Array:
         """Return 1/sqrt(S_jj), or the scale of K where condensation left next to nothing of the diagonal."""
-        before = self._diagonal[self.retained]
-        left = self.schur.diagonal()
-        alive = left > NOTHING_LEFT * before
-        return np.where(alive, inverse_root(left), of_stiffness[self.retained])
+        left, scale = self.schur.diagonal(), of_stiffness[self.retained]
+        alive = left > NOTHING_LEFT * self._diagonal[self.retained]
+        scale[alive] = 1.0 / np.sqrt(np.maximum(left[alive], TINY))
+        return scale
 
     def _may_be_singular(self, problem: ContactProblem) -> bool:
         """Return whether a pivot is so small that K may be singular, beside the digits that S lost in condensation."""

@@ -382,6 +382,21 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
+def force_size(problem: ContactProblem, force: Vector) -> float:
+    """Return |D E'l|, the size of contact forces at their own unknowns, the rest held [square root of energy]."""
+    resultant = row_sizes(problem, problem.normal).resultant(force)
+    return float(np.linalg.norm(problem.own_scale * resultant))
+
+
+def own_forces(problem: ContactProblem, push: Vector, tie_force: Vector) -> Vector:
+    """Return |l_i| |E_i D| (m + k,), the size of each contact's and tie's force at its own unknowns [root of energy].
+
+    D = 1/sqrt(K_jj), as where all other unknowns are held.
+    """
+    compliance = np.concatenate([row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tie)])
+    return np.asarray(np.sqrt(compliance) * abs(np.concatenate([push, tie_force])))
+
+
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 

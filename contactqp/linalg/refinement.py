@@ -138,8 +138,8 @@ def _refined(
     cleared: bool = False,
 ) -> OnSet:
     """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
-    saddle, compliance = saddle_point(condensation, closed), condensation.delassus.compliance
-    size_of = _CorrectionSize(problem, condensation, compliance, closed)
+    size_of = _CorrectionSize(problem, condensation, closed)
+    saddle = saddle_point(condensation, closed)
     answer, left = _start(problem, closed, start, left)
     rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
     last, q = np.inf, saddle.contraction
@@ -166,13 +166,14 @@ def _refined(
     nothing = INVISIBLE * whole * size_of.row_sizes
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
-    gap, doubles = rows.gap(problem, answer.displacement), answer.double()
+    gap = rows.gap(problem, answer.displacement)
+    gaps, doubles = gap.double(), answer.double()
     return OnSet(
         displacement=answer.displacement,
         normal_force=answer.normal_force,
         tie_force=answer.tie_force,
         gap=gap,
-        gaps=gap.double(),
+        gaps=gaps,
         lengths=lengths_that_meet(problem, problem.normal, problem.gap, doubles.displacement),
         doubles=doubles,
         saddle=saddle,
@@ -198,10 +199,8 @@ def _start(
 class _CorrectionSize:
     """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
 
-    def __init__(
-        self, problem: ContactProblem, condensation: Condensation, compliance: Vector, closed: NDArray[np.intp]
-    ) -> None:
-        self.row_sizes = np.sqrt(compliance)  # (m + k,) of a unit force in the root of energy
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+        self.row_sizes = np.sqrt(condensation.delassus.compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
         self._row = self.row_sizes[closed]
         if problem.ties:

@@ -124,22 +124,21 @@ def stage(name: str) -> AbstractContextManager[None]:
 _END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that runs has to end", default=None)
 
 
-@contextmanager
-def within_time(seconds: float | None) -> Iterator[None]:
+def within_time(seconds: float | None) -> AbstractContextManager[None]:
     """Have `refuse_late` raise so many seconds from now; an earlier end that is already set stays."""
     known = _END.get()
     end = known if seconds is None else (time.perf_counter() + seconds, seconds)
-    token = _END.set(end if known is None or (end is not None and end[0] < known[0]) else known)
-    try:
-        yield
-    finally:
-        _END.reset(token)
+    return _ending(end if known is None or (end is not None and end[0] < known[0]) else known)
+
+
+def in_any_time() -> AbstractContextManager[None]:
+    """Suspend the time limit inside the block, so that what has been found is certified."""
+    return nullcontext() if _END.get() is None else _ending(None)
 
 
 @contextmanager
-def in_any_time() -> Iterator[None]:
-    """Suspend the time limit inside the block, so that what has been found is certified."""
-    token = _END.set(None)
+def _ending(end: tuple[float, float] | None) -> Iterator[None]:
+    token = _END.set(end)
     try:
         yield
     finally:

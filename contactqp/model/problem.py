@@ -242,13 +242,7 @@ class ContactProblem:
         vars(self).update({name: read_only(value) for name, value in values.items()})
 
     def refuse_exchanged_arrays(self) -> None:
-        """Raise where a sparse matrix was given other arrays: what is read-only can still be exchanged as a whole.
-
-        Raises
-        ------
-        InvalidProblem
-            A matrix no longer holds the arrays that it was made with.
-        """
+        """Raise InvalidProblem where a sparse matrix was given other arrays: read-only ones can still be exchanged."""
         for matrix, data, indices, indptr in vars(self)["_arrays"]:
             if not (matrix.data is data and matrix.indices is indices and matrix.indptr is indptr):
                 raise InvalidProblem(
@@ -339,9 +333,10 @@ class ContactProblem:
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.sizes is None:
             rows = self.stiffness_rows
-            sizes = copy(rows) if rows.has_canonical_format else abs(rows)
+            sizes = copy(rows) if rows.has_canonical_format else read_only(abs(rows))
             sizes.data = abs(sizes.data)
-            of_stiffness.sizes = read_only(sizes)
+            sizes.data.setflags(write=False)
+            of_stiffness.sizes = sizes
         return of_stiffness.sizes
 
     @cached_property
@@ -357,7 +352,9 @@ class ContactProblem:
     @cached_property
     def load_size(self) -> Vector:
         """The sizes of the forces that add up to `load` (n,), which exceed |load| where forces cancel."""
-        return read_only(abs(self.load)) if self.load_sum is None else self.load_sum
+        size = abs(self.load) if self.load_sum is None else self.load_sum
+        size.setflags(write=False)
+        return size
 
     @cached_property
     def frictional(self) -> bool:

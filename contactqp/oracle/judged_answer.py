@@ -6,7 +6,7 @@ contact, what is right there and why it may have gone wrong takes a solution, wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -193,7 +193,8 @@ def certify(
         own = displacement
         parts = (own.displacement, own.normal_force, own.friction_force, own.tie_force)
     given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)
+    refuse_not_positive("tolerance", tolerance)
+    refuse_not_positive("error_tolerance", error_tolerance)
     found, completed = certify_given(problem, given, tolerance, error_tolerance, factorization)
-    known = {one.name: getattr(found, one.name) for one in fields(found)}
-    known["notes"] = (*found.notes, *given.notes, *completed.notes)
-    return JudgedAnswer(**known, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)
+    judged = vars(found) | dict(notes=(*found.notes, *given.notes, *completed.notes))
+    return JudgedAnswer(**judged, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)

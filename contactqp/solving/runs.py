@@ -1,7 +1,7 @@
 """A method's run on a problem: what it is shown, the answer that it finds, and that answer polished and certified.
 
 The run keeps the method's candidate, in the unknowns that the method was shown, and counts what it costs. Which of the
-runs a problem gets is the table `contactqp.solving.solve.WAYS`.
+runs a problem gets is the table `contactqp.solving.solve.RUN_RULES`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import certificate_of, compute_certificate
 from contactqp.certificate.figures import contact_status
@@ -255,14 +254,6 @@ class CondensedRun(Run):
             except (NotConverged, BackendFailed):
                 self.refuse_conflict()
                 raise
-            self._closed: NDArray[np.intp] | None = None
-            if self.candidate.finite:
-                u, force = self.candidate.displacement, self.candidate.normal_force
-                if not self._whole:
-                    u = np.zeros(problem.dimension)
-                    u[self._condensation.retained] = self.candidate.displacement
-                compliance = self._condensation.delassus.compliance[: problem.contacts]
-                self._closed = closed_contacts(problem, compliance, u, force)
 
     def final(self) -> Final:
         """Return the answer that is to be certified: refined on its set where that is asked for, else as it came."""
@@ -309,10 +300,16 @@ class CondensedRun(Run):
 
     def _polished(self) -> Final | None:
         """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
-        problem, condensation = self.problem, self._condensation
-        if self._closed is None:
+        problem, condensation, candidate = self.problem, self._condensation, self.candidate
+        if not candidate.finite:
             return None
-        answer, corrections, holds = polish(problem, condensation, self._closed, self.method.corrections)
+        u = candidate.displacement
+        if not self._whole:
+            u = np.zeros(problem.dimension)
+            u[condensation.retained] = candidate.displacement
+        compliance = condensation.delassus.compliance[: problem.contacts]
+        closed = closed_contacts(problem, compliance, u, candidate.normal_force)
+        answer, corrections, holds = polish(problem, condensation, closed, self.method.corrections)
         if not holds:
             return None
         answer, free = least_displacement(problem, condensation, answer)

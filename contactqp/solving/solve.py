@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from contactqp.linalg.iteration import (
 from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
-from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.methods import (
@@ -56,10 +56,6 @@ from contactqp.solving.methods import (
 from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SparseRun
-
-if TYPE_CHECKING:
-    from contactqp.model.local_problem import LocalSolution
-
 
 # The active set on sparse systems, nothing being condensed.
 SPARSE = "sparse"
@@ -209,21 +205,22 @@ def _solve(
 ) -> Solution:
     """Solve on another engine, in other units, with factors, on a subset of the contacts, or by the method as it is."""
     condense, algorithm = same["condense"], same["algorithm"]
+    options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
     problem.refuse_exchanged_arrays()
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = None if warm_start is None else warm_candidate(problem, warm_start)
     if engine != SERIAL:
-        elsewhere = engine_named(engine).function("solve")
-        found: Solution = elsewhere(problem, method, warm_start=warm_start, **same)
-        return found
+        elsewhere: Callable[..., Solution] = engine_named(engine).function("solve")
+        return elsewhere(problem, method, warm_start=warm_start, **same)
     if (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    chosen = find(method)
     systems = systems_of(problem)
-    if systems is Systems.ITERATED and _works_with_factors(chosen, condense, algorithm) and may_be_factorised(problem):
-        with factorised(problem):
-            return solve(problem, method, warm_start=warm_start, **same)
+    if systems is Systems.ITERATED and may_be_factorised(problem):
+        needs_factors = find(method).kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
+        if needs_factors:
+            with factorised(problem):
+                return solve(problem, method, warm_start=warm_start, **same)
     if systems is Systems.SUBSET and algorithm != "associated":
         with problem.lock, stage(METHOD):
             among = solve_among(
@@ -234,10 +231,10 @@ def _solve(
             )
         if among is not None:
             return among
-    options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
+        systems = systems_of(problem)  # the search may have found that a body floats
     settings = Settings(same["tolerance"], same["max_iter"], same["time_limit"], start, options)
     try:
-        return _begun(problem, chosen, settings, condense, same["polish"], algorithm).finish()
+        return _begun(problem, method, systems, settings, condense, same["polish"], algorithm).finish()
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
@@ -257,11 +254,6 @@ def _solve(
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
         return _by_another_route(problem, error, same)
-
-
-def _works_with_factors(method: Method, condense: bool | str, algorithm: str | None) -> bool:
-    """Return whether a method or an algorithm of friction needs the condensed problem, however large the bodies are."""
-    return method.kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
 
 
 def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
@@ -406,30 +398,36 @@ def begin(
     """
     refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
     settings = Settings(tolerance, max_iter, time_limit, start, options)
-    return _begun(problem, find(method), settings, condense, polish, algorithm)
+    return _begun(problem, method, systems_of(problem), settings, condense, polish, algorithm)
 
 
 def _begun(
     problem: ContactProblem,
-    chosen: Method,
+    name: str,
+    systems: Systems,
     settings: Settings,
     condense: bool | str,
     polish: bool,
     algorithm: str | None,
 ) -> Run:
-    """Run a method with checked arguments, by the first of `RUN_RULES` that applies."""
+    """Run the method of this name with checked arguments, by the first of `RUN_RULES` that applies."""
     started = time.perf_counter()
-    refuse_unsupported(problem, chosen, settings, algorithm)
+    method = find(name)
+    refuse_unsupported(problem, method, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
-        run = _run(problem, chosen, settings, condense, algorithm)
+        run = _run(problem, method, systems, settings, condense, algorithm)
     run.polish, run.seconds = polish, time.perf_counter() - started
     return run
 
 
 def _run(
-    problem: ContactProblem, method: Method, settings: Settings, condense: bool | str, algorithm: str | None
+    problem: ContactProblem,
+    method: Method,
+    systems: Systems,
+    settings: Settings,
+    condense: bool | str,
+    algorithm: str | None,
 ) -> Run:
-    systems = systems_of(problem)
     rule = next(rule for rule in RUN_RULES if rule.applies(systems, problem, method, condense))
     return rule.run(problem, method, settings, condense, algorithm)
 
@@ -457,7 +455,9 @@ def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: 
 def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, condense: Any, _: Any) -> Run:
     kept = presolved(problem)
     assert kept is not None
-    return PresolvedRun(kept, problem, method, settings, lambda one, its: _run(one, method, its, condense, None))
+    return PresolvedRun(
+        kept, problem, method, settings, lambda one, its: _run(one, method, systems_of(one), its, condense, None)
+    )
 
 
 def has_sparse_systems(method: Method) -> bool:

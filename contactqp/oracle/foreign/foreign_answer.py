@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
 from contactqp.model.solution import Answer, all_finite
@@ -56,7 +56,6 @@ class GivenAnswer(ReadOnly):
         )
 
 
-@own_floating_point
 def read_given(
     problem: ContactProblem,
     displacement: Any,

@@ -27,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
@@ -448,15 +448,11 @@ def certify_given(
     Raises
     ------
     InvalidProblem, Unsupported
-        As `contactqp.certificate.certificate.compute_certificate` and `recoveries`.
+        As `contactqp.certify` and `recoveries`.
     """
     first: tuple[Certificate, Recovery] | None = None
     for tried in recoveries(problem, given):
-        answer = tried.answer
-        forces = (answer.normal_force, answer.friction_force, answer.tie_force)
-        found = compute_certificate(
-            problem, answer.displacement, *forces, tolerance, error_tolerance, factorization, prove_friction=True
-        )
+        found = certificate_of(problem, tried.answer, tolerance, error_tolerance, factorization, prove_friction=True)
         if found.passed:
             return found, tried
         first = first or (found, tried)
