@@ -20,6 +20,7 @@ from contactqp.cli.output import (
     console,
     print_json,
     strict_option,
+    units_option,
 )
 from contactqp.errors import InvalidProblem, SceneError
 
@@ -135,7 +136,7 @@ def check_command(
 @click.option("--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For CalculiX.")
 @click.option("--plot", metavar="FILE", help="Draw both pressure fields and their difference: .png, .pdf or .svg.")
 @click.option("--folder", metavar="DIR", help="Where CalculiX runs; MODEL.ccx by default. What it writes stays there.")
-@click.option("--units", metavar="LENGTH,FORCE", help='What the units of the deck are called, such as "mm,N".')
+@units_option("the deck")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 def crosscheck_command(
     model: str,
@@ -145,7 +146,7 @@ def crosscheck_command(
     time_limit: float,
     plot: str | None,
     folder: str | None,
-    units: str | None,
+    units: dict[str, str] | None,
     as_json: bool,
 ) -> None:
     """Judge the contact of MODEL.inp as CalculiX solves it, pair by pair: exit 0 if it is right, 1 if it is wrong.
@@ -163,9 +164,6 @@ def crosscheck_command(
         from contactqp.pictures.style import check_picture
 
         check_picture(plot)  # refused before anything is run
-    names = None if units is None else [name.strip() for name in units.split(",")]
-    if names is not None and len(names) != 2:
-        raise InvalidProblem(f"--units: expected LENGTH,FORCE, such as mm,N, got {units!r}")
     found = crosscheck(
         model,
         results,
@@ -173,7 +171,7 @@ def crosscheck_command(
         error_tolerance=error_tolerance,
         time_limit=time_limit,
         folder=folder,
-        units=None if names is None else {"length": names[0], "force": names[1]},
+        units=units,
     )
     if as_json:
         print_json(found.data())

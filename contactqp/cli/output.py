@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 from click.shell_completion import CompletionItem
 
-from contactqp.errors import StartWarning
+from contactqp.errors import InvalidProblem, StartWarning
 from contactqp.model.engines import SERIAL
 
 if TYPE_CHECKING:
@@ -137,6 +137,20 @@ strict_option = click.option(
     callback=refuse_doubts,
     help="Refuse contacts that start deep inside of what they touch, or are turned the wrong way.",
 )
+
+
+def read_unit_names(_: click.Context, __: click.Parameter, given: str | None) -> dict[str, str] | None:
+    """Return the units that ``mm,N`` names."""
+    names = None if given is None else [name.strip() for name in given.split(",")]
+    if names is not None and (len(names) != 2 or not all(names)):
+        raise InvalidProblem(f"--units: expected LENGTH,FORCE, such as mm,N, got {given!r}")
+    return None if names is None else {"length": names[0], "force": names[1]}
+
+
+def units_option(of: str) -> Callable[[Any], Any]:
+    """Return the option --units of a command."""
+    told = f'What the units of {of} are called, such as "mm,N".'
+    return click.option("--units", metavar="LENGTH,FORCE", callback=read_unit_names, help=told)
 
 
 T = TypeVar("T")

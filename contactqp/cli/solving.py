@@ -24,6 +24,7 @@ from contactqp.cli.output import (
     print_json,
     speakers,
     strict_option,
+    units_option,
     whereabouts,
 )
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
@@ -66,6 +67,7 @@ MANY = 4
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @click.option("--csv", metavar="FILE", help="Write status, forces and gap of each contact at each instant: .csv.")
 @click.option("--loads", metavar="FILE", help="Solve under each load case of a table: .csv.")
+@units_option("a deck, or of a problem of matrices that states none,")
 @strict_option
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--quiet", is_flag=True, help="Print what is not met or has no answer, and no more.")
@@ -86,6 +88,7 @@ def run_command(
     vtu: str | None,
     csv: str | None,
     loads: str | None,
+    units: dict[str, str] | None,
     verbose: bool,
     quiet: bool,
     jobs: int | None,
@@ -120,7 +123,9 @@ def run_command(
     speakers.start(engine)
     named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
     with speakers.together():
-        _refuse_on_engine(engine, checkpoint, csv)
+        _refuse_on_engine(engine, checkpoint, csv, units)
+        if units is not None and named:
+            raise InvalidProblem(f"--units: {named[0]}: a case states its units itself; expected a deck or matrices")
         knobs = read_knobs(penalty, perturbation, options, bare=not named)
         if loads is not None:
             one = not foreign and len(named) == 1 and len(methods) <= 1
@@ -140,11 +145,21 @@ def run_command(
     if asked.in_a_line and not as_json and speakers.speaks and not (quiet and met):
         click.echo(f"{whole} of {len(scenes)} met{'' if quiet else ' (--verbose prints the answers)'}")
     if foreign:
+        from contactqp.model.problem_data import read_units
         from contactqp.study.friction_files import run_files, write_files
 
         shows = speakers.speaks and sys.stderr.isatty()
         drawn = files is not None
-        solved = run_files(foreign, methods, knobs, drawn=drawn, progress=shows, engine=engine, time_limit=time_limit)
+        solved = run_files(
+            foreign,
+            methods,
+            knobs,
+            drawn=drawn,
+            progress=shows,
+            engine=engine,
+            time_limit=time_limit,
+            units=read_units(units),
+        )
         speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
@@ -156,12 +171,14 @@ def run_command(
     sys.exit(0 if met else NOT_MET)
 
 
-def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None) -> None:
+def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None, units: Mapping[str, str] | None) -> None:
     """Raise Unsupported for options that this engine does not have."""
     if checkpoint is not None and engine == SERIAL:
         raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
     if csv is not None and engine != SERIAL:
         raise Unsupported("--csv: in one process alone; --json tells the contacts of all ranks")
+    if units is not None and engine != SERIAL:
+        raise Unsupported("--units: in one process alone")
 
 
 def _refuse_combinations(asked: _Asked, cases: int, foreign: Sequence[str], vtu: str | None) -> None:

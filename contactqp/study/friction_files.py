@@ -195,6 +195,7 @@ def run_files(
     progress: bool = False,
     engine: str = SERIAL,
     time_limit: float | None = None,
+    units: Units | None = None,
 ) -> list[FileOutcome]:
     """Solve every file by every method.
 
@@ -214,11 +215,13 @@ def run_files(
         "serial", or the engine that solves on ranks.
     time_limit : float, optional
         Seconds for each file and method.
+    units : Units, optional
+        What the units of files that state none are called; in one process alone.
 
     Raises
     ------
     InvalidProblem
-        A stiffness with a unit for a problem that states none.
+        A stiffness with a unit for a problem that states none; names of units for one that states its own.
     Unsupported
         A picture or a table of a problem in local form, or of one that is dealt out to ranks.
     """
@@ -235,7 +238,7 @@ def run_files(
     for file, method in shown:
         with within_time(time_limit):
             chosen = options_of(method, methods or (method,), knobs)
-            outcomes.append(run_file(file, method, chosen, engine, drawn=drawn))
+            outcomes.append(run_file(file, method, chosen, engine, drawn=drawn, units=units))
     return outcomes
 
 
@@ -246,6 +249,7 @@ def run_file(
     engine: str = SERIAL,
     *,
     drawn: bool = False,
+    units: Units | None = None,
 ) -> FileOutcome:
     """Solve a file's problem.
 
@@ -259,8 +263,8 @@ def run_file(
         Options of the method.
     engine : str
         "serial", or the engine that solves on ranks: then the call is collective, and the first rank has the answer.
-    drawn : bool
-        Whether a picture or a table of the answer is wanted, as in `run_files`.
+    drawn, units : bool and Units, optional
+        As in `run_files`.
 
     Raises
     ------
@@ -269,9 +273,8 @@ def run_file(
     """
     if engine != SERIAL:
         return run_file_on_ranks(file, method or DEFAULT_METHOD, _in_units(file, None, options or {}))
-    problem = solvable_form(file)
-    units = problem.units if isinstance(problem, ContactProblem) else None
-    chosen = _in_units(file, units, options or {})
+    problem = _called(file, solvable_form(file), units)
+    chosen = _in_units(file, problem.units if isinstance(problem, ContactProblem) else None, options or {})
     if drawn and isinstance(problem, LocalProblem):
         raise Unsupported(f"{file}: --plot and --csv need displacements; a problem in local form has forces in --json")
     solution: Any = None
@@ -285,6 +288,17 @@ def run_file(
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         failure = error
     return _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
+
+
+def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | None) -> LocalProblem | ContactProblem:
+    """Return a problem that states no units with names for them."""
+    if units is None or not units.length:
+        return problem
+    if isinstance(problem, LocalProblem) or problem.units.length:
+        local = isinstance(problem, LocalProblem)
+        has = "a problem in local form" if local else f"{problem.units.length} and {problem.units.force}"
+        raise InvalidProblem(f"--units: {file}: expected a deck or matrices without units, got {has}")
+    return problem.replace(units=units)
 
 
 def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -371,6 +385,7 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
     elif solution is not None:
         if isinstance(solution, Solution):
             data |= _energy_of(solution)
+            data["units"] = {"length": solution.problem.units.length, "force": solution.problem.units.force}
         parts = {name: getattr(solution, name) for name in ANSWER_PARTS}
         data |= {name: part.tolist() for name, part in parts.items() if part is not None}
     return data

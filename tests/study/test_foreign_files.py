@@ -16,6 +16,7 @@ import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
 from contactqp.model.unknown_names import axis_called, plain_name
 from tests.cli.test_cli import CASES, run
+from tests.decks import STACK
 
 NAMES = ("1.x", "1.y", "2.x")
 K = [[4.0, -1.0, 0.0], [-1.0, 5.0, 2.5], [0.0, 2.5, 3.0]]
@@ -378,3 +379,32 @@ def test_names_that_the_problem_does_not_have_take_no_time(tmp_path):
     assert time.process_time() - began < 10
     assert np.all(found.parts["displacement"] == 1)
     assert any("20000 names that the problem does not have" in line for line in found.ledger.ignored)
+
+
+def test_run_calls_the_units_of_matrices_and_decks_by_their_names(capsys, folder):
+    Path(folder.parent / "deck.inp").write_text(STACK)
+    for problem, of_a_gap in (("p", "gap [mm]"), ("deck.inp", "gap [mm]")):
+        plain, named = run(capsys, "run", problem), run(capsys, "run", problem, "--units", "mm,N")
+        assert of_a_gap in named[1]
+        assert of_a_gap not in plain[1]
+        assert json.loads(run(capsys, "run", problem, "--units", "mm,N", "--json")[1])[0]["units"] == {
+            "length": "mm",
+            "force": "N",
+        }
+    penalty = "--method", "penalty", "--penalty", "1e9 N/mm"
+    assert "states no units" in run(capsys, "run", "deck.inp", *penalty)[2]
+    assert run(capsys, "run", "deck.inp", *penalty, "--units", "mm,N")[0] == 1
+
+
+def test_names_of_units_that_fit_nothing_are_refused_in_one_line(capsys, folder):
+    named = cq.read_problem(folder).replace(units={"length": "m", "force": "kN"})
+    cq.write_problem(folder.parent / "q", named)
+    for arguments, said in (
+        (("q", "--units", "mm,N"), "got m and kN"),
+        (("p", "--units", "mm"), "expected LENGTH,FORCE, such as mm,N, got 'mm'"),
+        (("p", "--units", "N,mm"), "expected a length, got 'N'"),
+        (("bar_wall", "--units", "mm,N"), "a case states its units itself"),
+        (("p", "--units", "mm,N", "--engine", "petsc"), "in one process alone"),
+    ):
+        code, _, error = run(capsys, "run", *arguments)
+        assert (code, said in error, len(error.splitlines())) == (2, True, 1), error
