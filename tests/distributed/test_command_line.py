@@ -84,6 +84,7 @@ def test_what_is_not_offered_there_is_refused_in_one_line(commands):
         ("von_mises_truss.toml",): "engine 'petsc': large deformations",
         ("truss_floor.toml",): "engine 'petsc': exact events of a load path; state its steps alone",
         ("bar_wall.toml", "--method", "clarabel"): "clarabel",
+        ("bar_wall.toml", "--units", "mm,N"): "--units: in one process alone",
         ("bar_wall.toml", "--option", "condense=false"): "engine 'petsc': condense is an option of one process",
     }
     found = commands(*(["run", CASES / name, *rest, "--engine", "petsc"] for name, *rest in asked))

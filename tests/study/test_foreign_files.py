@@ -404,7 +404,6 @@ def test_names_of_units_that_fit_nothing_are_refused_in_one_line(capsys, folder)
         (("p", "--units", "mm"), "expected LENGTH,FORCE, such as mm,N, got 'mm'"),
         (("p", "--units", "N,mm"), "expected a length, got 'N'"),
         (("bar_wall", "--units", "mm,N"), "a case states its units itself"),
-        (("p", "--units", "mm,N", "--engine", "petsc"), "in one process alone"),
     ):
         code, _, error = run(capsys, "run", *arguments)
         assert (code, said in error, len(error.splitlines())) == (2, True, 1), error
