@@ -115,12 +115,9 @@ class ExactPath:
 
         Parameters
         ----------
-        start, end : (n,) arrays [force]
-            The loads at both ends.
-        time : float
-            The pseudo-time at the start, for the messages of errors.
-        lasts : float
-            The pseudo-time that the leg takes; one for a whole leg.
+        start, end : (n,) arrays [force], the loads at both ends
+        time : the pseudo-time at the start, for the messages of errors
+        lasts : the pseudo-time that the leg takes; one for a whole leg
 
         Raises
         ------
@@ -266,16 +263,11 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
 
     Parameters
     ----------
-    system : ForceSystem
-        Gaps and slips of the contacts in their forces.
-    rates : Lengths
-        Gaps and slips per unit of the leg without contact forces.
-    standing : Standing
-        The states of the contacts, and which are undecided.
-    problem : ContactProblem
-        The problem, for names in messages.
-    at : str
-        The instant, for messages.
+    system : gaps and slips of the contacts in their forces
+    rates : gaps and slips per unit of the leg without contact forces
+    standing : the states of the contacts, and which are undecided
+    problem : the problem, for names in messages
+    at : the instant, for messages
 
     Raises
     ------

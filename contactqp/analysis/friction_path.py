@@ -62,23 +62,15 @@ def follow_with_friction(
 ) -> History:
     """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event.
 
+    Raises Unsupported: exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
+
     Parameters
     ----------
-    problem : ContactProblem
-        A problem with tangential rows.
-    corners : sequence of (n,) arrays
-        The loads at the corners of the path, the start included [force].
-    count : int
-        Steps of each leg.
-    exactly : bool
-        Whether every event is found exactly, and is an instant of its own.
-    method, options : str, dict
-        As for `solve`.
-
-    Raises
-    ------
-    Unsupported
-        Exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
+    problem : a problem with tangential rows
+    corners : sequence of (n,) arrays, the loads at the corners of the path, the start included [force]
+    count : steps of each leg
+    exactly : whether every event is found exactly, and is an instant of its own
+    method, options : str, dict, as for `solve`
     """
     if exactly and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
         raise Unsupported(
@@ -207,10 +199,7 @@ class FrictionSteps(LazySolutions):
     def go_to(self, fraction: float) -> None:
         """Take one more step, to the load at a fraction of the leg.
 
-        Raises
-        ------
-        NoEquilibrium, SeveralEquilibria, NotConverged
-            As `solve`, with the pseudo-time.
+        Raises NoEquilibrium, SeveralEquilibria, NotConverged as `solve`, with the pseudo-time.
         """
         try:
             with one_blas_thread(self._problem):
@@ -331,21 +320,15 @@ def follow_on_springs(
 ) -> History:
     """Follow a path, as `follow_with_friction`, by a method whose `springs` names the stiffnesses of its contacts.
 
+    Raises InvalidProblem: a stiffness is missing, or not positive and finite; Unsupported: a stiffness is so far above
+    that of the bodies that rounding hides whether a contact goes on.
+
     Parameters
     ----------
     problem, corners, count, exactly
         As for `follow_with_friction`.
-    chosen : Method
-        A method whose `springs` names its stiffnesses.
-    options : dict
-        Its options, these stiffnesses among them.
-
-    Raises
-    ------
-    InvalidProblem
-        A stiffness is missing, or not positive and finite.
-    Unsupported
-        A stiffness is so far above that of the bodies that rounding hides whether a contact goes on.
+    chosen : a method whose `springs` names its stiffnesses
+    options : dict, its options, these stiffnesses among them
     """
     refuse_options(problem, chosen, options)
     if chosen.springs is None:

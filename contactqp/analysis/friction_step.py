@@ -95,21 +95,14 @@ class Anchors:
 def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
     """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
 
+    Raises NoEquilibrium, SeveralEquilibria, NotConverged: of the solve at the end of the step, all contacts anchored.
+
     Parameters
     ----------
-    fraction : float
-        The end of the step, as a part of the leg.
-    before : State
-        The state at its start.
-    anchors : Anchors
-        The tangential positions there, and which contacts are anchored.
-    solve : function
-        The equilibrium at a fraction, from slip origins, with contacts that are kept open.
-
-    Raises
-    ------
-    NoEquilibrium, SeveralEquilibria, NotConverged
-        Of the solve at the end of the step, all contacts anchored.
+    fraction : the end of the step, as a part of the leg
+    before : the state at its start
+    anchors : the tangential positions there, and which contacts are anchored
+    solve : function, the equilibrium at a fraction, from slip origins, with contacts that are kept open
     """
     origin, anchored = anchors.position.copy(), anchors.anchored.copy()
     low = before

@@ -229,12 +229,9 @@ def contact_changes(
 
     Parameters
     ----------
-    states : iterable of pairs of (m,) masks
-        Which contacts push, and which of them slide, at each instant.
-    times : iterable of float
-        The time of each instant; the first one has no events.
-    name : function
-        The name of a contact by its number.
+    states : iterable of pairs of (m,) masks, which contacts push, and which of them slide, at each instant
+    times : iterable of float, the time of each instant; the first one has no events
+    name : function, the name of a contact by its number
     """
     instants = zip(states, times, strict=True)
     for ((pushed, slid), _), ((pushes, slides), time) in pairwise(instants):
@@ -399,14 +396,10 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
 
     Parameters
     ----------
-    problem : ContactProblem
-        A problem without friction.
-    start, end : (n,) arrays
-        The loads at both ends of the leg [force].
-    first : Solution
-        The solution at its start.
-    method : str
-        The name of an exact method.
+    problem : a problem without friction
+    start, end : (n,) arrays, the loads at both ends of the leg [force]
+    first : the solution at its start
+    method : the name of an exact method
     """
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")

@@ -35,19 +35,14 @@ class LoadCases:
     Loads and gaps in arrays of doubles are not copied, for they may take most of the memory there is. A sum over the
     bits of each row tells whether it was changed since.
 
+    Raises InvalidProblem: rows are missing altogether, differ in number, or have a wrong shape or entry.
+
     Parameters
     ----------
     problem : ContactProblem
     loads : (N, n) array [force] or None
-    gaps : (N, m) array [length] or None
-        inf where a case has no such contact.
-    friction : number, (N, 1) or (N, m) array, or None
-        Coefficients of friction; a number stands for all cases.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows are missing altogether, differ in number, or have a wrong shape or entry.
+    gaps : (N, m) array [length] or None, inf where a case has no such contact
+    friction : number, (N, 1) or (N, m) array, or None, coefficients of friction; a number stands for all cases
     """
 
     def __init__(self, problem: ContactProblem, loads: Any, gaps: Any, friction: Any) -> None:

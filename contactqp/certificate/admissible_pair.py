@@ -128,21 +128,14 @@ def admissible_pair(
 ) -> AdmissiblePair:
     """Return the admissible pair that is nearest to the solution, as far as one is found.
 
+    Raises Unproven: there is none, or refinement does not converge.
+
     Parameters
     ----------
-    problem : ContactProblem
-        Without friction.
-    answer : Answer
-        The solution that the pair is to be near.
-    left : Residuals
-        Those of the answer.
-    condensation : Condensation
-        That of the problem.
-
-    Raises
-    ------
-    Unproven
-        There is none, or refinement does not converge.
+    problem : without friction
+    answer : the solution that the pair is to be near
+    left : those of the answer
+    condensation : that of the problem
     """
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)

@@ -115,13 +115,10 @@ def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none:
 
     Parameters
     ----------
-    entries : ContactEntries
-        The entries of the rows of each contact.
+    entries : the entries of the rows of each contact
     force : (m, w) array [force]
-    meeting : (n,) array [force]
-        F_j, what meets at each unknown.
-    none : (n,) array [force]
-        Up to which a force counts as zero.
+    meeting : (n,) array [force], F_j, what meets at each unknown
+    none : (n,) array [force], up to which a force counts as zero
     """
     acting = beyond(abs(entries.forces(force)), none[entries.unknown])
     return entries.largest(ratio(acting, meeting[entries.unknown])[None])
@@ -179,12 +176,9 @@ def coulomb_data(
     Parameters
     ----------
     problem : ContactProblem
-    answer : Answer
-        Its displacement says the slips.
-    F, none : (n,) arrays
-        The forces that meet at each unknown, and those that count as none [force].
-    hardly : (m,) array of bool
-        The contacts that are `hardly_felt`.
+    answer : its displacement says the slips
+    F, none : (n,) arrays, the forces that meet at each unknown, and those that count as none [force]
+    hardly : (m,) array of bool, the contacts that are `hardly_felt`
     """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
@@ -230,14 +224,10 @@ def friction_figures(
 
     Parameters
     ----------
-    answer : Answer
-        With friction forces (m, d-1).
-    coulomb : CoulombData
-        Slips, their rounding, and the coefficients of friction.
-    meeting : (m,) array [length]
-        The lengths that meet along the tangential rows of each contact.
-    none : Nothing
-        Lengths and forces that count as zero.
+    answer : Answer, with friction forces (m, d-1)
+    coulomb : slips, their rounding, and the coefficients of friction
+    meeting : (m,) array [length], the lengths that meet along the tangential rows of each contact
+    none : lengths and forces that count as zero
     """
     force = answer.friction_force
     slip = slips(coulomb.slip, none)
@@ -292,14 +282,10 @@ def law_residual(
     Parameters
     ----------
     answer : Answer
-    found : Violations
-        The figures of the answer.
-    sliding : (m, d-1) and (m,) arrays
-        The slips [length] and the coefficients of friction.
-    unit : three (m,) arrays
-        `normal_force` and what `tangential_force` returns.
-    nothing : (m,) array
-        `least_force`: the contact forces up to which there is none.
+    found : the figures of the answer
+    sliding : (m, d-1) and (m,) arrays, the slips [length] and the coefficients of friction
+    unit : three (m,) arrays, `normal_force` and what `tangential_force` returns
+    nothing : (m,) array, `least_force`: the contact forces up to which there is none
     """
     (slip, friction), (along, across, felt), least = sliding, unit, nothing
     phi = np.maximum(along, np.where(felt, across, 0.0))

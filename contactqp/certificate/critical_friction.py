@@ -183,16 +183,11 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
 
     Parameters
     ----------
-    W : (d m, d m) array [length / force]
-        Contact by contact, the normal row first.
-    mu : (m,) array
-        Coefficients of friction.
-    contacts : int
-        m.
-    floats : bool
-        Whether bodies float on rigid motions: then kappa is infinite, and combinations are not examined.
-    symmetric : bool
-        Whether W is symmetric; kappa is infinite where it is not.
+    W : (d m, d m) array [length / force], contact by contact, the normal row first
+    mu : (m,) array, coefficients of friction
+    contacts : m
+    floats : whether bodies float on rigid motions: then kappa is infinite, and combinations are not examined
+    symmetric : whether W is symmetric; kappa is infinite where it is not
     """
     m, d = contacts, len(W) // contacts
     blocks = W.reshape(m, d, m, d)

@@ -197,10 +197,8 @@ def _proven_nearby(
 
     Parameters
     ----------
-    refined : _Refined
-        The refined answer of the combination that the candidate was compared with.
-    kappa : float
-        Not below one, so that there is no global statement.
+    refined : the refined answer of the combination that the candidate was compared with
+    kappa : not below one, so that there is no global statement
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
     norms = _Norms.of(compliance, condensation.lost_digits, _acting(compliance, compared.status, mu))

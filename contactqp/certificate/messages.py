@@ -46,12 +46,9 @@ def of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> s
     Parameters
     ----------
     problem : ContactProblem or the like, with names
-    name : str
-        The part: "displacement", "normal_force", "friction_force" or "tie_force".
-    values : array
-        The part, a row an entry.
-    i : int
-        Which entry.
+    name : the part: "displacement", "normal_force", "friction_force" or "tie_force"
+    values : array, the part, a row an entry
+    i : which entry
     """
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     part = np.atleast_1d(values[i])
@@ -84,10 +81,8 @@ def failed_figures(
     ----------
     problem : ContactProblem
     answer : Answer
-    found : Violations
-        Its figures, entry by entry.
-    figures : dict of str to float
-        The largest of each.
+    found : its figures, entry by entry
+    figures : dict of str to float, the largest of each
     tolerance : float
     """
     for name in FIGURES:
@@ -112,14 +107,10 @@ def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int,
     ----------
     problem : ContactProblem or the like, with names and units
     answer : Answer
-    found : Violations
-        Its figures, entry by entry.
-    name : str
-        Which figure, of `FIGURES`.
-    i : int
-        Which unknown, contact or tie.
-    tolerance : float
-        The largest figure that passes.
+    found : its figures, entry by entry
+    name : which figure, of `FIGURES`
+    i : which unknown, contact or tie
+    tolerance : the largest figure that passes
     """
     force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
     of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
@@ -155,12 +146,9 @@ def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     Parameters
     ----------
     problem : ContactProblem or the like, with names
-    law : (m,) array
-        By how much each contact misses it, relative to the sizes that meet there.
-    i : int
-        Which contact.
-    limit : float
-        The largest that passes.
+    law : (m,) array, by how much each contact misses it, relative to the sizes that meet there
+    i : which contact
+    limit : the largest that passes
     """
     return (
         f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
@@ -175,12 +163,9 @@ def of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance
     ----------
     problem : ContactProblem or the like, with names and units
     answer : Answer
-    known : Bounds
-        With bounds of each force.
-    i : int
-        Which contact.
-    tolerance : float
-        The largest relative bound that passes.
+    known : with bounds of each force
+    i : which contact
+    tolerance : the largest relative bound that passes
     """
     if known.force_bound is None or known.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
@@ -251,12 +236,9 @@ def of_distances(problem: Named, worst: int, relative: dict[str, float], toleran
     Parameters
     ----------
     problem : ContactProblem or the like, with names
-    worst : int
-        The contact whose force is farthest away.
-    relative : dict of str to float
-        The distances of "displacement", "contact forces" and "contact", over their scales.
-    tolerance : float
-        The largest that passes.
+    worst : the contact whose force is farthest away
+    relative : dict of str to float, the distances of "displacement", "contact forces" and "contact", over their scales
+    tolerance : the largest that passes
     """
     own = "the answer of its own combination of open, stick and slip"
     named = {

@@ -91,10 +91,7 @@ class Forces(Protocol):
 def distances(problem: Limits, answer: Forces, iteration: ContactIteration) -> Distances:
     """Bound the distance of an answer from the solution.
 
-    Raises
-    ------
-    Unrepaired
-        No displacement without penetration was found near it.
+    Raises Unrepaired: no displacement without penetration was found near it.
     """
     given = np.append(answer.normal_force, answer.tie_force)
     push, forces = _forces(problem, answer, given, iteration)
@@ -131,13 +128,10 @@ def balanced_forces(problem: Limits, displacement: Vector, forces: Vector, itera
 
     Parameters
     ----------
-    problem : Limits
-        Load, gaps and ties.
+    problem : load, gaps and ties
     displacement : (n,) array [length]
-    forces : (m + k,) array [force]
-        Of contacts, then of ties.
-    iteration : ContactIteration
-        Products with the stiffness, and the motions of floating bodies.
+    forces : (m + k,) array [force], of contacts, then of ties
+    iteration : products with the stiffness, and the motions of floating bodies
     """
     if not iteration.floating.count:
         return forces

@@ -205,10 +205,7 @@ class NearOne:
 def near_one(problem: ContactProblem) -> NearOne | None:
     """Return the problem in units in which its numbers are near one; None where they are so already.
 
-    Raises
-    ------
-    InvalidProblem
-        A coefficient of friction that is no double in these units.
+    Raises InvalidProblem: a coefficient of friction that is no double in these units.
     """
     computed = problem._computed
     if computed.near_one is None:

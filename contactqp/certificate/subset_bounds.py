@@ -138,12 +138,9 @@ def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, 
     Parameters
     ----------
     problem : ContactProblem
-    candidates : (q,) array of int
-        Numbers of contacts.
-    gap : (m,) array [length]
-        The gaps of all contacts at the displacement.
-    u : (n,) array [length]
-        The displacement.
+    candidates : (q,) array of int, numbers of contacts
+    gap : (m,) array [length], the gaps of all contacts at the displacement
+    u : (n,) array [length], the displacement
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
@@ -173,12 +170,9 @@ def bounds_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : Answer
-        Of all contacts; those that are no candidates have no force.
-    left : Residuals
-        Those of the answer.
-    candidates : (q,) array of int
-        Contacts; more are taken where the solution closes others.
+    answer : of all contacts; those that are no candidates have no force
+    left : those of the answer
+    candidates : (q,) array of int, contacts; more are taken where the solution closes others
     """
     for _ in range(WIDENINGS):
         subset = _judged_among(problem, candidates)
@@ -207,12 +201,9 @@ def state_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : Answer
-        Of all contacts; those that are no candidates have no force.
-    candidates : (q,) array of int
-        Contacts; more are taken where the displacement closes others.
-    tolerances : two floats
-        Those of `state_verdict`.
+    answer : of all contacts; those that are no candidates have no force
+    candidates : (q,) array of int, contacts; more are taken where the displacement closes others
+    tolerances : two floats, those of `state_verdict`
     """
     for _ in range(WIDENINGS):
         subset = _judged_among(problem, candidates)

@@ -173,10 +173,7 @@ class BoundUnknowns:
 def bound_unknowns(problem: DistributedProblem, method: str) -> BoundUnknowns:
     """Return unknowns that every contact and tie is a bound on. Collective.
 
-    Raises
-    ------
-    Unsupported
-        A contact or tie has no unknown of its own; the first one is named.
+    Raises Unsupported: a contact or tie has no unknown of its own; the first one is named.
     """
     rows = stacked_rows([problem.normal, problem.tie], problem.stiffness)
     rows.entries.eliminate_zeros()
@@ -245,25 +242,15 @@ STEPS, INNER_STEPS = 200, 10_000
 def solve_bounded(problem: DistributedProblem, method: str, solver: str, settings: Settings) -> Candidate:
     """Solve a problem by one of METHODS and return its candidate. Collective.
 
+    Raises Unsupported: a contact or tie that is no bound on an unknown of its own, friction, a solver that cannot
+    follow the sets; NoEquilibrium: bounds conflict; BackendFailed: PETSc or MUMPS gave up.
+
     Parameters
     ----------
-    problem : DistributedProblem
-        A problem without friction.
-    method : str
-        One of METHODS.
-    solver : str
-        One of SOLVERS, or "auto".
-    settings : Settings
-        The tolerance, the most steps and a warm start.
-
-    Raises
-    ------
-    Unsupported
-        A contact or tie that is no bound on an unknown of its own, friction, a solver that cannot follow the sets.
-    NoEquilibrium
-        Bounds conflict.
-    BackendFailed
-        PETSc or MUMPS gave up.
+    problem : a problem without friction
+    method : one of METHODS
+    solver : one of SOLVERS, or "auto"
+    settings : the tolerance, the most steps and a warm start
     """
     if problem.frictional:
         raise Unsupported(f"{method}: friction is no bound on unknowns; active-set takes it")
@@ -281,10 +268,7 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
 def inner_solver(method: str, solver: str, dimension: int) -> str:
     """Return the name of the solver of linear systems, where "auto" is resolved by the number of unknowns.
 
-    Raises
-    ------
-    Unsupported
-        There is no such solver, or this PETSc was built without it.
+    Raises Unsupported: there is no such solver, or this PETSc was built without it.
     """
     has = petsc().Sys.hasExternalPackage
     if solver == AUTO:

@@ -70,10 +70,7 @@ class CuttingPlanes:
     def add_cut(self, sums: Vector) -> None:
         """Take the sums (p,) at the query, and find the next query.
 
-        Raises
-        ------
-        NotConverged
-            The bounds did not come together.
+        Raises NotConverged: the bounds did not come together.
         """
         query = self._queries.pop(0)
         along = abs(float(self._weight @ query))
@@ -235,14 +232,10 @@ def certify_distributed(
 
     Parameters
     ----------
-    problem : DistributedProblem
-        The problem.
-    answer : Answer
-        The part of this rank.
-    tolerance : float
-        Largest figure that passes.
-    error_tolerance : float
-        Largest bound on the relative error that passes.
+    problem : the problem
+    answer : the part of this rank
+    tolerance : largest figure that passes
+    error_tolerance : largest bound on the relative error that passes
     bounds : function, optional
         Returns the bounds of the error; all ranks call it where the answer is finite and there is no friction.
 

@@ -32,24 +32,18 @@ CASE = "case.json"
 class Checkpoint:
     """A folder with the solved steps of one case. All methods are collective.
 
+    Raises InvalidProblem: the folder holds something else, or steps of another case.
+
     Parameters
     ----------
-    folder : str or Path
-        The same folder for all ranks; it is made if it does not exist.
-    digest : str
-        A text that differs from case to case.
-    ranks : Ranks
-        The processes.
+    folder : str or Path, the same folder for all ranks; it is made if it does not exist
+    digest : str, a text that differs from case to case
+    ranks : Ranks, the processes
 
     Attributes
     ----------
     steps : int
         The number of steps that are solved, the start included.
-
-    Raises
-    ------
-    InvalidProblem
-        The folder holds something else, or steps of another case.
     """
 
     def __init__(self, folder: str | Path, digest: str, ranks: Ranks) -> None:

@@ -219,14 +219,10 @@ def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    body : Part
-        This rank's piece of the body.
-    point : (d,) array
-        The point [length].
-    what : str
-        The name of the body in messages.
+    ranks : the processes
+    body : this rank's piece of the body
+    point : (d,) array, the point [length]
+    what : the name of the body in messages
     """
     numbers, found = node_numbers_of(body), None
     if body.mesh.elements:
@@ -249,12 +245,8 @@ def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
 
     Shapes are made slab by slab. A mesh file is read by rank 0, which then has all of the mesh for a while.
 
-    Raises
-    ------
-    SceneError
-        The scene is invalid; the message begins with the key and is the same on all ranks.
-    Unsupported
-        Membranes, motions, large deformations, a scene without bodies.
+    Raises SceneError: the scene is invalid; the message begins with the key and is the same on all ranks; Unsupported:
+    membranes, motions, large deformations, a scene without bodies.
     """
     features = {
         "membranes": scene.membranes,

@@ -36,8 +36,7 @@ def partition_graph(ranks: Ranks, indptr: Index, indices: Index) -> Indices:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
+    ranks : the processes
     indptr, indices : arrays of int
         Vertex i of this rank has the neighbours indices[indptr[i]:indptr[i + 1]], numbered through all ranks rank after
         rank. The graph is symmetric; a vertex may be its own neighbour.
@@ -70,12 +69,10 @@ class Numbering:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
+    ranks : Ranks, the processes
     stiffness : CSR or BSR matrix
         The rows of K of this rank's share, which follow those of the rank before, over all unknowns.
-    size : int
-        The number of unknowns of a block.
+    size : int, the number of unknowns of a block
 
     Attributes
     ----------

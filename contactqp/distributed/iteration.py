@@ -45,14 +45,10 @@ class SharedGram:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    touched : (c,) array of int
-        The numbers of the unknowns that this rank's rows touch, as counted over all ranks.
-    entries : (q, c) CSR
-        This rank's rows over these unknowns.
-    compliance : (c,) array
-        The weights of these unknowns in the Gram matrix.
+    ranks : Ranks, the processes
+    touched : (c,) array of int, the numbers of the unknowns that this rank's rows touch, as counted over all ranks
+    entries : (q, c) CSR, this rank's rows over these unknowns
+    compliance : (c,) array, the weights of these unknowns in the Gram matrix
     """
 
     def __init__(self, ranks: Ranks, touched: Index, entries: sp.csr_matrix, compliance: Vector) -> None:
@@ -95,14 +91,10 @@ class DistributedConstrainedRows:
 
     Parameters
     ----------
-    rows : Rows
-        The constrained rows, a of them on this rank.
-    limit : (a,) array
-        The lengths that they are constrained to [length].
-    compliance : (t,) array
-        1/K_jj of the unknowns that they touch.
-    gram : Gram
-        Their Gram matrix.
+    rows : Rows, the constrained rows, a of them on this rank
+    limit : (a,) array, the lengths that they are constrained to [length]
+    compliance : (t,) array, 1/K_jj of the unknowns that they touch
+    gram : Gram, their Gram matrix
     """
 
     def __init__(self, rows: Rows, limit: Vector, compliance: Vector, gram: Gram) -> None:
@@ -134,12 +126,9 @@ class DistributedIteration(ContactIteration):
 
     Parameters
     ----------
-    problem : DistributedProblem
-        Any problem with this K, E_N and A.
-    solver : str
-        The preconditioner, as `Preconditioner` takes it.
-    tangents : bool
-        Whether the tangential rows follow contacts and ties.
+    problem : DistributedProblem, any problem with this K, E_N and A
+    solver : str, the preconditioner, as `Preconditioner` takes it
+    tangents : bool, whether the tangential rows follow contacts and ties
     """
 
     def __init__(self, problem: DistributedProblem, solver: str, *, tangents: bool = False) -> None:

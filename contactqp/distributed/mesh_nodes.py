@@ -95,12 +95,9 @@ def connected_parts(nodes: Nodes, meeting: Any, free: Mask) -> Index:
 
     Parameters
     ----------
-    nodes : Nodes
-        The nodes of this rank.
-    meeting : (N, elements) sparse matrix
-        The nodes that each element of this rank has.
-    free : (N,) array of bool
-        Nodes that have a free unknown; the others connect nothing.
+    nodes : the nodes of this rank
+    meeting : (N, elements) sparse matrix, the nodes that each element of this rank has
+    free : (N,) array of bool, nodes that have a free unknown; the others connect nothing
 
     Returns
     -------
@@ -202,10 +199,7 @@ class ContactSurfaces:
 def gather_surfaces(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]]) -> ContactSurfaces:
     """Gather the sides of bodies on every rank. Collective.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no such side, or it has no faces or several kinds of facet.
+    Raises InvalidProblem: there is no such side, or it has no faces or several kinds of facet.
     """
     ranks = nodes.ranks
     firsts = np.cumsum([0, *[body.mesh.total for body in structure.bodies]])

@@ -28,12 +28,9 @@ class PieceSystem:
 
     Parameters
     ----------
-    structure : Structure
-        The pieces of this rank.
-    nodes : Nodes
-        Their nodes.
-    prescribed : (k d,) array
-        Displacements of the supports [length], NaN at free unknowns.
+    structure : Structure, the pieces of this rank
+    nodes : Nodes, their nodes
+    prescribed : (k d,) array, displacements of the supports [length], NaN at free unknowns
     """
 
     structure: Structure
@@ -220,10 +217,7 @@ class StiffnessParts:
 def prescribed_displacements(structure: Structure, nodes: Nodes, supports: Sequence[Support]) -> Vector:
     """Return the prescribed displacements (k d,) of own unknowns, NaN at free ones. Collective.
 
-    Raises
-    ------
-    InvalidProblem
-        As `Structure.assemble`.
+    Raises InvalidProblem as `Structure.assemble` does.
     """
     with nodes.ranks.raising_together():
         every = structure.prescribed(supports)

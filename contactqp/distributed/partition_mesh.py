@@ -98,8 +98,7 @@ class FileSource:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
+    ranks : Ranks, the processes
     read : function
         Returns the mesh; called by rank 0 only. Its ContactQPError is raised on all ranks.
     """
@@ -171,10 +170,8 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    codes : (k,) array of int
-        The codes of this rank, distinct and ascending.
+    ranks : the processes
+    codes : (k,) array of int, the codes of this rank, distinct and ascending
 
     Returns
     -------
@@ -208,14 +205,13 @@ _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> tuple[list[Share], Index, Index]:
     """Find the elements that share a facet, on whatever ranks they are. Collective.
 
+    Raises InvalidProblem: three elements share a facet: they overlap.
+
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    shares : sequence of Share
-        This rank's shares of one mesh.
-    first : int
-        The number of this rank's first element; they are numbered share after share.
+    ranks : the processes
+    shares : sequence of Share, this rank's shares of one mesh
+    first : the number of this rank's first element; they are numbered share after share
 
     Returns
     -------
@@ -223,11 +219,6 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> tuple[list[
         The shares with the marks of the boundary.
     here, there : (k,) arrays of int
         The numbers of elements of this rank, and of their neighbours on any rank.
-
-    Raises
-    ------
-    InvalidProblem
-        Three elements share a facet: they overlap.
     """
     facets = [share.facets[:, : REFERENCES[share.kind.facet].corners] for share in shares]
     corners, local = np.unique(np.concatenate([part.ravel() for part in facets]), return_inverse=True)
@@ -357,10 +348,7 @@ class MeshPiece(Mesh):
 def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[MeshPiece]:
     """Partition meshes together, so that all ranks have about as many elements, and return their pieces. Collective.
 
-    Raises
-    ------
-    InvalidProblem
-        A mesh is invalid, on any rank.
+    Raises InvalidProblem: a mesh is invalid, on any rank.
     """
     shares = [source.shares() for source in sources]
     counts = [sum(len(share.nodes) for share in some) for some in shares]

@@ -39,16 +39,11 @@ class DistributedHierarchy:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    stiffness : PETSc.Mat
-        K.
-    diagonal : (n_here,) array
-        D of the finest level, positive.
-    motions : (n_here, q) array
-        Motions that cost little energy.
-    rows : Rows
-        Rows that touch the same unknowns as those that `cycle` is given.
+    ranks : Ranks, the processes
+    stiffness : PETSc.Mat, K
+    diagonal : (n_here,) array, D of the finest level, positive
+    motions : (n_here, q) array, motions that cost little energy
+    rows : Rows, rows that touch the same unknowns as those that `cycle` is given
     """
 
     def __init__(self, ranks: Ranks, stiffness: Any, diagonal: Vector, motions: Array, rows: Rows) -> None:
@@ -158,10 +153,7 @@ LIFT = 1e-5
 def chosen_solver(solver: str, dimension: int) -> str:
     """Return the name of a solver, where "auto" is resolved by the number of unknowns.
 
-    Raises
-    ------
-    Unsupported
-        There is no solver of that name.
+    Raises Unsupported: there is no solver of that name.
     """
     if solver == AUTO:
         return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
@@ -173,23 +165,15 @@ def chosen_solver(solver: str, dimension: int) -> str:
 class Preconditioner:
     """The preconditioner M of one stiffness. Making and applying it is collective.
 
+    Raises Unsupported: PETSc was built without the solver; BackendFailed: PETSc gave up: K is singular, or memory ran
+    out.
+
     Parameters
     ----------
-    problem : DistributedProblem
-        Its K and near-null-space are used.
-    rows : Rows
-        Rows that may be constrained.
-    motions : (n_here, r) array
-        Rigid motions of bodies that float, for which M is that of K + LIFT D.
-    solver : str
-        ``"gamg"`` (smoothed aggregation), ``"hypre"`` (BoomerAMG) or ``"mumps"``, which factorises.
-
-    Raises
-    ------
-    Unsupported
-        PETSc was built without the solver.
-    BackendFailed
-        PETSc gave up: K is singular, or memory ran out.
+    problem : DistributedProblem, its K and near-null-space are used
+    rows : Rows, rows that may be constrained
+    motions : (n_here, r) array, rigid motions of bodies that float, for which M is that of K + LIFT D
+    solver : str, ``"gamg"`` (smoothed aggregation), ``"hypre"`` (BoomerAMG) or ``"mumps"``, which factorises
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, motions: Array, solver: str) -> None:

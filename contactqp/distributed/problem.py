@@ -294,14 +294,10 @@ def message_of_largest(ranks: Ranks, values: Vector, numbers: Index, message: Ca
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    values : (a,) array
-        Values of this rank; at least one rank has some.
-    numbers : (a,) array of int
-        Their numbers in one process: of equal values the one with the lowest number counts.
-    message : function
-        Returns the message for a place on this rank.
+    ranks : the processes
+    values : (a,) array, values of this rank; at least one rank has some
+    numbers : (a,) array of int, their numbers in one process: of equal values the one with the lowest number counts
+    message : function, returns the message for a place on this rank
     """
     size = np.where(np.isnan(values), np.inf, values)
     order = np.lexsort((numbers, -size, ~np.isnan(values)))
@@ -314,14 +310,10 @@ def message_of_first(ranks: Ranks, flags: Mask, numbers: Index, message: Callabl
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    flags : (a,) array of bool
-        Flags of this rank.
-    numbers : (a,) array of int
-        Their numbers in one process.
-    message : function
-        Returns the message for a place on this rank.
+    ranks : the processes
+    flags : (a,) array of bool, flags of this rank
+    numbers : (a,) array of int, their numbers in one process
+    message : function, returns the message for a place on this rank
 
     Returns
     -------

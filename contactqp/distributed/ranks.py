@@ -340,12 +340,9 @@ def ask_ranks(ranks: Ranks, owners: NDArray[Any], requests: NDArray[Any], reply:
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    owners : (k,) array of int
-        The rank that each request goes to.
-    requests : (k, ...) array
-        The requests of this rank.
+    ranks : the processes
+    owners : (k,) array of int, the rank that each request goes to
+    requests : (k, ...) array, the requests of this rank
     reply : function
         Takes the rows that this rank has received and their senders, and returns arrays, row for row. All ranks call
         it once, so that it may be collective.
@@ -371,14 +368,10 @@ def rows_of_other_ranks(
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    starts : (ranks + 1,) array of int
-        Where the rows of each rank begin.
-    wanted : (k,) array of int
-        Numbers of rows.
-    rows : CSR or BSR matrix
-        The rows of this rank; of a BSR matrix rows and columns are those of blocks.
+    ranks : the processes
+    starts : (ranks + 1,) array of int, where the rows of each rank begin
+    wanted : (k,) array of int, numbers of rows
+    rows : CSR or BSR matrix, the rows of this rank; of a BSR matrix rows and columns are those of blocks
     columns : array of int, optional
         The global numbers of the columns of `rows`, where these are numbered otherwise.
 

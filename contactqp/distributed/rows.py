@@ -26,12 +26,9 @@ class Rows:
 
     Parameters
     ----------
-    entries : (a, t) sparse matrix
-        The coefficients at the touched unknowns.
-    touched : (t,) array of int
-        The unknowns that the columns stand for, in PETSc's numbering of all ranks, each once.
-    like : PETSc.Mat
-        A matrix whose columns are distributed as the unknowns are: K.
+    entries : (a, t) sparse matrix, the coefficients at the touched unknowns
+    touched : (t,) array of int, the unknowns that the columns stand for, in PETSc's numbering of all ranks, each once
+    like : PETSc.Mat, a matrix whose columns are distributed as the unknowns are: K
     """
 
     def __init__(self, entries: Any, touched: Index, like: Any) -> None:
@@ -173,15 +170,11 @@ class StoredRows:
 def stored_rows(matrix: Any) -> Iterator[StoredRows]:
     """Open the rows of this rank; while the context lasts the matrix must not be changed. Not collective.
 
+    Raises Unsupported: the matrix is of another type.
+
     Parameters
     ----------
-    matrix : PETSc.Mat
-        AIJ of single unknowns, or BAIJ.
-
-    Raises
-    ------
-    Unsupported
-        The matrix is of another type.
+    matrix : PETSc.Mat, AIJ of single unknowns, or BAIJ
     """
     size, (first, last) = matrix.getBlockSize(), matrix.getOwnershipRange()
     kind = block_type(size).upper()

@@ -58,14 +58,10 @@ def follow_distributed(
 
     Parameters
     ----------
-    problem : DistributedProblem
-        The problem; its own load is not used.
-    loads : iterable of (n_here,) arrays
-        The loads [force].
-    method : str
-        As in `solve_distributed`.
-    checkpoint : Checkpoint, optional
-        Answers that it has are certified again and not solved for; every other one is written there.
+    problem : the problem; its own load is not used
+    loads : iterable of (n_here,) arrays, the loads [force]
+    method : as in `solve_distributed`
+    checkpoint : answers that it has are certified again and not solved for; every other one is written there
     **options
         Options of `solve_distributed`.
     """
@@ -98,23 +94,16 @@ def follow_with_friction(
 
     The problem of each solution has the slip origins of its step, as those of `contactqp.follow_path`.
 
+    Raises Unsupported: there is a checkpoint.
+
     Parameters
     ----------
-    problem : DistributedProblem
-        The problem; its own load is not used.
-    loads : iterable of (n_here,) arrays
-        The loads [force].
-    method : str
-        As in `solve_distributed`.
-    checkpoint : None
-        A checkpoint is refused.
+    problem : the problem; its own load is not used
+    loads : iterable of (n_here,) arrays, the loads [force]
+    method : as in `solve_distributed`
+    checkpoint : None, a checkpoint is refused
     **options
         Options of `solve_distributed`.
-
-    Raises
-    ------
-    Unsupported
-        There is a checkpoint.
     """
     if checkpoint is not None:
         raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
@@ -242,21 +231,16 @@ _SIZE, _CHUNK = 12, 2**20
 def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
     """Solve a model as `contactqp.run` with ``engine="petsc"`` does. Collective.
 
+    Raises Unsupported, InvalidProblem as `contactqp.run` does.
+
     Parameters
     ----------
-    model : Model or DistributedBodyModel
-        The model of a scene.
-    method : str
-        As in `solve_distributed`.
+    model : Model or DistributedBodyModel, the model of a scene
+    method : as in `solve_distributed`
     checkpoint : str or Path, optional
         A folder where the steps of a path are kept.
     **options
         Options of `contactqp.run`.
-
-    Raises
-    ------
-    Unsupported, InvalidProblem
-        As `contactqp.run`.
     """
     chosen, ranks = options_on_ranks(options), Ranks()
     _refuse(model)
@@ -310,12 +294,9 @@ def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) 
 
     Parameters
     ----------
-    model : Model or DistributedBodyModel
-        The model of a scene.
-    time : Fraction
-        The pseudo-time of the load path.
-    method : str
-        As in `solve_distributed`.
+    model : Model or DistributedBodyModel, the model of a scene
+    time : the pseudo-time of the load path
+    method : as in `solve_distributed`
     **options
         Options of `contactqp.run`.
     """

@@ -58,12 +58,7 @@ class Aggregates:
 def aggregates(comm: Any, stored: StoredRows, *, finest: bool) -> Aggregates | None:
     """Return GAMG's aggregates of the blocks that K couples, or None where they are not coarser. Collective.
 
-    Raises
-    ------
-    Unsupported
-        An option that the user has set names another preconditioner.
-    PETSc.Error
-        GAMG gave up.
+    Raises Unsupported: an option that the user has set names another preconditioner; PETSc.Error: GAMG gave up.
     """
     PETSc = petsc()
     graph = _graph(comm, stored)
@@ -129,14 +124,10 @@ def tentative(ranks: Ranks, found: Aggregates, motions: Array, size: int) -> tup
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    found : Aggregates
-        The aggregates of this rank's blocks.
-    motions : (n_here, q) array
-        B, the motions that cost little energy.
-    size : int
-        The number of unknowns of a block.
+    ranks : the processes
+    found : the aggregates of this rank's blocks
+    motions : (n_here, q) array, B, the motions that cost little energy
+    size : the number of unknowns of a block
     """
     q, first = motions.shape[1], found.starts[ranks.rank]
     blocks = motions.reshape(-1, size, q)
@@ -199,21 +190,14 @@ def smoothed_levels(
 ) -> tuple[list[DistributedLevel], Any]:
     """Return all levels except the coarsest, from the finest on, and the matrix of the coarsest. Collective.
 
+    Raises PETSc.Error: GAMG gave up.
+
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    stiffness : PETSc.Mat
-        K of the finest level.
-    diagonal : (n_here,) array
-        D of the finest level, positive.
-    motions : (n_here, q) array
-        Motions that cost little energy.
-
-    Raises
-    ------
-    PETSc.Error
-        GAMG gave up.
+    ranks : the processes
+    stiffness : PETSc.Mat, K of the finest level
+    diagonal : (n_here,) array, D of the finest level, positive
+    motions : (n_here, q) array, motions that cost little energy
     """
     levels: list[DistributedLevel] = []
     matrix, D, B = stiffness, diagonal, of_size_one(motions, ranks.max)
@@ -239,16 +223,11 @@ def smoothed_level(
 
     Parameters
     ----------
-    ranks : Ranks
-        The processes.
-    matrix : PETSc.Mat
-        K of this level.
-    stored : StoredRows
-        The rows of `matrix` on this rank.
-    tentative : Tentative
-        T from the next coarser level.
-    diagonal : (n_here,) array
-        D of this level, positive.
+    ranks : the processes
+    matrix : PETSc.Mat, K of this level
+    stored : the rows of `matrix` on this rank
+    tentative : T from the next coarser level
+    diagonal : (n_here,) array, D of this level, positive
     """
     product = Product(matrix)
     largest = largest_eigenvalue(product, diagonal, ranks.dot)

@@ -149,14 +149,10 @@ def certified_solution(
 
     Parameters
     ----------
-    problem : DistributedProblem
-        The problem.
-    answer : Answer
-        This rank's part of the answer.
-    method : str
-        The name of the method that it is from.
-    solver : str
-        The preconditioner, as in `solve_distributed`.
+    problem : the problem
+    answer : this rank's part of the answer
+    method : the name of the method that it is from
+    solver : the preconditioner, as in `solve_distributed`
     """
     iteration = iteration_of(problem, chosen_solver(solver, problem.dimension))
     return _certified(problem, answer, _at_rest(problem, iteration, answer)[1], iteration, method)
@@ -165,10 +161,7 @@ def certified_solution(
 def distributed_method(name: str) -> str:
     """Return the name under which a method that solves over ranks is registered; case does not count.
 
-    Raises
-    ------
-    Unsupported
-        There is no such method, or it does not solve over ranks.
+    Raises Unsupported: there is no such method, or it does not solve over ranks.
     """
     method = of_same_letters(name, bounded.METHODS) or registered_name(name)
     if method in bounded.METHODS or find(method).kind == "active set":
@@ -226,21 +219,16 @@ _OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
 def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
     """Solve as `contactqp.solve` on the ranks of MPI; all ranks give the same and get the same. Collective.
 
+    Raises Unsupported: a method or an option that makes sense in one process alone.
+
     Parameters
     ----------
-    problem : ContactProblem
-        The whole problem, on every rank.
-    method : str
-        As in `solve_distributed`.
+    problem : the whole problem, on every rank
+    method : as in `solve_distributed`
     warm_start : Solution, optional
         A solution of a problem with the same K and rows.
     **options
         The options that `options_on_ranks` accepts.
-
-    Raises
-    ------
-    Unsupported
-        A method or an option that makes sense in one process alone.
     """
     chosen = options_on_ranks(options)
     part = distribute(problem, Ranks())
@@ -252,10 +240,7 @@ def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None,
 def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of `solve` that mean something on several ranks.
 
-    Raises
-    ------
-    Unsupported
-        Another one is given.
+    Raises Unsupported: another one is given.
     """
     stated = [name for name, usual in _OF_ONE_PROCESS.items() if name in options and options[name] != usual]
     if stated:

@@ -59,6 +59,9 @@ def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected:
     the boundary; every other group is a set of nodes. Points in 3D with plane elements must have one and the same z,
     which is left out.
 
+    Raises InvalidProblem: no elements, an unknown part, plane elements out of plane, a side that is on the boundary
+    only in part, a mesh that is no good.
+
     Parameters
     ----------
     source : Cells
@@ -66,12 +69,6 @@ def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected:
         A group of elements that makes up the body. What belongs to other parts only is left out.
     drop_unconnected : bool
         Leave nodes out that no element uses (such as the centres of arcs that Gmsh writes) instead of refusing them.
-
-    Raises
-    ------
-    InvalidProblem
-        No elements, an unknown part, plane elements out of plane, a side that is on the boundary only in part, a mesh
-        that is no good.
     """
     dimension = max((REFERENCES[kind].dimension for kind, _ in source.cells if kind != "node"), default=0)
     if dimension < 2:
@@ -159,11 +156,8 @@ class _Reading:
 def read_abaqus(text: str) -> Cells:
     """Read the cells of an input file with one part.
 
-    Raises
-    ------
-    InvalidProblem
-        Several parts or instances, included files, an element type that is not offered, lines that do not fit, a label
-        given twice, a set of unknown elements or nodes, an empty surface.
+    Raises InvalidProblem: several parts or instances, included files, an element type that is not offered, lines that
+    do not fit, a label given twice, a set of unknown elements or nodes, an empty surface.
     """
     reading = _Reading()
     parts = 0

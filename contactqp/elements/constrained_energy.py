@@ -100,10 +100,7 @@ class Part(Protocol):
 def read_form(part: str, given: Any) -> dict[str, float]:
     """Read a linear form as its user wrote it, without zeros.
 
-    Raises
-    ------
-    InvalidProblem
-        It is no mapping from names to finite numbers, or zero.
+    Raises InvalidProblem: it is no mapping from names to finite numbers, or zero.
     """
     if not isinstance(given, Mapping):
         raise InvalidProblem(
@@ -119,19 +116,13 @@ def read_form(part: str, given: Any) -> dict[str, float]:
 def read_number(what: str, value: Any, *, positive: bool = False) -> float:
     """Read a finite number.
 
+    Raises InvalidProblem: it is none, not finite, or not positive where it must be.
+
     Parameters
     ----------
-    what : str
-        What a message calls the number.
-    value : object
-        The number as the user gave it.
-    positive : bool
-        Whether it must be above zero.
-
-    Raises
-    ------
-    InvalidProblem
-        It is none, not finite, or not positive where it must be.
+    what : what a message calls the number
+    value : object, the number as the user gave it
+    positive : whether it must be above zero
     """
     expected = "a finite number above 0" if positive else "a finite number"
     if not is_number(value) or not np.isfinite(value) or (positive and not value > 0):

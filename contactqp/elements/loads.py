@@ -124,8 +124,7 @@ class BodyForce:
     Parameters
     ----------
     body : str
-    value : (d,) array, or a function of (p, d) points that returns (p, d)
-        b [force / length^3].
+    value : (d,) array, or a function of (p, d) points that returns (p, d), b [force / length^3]
     """
 
     body: str
@@ -170,10 +169,8 @@ class Weight:
     Parameters
     ----------
     body : str
-    acceleration : (d,) array
-        a [length / time^2].
-    lumped : bool
-        Whether M is the lumped mass; consistent, f is that of `Gravity`.
+    acceleration : (d,) array, a [length / time^2]
+    lumped : bool, whether M is the lumped mass; consistent, f is that of `Gravity`
     """
 
     body: str
@@ -215,10 +212,7 @@ class PointLoad:
 def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
     """Return the nodes that a name, a number or numbers stand for, each once.
 
-    Raises
-    ------
-    InvalidProblem
-        No such set; numbers that are none or out of range.
+    Raises InvalidProblem: no such set; numbers that are none or out of range.
     """
     if isinstance(nodes, str):
         return body.mesh.nodes(nodes)
@@ -231,21 +225,14 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
     """Return the values of a field at (..., d) positions: (..., *shape).
 
+    Raises InvalidProblem: a value of another shape, or one that is not finite; `what` is what it belongs to.
+
     Parameters
     ----------
-    what : str
-        What a message calls the field.
-    value : array or function
-        One value for all positions, or a function from (p, d) points to (p, *shape).
-    positions : (..., d) array
-        Where the field is evaluated [length].
-    shape : tuple of int
-        The shape of one value.
-
-    Raises
-    ------
-    InvalidProblem
-        A value of another shape, or one that is not finite; `what` is what it belongs to.
+    what : what a message calls the field
+    value : array or function, one value for all positions, or a function from (p, d) points to (p, *shape)
+    positions : (..., d) array, where the field is evaluated [length]
+    shape : tuple of int, the shape of one value
     """
     points = positions.reshape(-1, positions.shape[-1])
     expected = (len(points), *shape) if callable(value) else shape
@@ -277,10 +264,8 @@ def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool =
 
     Parameters
     ----------
-    density, area : Fraction or float
-        rho [force time^2 / length^4], A [length^2].
-    start, end : (dimension,) arrays
-        The two nodes [length].
+    density, area : Fraction or float, rho [force time^2 / length^4], A [length^2]
+    start, end : (dimension,) arrays, the two nodes [length]
     lumped : bool
 
     Returns
@@ -305,10 +290,7 @@ def solid_mass(body: Body, lumped: bool = False) -> Any:
     of each element's consistent matrix, scaled to the element's mass: positive for every kind of element, where sums of
     rows are not (Hinton, Rock and Zienkiewicz 1976). Of linear triangles, tetrahedra and rectangles both are the same.
 
-    Raises
-    ------
-    InvalidProblem
-        The material has no density.
+    Raises InvalidProblem: the material has no density.
     """
     if not body.material.density > 0:
         raise InvalidProblem(f"{body.name}: a mass needs a density > 0, {body.material.name} has none")

@@ -18,10 +18,8 @@ def truss_stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers)
 
     Parameters
     ----------
-    modulus, area : Fraction or float
-        E [force / length^2] and A [length^2], positive.
-    start, end : (dimension,) arrays
-        The two nodes [length], apart from each other.
+    modulus, area : Fraction or float, E [force / length^2] and A [length^2], positive
+    start, end : (dimension,) arrays, the two nodes [length], apart from each other
 
     Returns
     -------
@@ -48,12 +46,9 @@ def truss_axial_force(modulus: Number, area: Number, start: Numbers, end: Number
 
     Parameters
     ----------
-    modulus, area : Fraction or float
-        E [force / length^2] and A [length^2], positive.
-    start, end : (dimension,) arrays
-        The two nodes [length], apart from each other.
-    displacement : (2 dimension,) array
-        (u_start, u_end) [length].
+    modulus, area : Fraction or float, E [force / length^2] and A [length^2], positive
+    start, end : (dimension,) arrays, the two nodes [length], apart from each other
+    displacement : (2 dimension,) array, (u_start, u_end) [length]
     """
     d = np.asarray(end) - np.asarray(start)
     square = squared_length(d)
@@ -67,10 +62,8 @@ def spring_stiffness(constant: Number, direction: Any) -> Numbers:
 
     Parameters
     ----------
-    constant : Fraction or float
-        k [force / length], positive.
-    direction : (dimension,) array
-        Of any length.
+    constant : Fraction or float, k [force / length], positive
+    direction : (dimension,) array, of any length
 
     Returns
     -------
@@ -122,10 +115,8 @@ def string_stiffness(tension: Number, start: Any, end: Any) -> Numbers:
 
     Parameters
     ----------
-    tension : Fraction or float
-        T [force], positive.
-    start, end : (dimension,) arrays
-        The two nodes [length], apart from each other, in two dimensions or three.
+    tension : Fraction or float, T [force], positive
+    start, end : (dimension,) arrays, the two nodes [length], apart from each other, in two dimensions or three
 
     Returns
     -------
@@ -150,10 +141,8 @@ def string_load(per_length: Any, start: Any, end: Any) -> Numbers:
 
     Parameters
     ----------
-    per_length : (dimension,) array
-        b [force / length], per length of the string.
-    start, end : (dimension,) arrays
-        The two nodes [length].
+    per_length : (dimension,) array, b [force / length], per length of the string
+    start, end : (dimension,) arrays, the two nodes [length]
 
     Returns
     -------
@@ -180,8 +169,7 @@ def beam_stiffness(modulus: Number, area: Number, inertia: Number, start: Number
     ----------
     modulus, area, inertia : Fraction or float
         E [force / length^2], A [length^2], I, the second moment of area [length^4], positive.
-    start, end : (2,) arrays
-        The two nodes [length], apart from each other.
+    start, end : (2,) arrays, the two nodes [length], apart from each other
 
     Returns
     -------
@@ -209,10 +197,8 @@ def beam_load(per_length: Any, start: Any, end: Any) -> Numbers:
 
     Parameters
     ----------
-    per_length : (2,) array
-        b [force / length], per length of the beam, along the axes.
-    start, end : (2,) arrays
-        The two nodes [length].
+    per_length : (2,) array, b [force / length], per length of the beam, along the axes
+    start, end : (2,) arrays, the two nodes [length]
 
     Returns
     -------
@@ -236,10 +222,8 @@ def beam_displacements(start: Numbers, end: Numbers, ends: Numbers, at: Numbers)
 
     Parameters
     ----------
-    start, end : (2,) arrays
-        The two nodes [length].
-    ends : (6,) array
-        (u_x, u_y, theta) of start and end [length, length, 1].
+    start, end : (2,) arrays, the two nodes [length]
+    ends : (6,) array, (u_x, u_y, theta) of start and end [length, length, 1]
     at : (k,) array
         s: 0 at the start, 1 at the end [-].
 

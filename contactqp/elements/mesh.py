@@ -252,20 +252,16 @@ def mesh_from_arrays(
 ) -> Mesh:
     """Make a mesh from plain arrays.
 
+    Raises InvalidProblem: an unknown kind, arrays of the wrong shape, facets that are not on the boundary, a bad mesh.
+
     Parameters
     ----------
-    points : (N, d) array
-        Coordinates [length].
+    points : (N, d) array, coordinates [length]
     elements : mapping of kind to (E, n) arrays of int
         Kinds as in `reference.KINDS` (``"quad4"``), nodes from 0 in VTK's order.
     node_sets : mapping of name to (k,) arrays of int, optional
     sides : mapping of name to (p, k) arrays of int, optional
         Boundary facets by their corners in any turn; the nodes after the corners may be left out.
-
-    Raises
-    ------
-    InvalidProblem
-        An unknown kind, arrays of the wrong shape, facets that are not on the boundary, a bad mesh.
 
     Examples
     --------

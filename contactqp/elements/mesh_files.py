@@ -86,22 +86,16 @@ class Lattice:
 
     Nodes are numbered in the order of their keys, so that every part has the numbers of the whole.
 
+    Raises InvalidProblem: a kind of another dimension.
+
     Parameters
     ----------
     patches : sequence of Patch
-    kind : str
-        The kind of element.
-    position : function
-        Coordinates (N, d) of nodes with the keys (N, components) [length].
+    kind : str, the kind of element
+    position : function, coordinates (N, d) of nodes with the keys (N, components) [length]
     sides : mapping of name to function
         Which keys lie on the side: a boundary facet belongs to it when all its nodes do.
-    nearest : mapping of name to (d,) point
-        Node sets of one node, the nearest to the point [length].
-
-    Raises
-    ------
-    InvalidProblem
-        A kind of another dimension.
+    nearest : mapping of name to (d,) point, node sets of one node, the nearest to the point [length]
     """
 
     patches: Sequence[Patch]
@@ -269,10 +263,7 @@ def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
     Its boundaries become sides and its subdomains groups of elements. scikit-fem does not turn its elements in one
     sense: those with a negative Jacobian are mirrored, which changes the order of their nodes only.
 
-    Raises
-    ------
-    InvalidProblem
-        A mesh of another kind, or one that is no good.
+    Raises InvalidProblem: a mesh of another kind, or one that is no good.
     """
     local = np.asarray(mesh.elem().doflocs, dtype=float)
     kind = next((k for k in REFERENCES.values() if k.facet and len(_match(k, local)) == len(local)), None)

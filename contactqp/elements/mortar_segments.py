@@ -66,18 +66,14 @@ class Segments:
 def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[Segments]:
     """Return all segments between two surfaces of linear facets, computed for some slave facets at a time.
 
+    Raises InvalidProblem: two master facets behind each other cover the same part of a slave facet.
+
     Parameters
     ----------
-    slave, master : Surface
-        line2, or tri3 and quad4 in any combination.
+    slave, master : line2, or tri3 and quad4 in any combination
     reach : float, optional
         How far a slave facet looks for master facets along its normal, on either side [length]. By default three times
         the distance from its centre to the nearest master node, plus its diameter.
-
-    Raises
-    ------
-    InvalidProblem
-        Two master facets behind each other cover the same part of a slave facet.
     """
     positions, others = slave.points[slave.facets], master.points[master.facets]
     normals, other_normals = middle_normals(slave), middle_normals(master)
@@ -187,10 +183,7 @@ class Integrals:
 def integrate(slave: FacetKind, master: FacetKind, segments: Segments) -> Integrals:
     """Return the integrals over all segments, exact for lines, triangles and parallelograms.
 
-    Raises
-    ------
-    InvalidProblem
-        A quadrilateral is so warped that its projection onto the plane is folded.
+    Raises InvalidProblem: a quadrilateral is so warped that its projection onto the plane is folded.
     """
     owner, cells, sizes = _cells(segments.common)
     bend = np.maximum(_distortion(segments.slave_corners), _distortion(segments.master_corners))[owner]

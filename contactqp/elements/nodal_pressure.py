@@ -79,10 +79,7 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
     sum. Such an area is a weight of its node; no pressure comes from dividing by it, but from
     contactqp.elements.nodal_pressure.
 
-    Raises
-    ------
-    InvalidProblem
-        An area that is not positive: a middle node far off the middle of its facet.
+    Raises InvalidProblem: an area that is not positive: a middle node far off the middle of its facet.
     """
     kind = kind_of(surface)
     shape, elements = _surface_elements(surface)

@@ -87,11 +87,9 @@ def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float
 
     Parameters
     ----------
-    points, normals : (p, d) arrays
-        The points and the outward unit normals of the body that they belong to.
+    points, normals : (p, d) arrays, the points and the outward unit normals of the body that they belong to
     surface : Surface
-    reach : float, optional
-        Facets further away than this are none [length].
+    reach : facets further away than this are none [length]
     """
     corner = surface.points[surface.nodes]
     everywhere = np.linalg.norm(points - corner.mean(axis=0), axis=1) + np.ptp(corner, axis=0).sum()
@@ -242,8 +240,7 @@ def closest_point(kind: FacetKind, positions: Array, points: Array) -> Foot:
     Parameters
     ----------
     kind : FacetKind
-    positions : (q, k, d) array
-        The facets' nodes [length].
+    positions : (q, k, d) array, the facets' nodes [length]
     points : (q, d) array [length]
     """
     axes = kind.nodes.shape[1]

@@ -82,10 +82,7 @@ class Plane:
 def points_near(obstacle: Obstacle, points: Any) -> Numbers:
     """Return (p, dimension) points as an array, exact numbers as they are.
 
-    Raises
-    ------
-    InvalidProblem
-        Another shape, or no real numbers.
+    Raises InvalidProblem: another shape, or no real numbers.
     """
     x = real_array("points", points)
     if x.ndim != 2 or x.shape[1] != obstacle.dimension:

@@ -36,14 +36,10 @@ def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> st
 
     Parameters
     ----------
-    depth : float [length]
-        How deep it starts; negative outside.
-    size : float [length]
-        That of the body: its longest side, and in axial symmetry its diameter where that is longer.
-    called : str
-        What the contact starts in.
-    unit : str
-        Of the length, for the text.
+    depth : float [length], how deep it starts; negative outside
+    size : float [length], that of the body: its longest side, and in axial symmetry its diameter where that is longer
+    called : what the contact starts in
+    unit : of the length, for the text
     """
     if not depth > DEEP * size > 0:
         return ""
@@ -60,14 +56,10 @@ def doubt_of_side(surface: Surface, gap: Array, normals: Array, called: str, uni
     Parameters
     ----------
     surface : Surface
-    gap : (p,) array
-        Distances of its nodes to the obstacle [length].
-    normals : (p, d) array
-        The obstacle's normals there.
-    called : str
-        What messages call the obstacle.
-    unit : str
-        The unit of lengths in messages.
+    gap : (p,) array, distances of its nodes to the obstacle [length]
+    normals : (p, d) array, the obstacle's normals there
+    called : what messages call the obstacle
+    unit : the unit of lengths in messages
     """
     if not len(gap):
         return ""
@@ -367,15 +359,11 @@ def contact_rows(
 
     Parameters
     ----------
-    contact : (e,) array of int
-        The contact that an entry belongs to.
+    contact : (e,) array of int, the contact that an entry belongs to
     weight : (e,) array [-]
-    unknowns : (e, d) array of int
-        Where the displacement of the entry's node stands in u.
-    normals : (e, d) array
-        n, unit vectors out of the obstacle.
-    tangents : (e, d-1, d) array
-        Orthonormal.
+    unknowns : (e, d) array of int, where the displacement of the entry's node stands in u
+    normals : (e, d) array, n, unit vectors out of the obstacle
+    tangents : (e, d-1, d) array, orthonormal
     shape : (contacts, n)
 
     Returns
@@ -400,10 +388,7 @@ def _sum(entries: tuple[Array, Index, Index], shape: tuple[int, int]) -> Any:
 def count_unknowns(largest: int, dimension: int | None) -> int:
     """Return n: as stated, else one more than the largest number in use.
 
-    Raises
-    ------
-    InvalidProblem
-        Unknowns are numbered beyond the stated dimension, or it is no whole number.
+    Raises InvalidProblem: unknowns are numbered beyond the stated dimension, or it is no whole number.
     """
     if dimension is None:
         return largest + 1

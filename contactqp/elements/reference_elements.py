@@ -301,10 +301,8 @@ class Geometry:
     Parameters
     ----------
     kind : Reference
-    corners : (E, n, d) array
-        Coordinates of the nodes [length].
-    points : (q, d) array
-        On the reference element.
+    corners : (E, n, d) array, coordinates of the nodes [length]
+    points : (q, d) array, on the reference element
     """
 
     kind: Reference
@@ -377,10 +375,7 @@ def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
 def boundary(blocks: Sequence[Block]) -> Index:
     """Return the (p, 2) pairs (element, local facet) of the facets that belong to one element only.
 
-    Raises
-    ------
-    InvalidProblem
-        A facet belongs to three elements: they overlap.
+    Raises InvalidProblem: a facet belongs to three elements: they overlap.
     """
     pairs, keys = [], []
     first = 0

@@ -34,10 +34,7 @@ def real_array(what: str, value: Any) -> NDArray[np.float64]:
 def real_vector(what: str, value: Any, size: int) -> NDArray[np.float64]:
     """Return a copy of `size` real numbers, NaN included.
 
-    Raises
-    ------
-    InvalidProblem
-        Another shape, or no real numbers; `what` is what they belong to.
+    Raises InvalidProblem: another shape, or no real numbers; `what` is what they belong to.
     """
     read = real_array(what, value)
     if read.shape != (size,):

@@ -385,16 +385,11 @@ class OGrid:
 
     Parameters
     ----------
-    halves : tuple of str
-        For each round axis whether coordinates of both signs belong to the part.
-    core : int
-        Cells from the centre to a face of the core.
-    layers : int
-        Cells from there to the circle.
-    grading : float
-        With a value above 1 cells shrink towards the pole, the lowest point of the last round axis.
-    extrusion : int
-        Cells along the extrusion; 0: none.
+    halves : tuple of str, for each round axis whether coordinates of both signs belong to the part
+    core : int, cells from the centre to a face of the core
+    layers : int, cells from there to the circle
+    grading : float, with a value above 1 cells shrink towards the pole, the lowest point of the last round axis
+    extrusion : int, cells along the extrusion; 0: none
     """
 
     halves: tuple[Half, ...]

@@ -226,10 +226,7 @@ class PointStress(NamedTuple):
 def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStress, ...]:
     """Return sigma = D B u at the quadrature points of the stiffness, one entry for each block of the mesh.
 
-    Raises
-    ------
-    InvalidProblem
-        The displacement is not (N d,).
+    Raises InvalidProblem: the displacement is not (N d,).
     """
     u = _displacement(body, displacement)
     found = []
@@ -243,10 +240,7 @@ def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
     """Return (N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the
     elements.
 
-    Raises
-    ------
-    InvalidProblem
-        The displacement is not (N d,).
+    Raises InvalidProblem: the displacement is not (N d,).
     """
     total, count = stress_sums(body, displacement, body.mesh.blocks)
     return total / count

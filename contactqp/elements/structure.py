@@ -392,19 +392,14 @@ def free_contacts(
 ) -> FreeContacts:
     """Return the contacts of the free unknowns, without those between supported nodes, which no free unknown moves.
 
+    Raises InvalidProblem: rows of another length than u; supported nodes that are pressed into an obstacle.
+
     Parameters
     ----------
-    pairings : sequence of Pairing
-        Rows over all n unknowns.
-    prescribed : (n,) array
-        Displacements of the supports [length], NaN at free unknowns.
+    pairings : sequence of Pairing, rows over all n unknowns
+    prescribed : (n,) array, displacements of the supports [length], NaN at free unknowns
     friction, names
         As `System.problem` takes them.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows of another length than u; supported nodes that are pressed into an obstacle.
     """
     free = np.flatnonzero(np.isnan(prescribed))
     given = np.where(np.isnan(prescribed), 0.0, prescribed)
@@ -449,10 +444,7 @@ def kept_contacts(normal: Any, prescribed: Vector) -> Index:
 def stacked(rows: Sequence[Any], n: int) -> Any:
     """Return the rows of all pairings, one under the other.
 
-    Raises
-    ------
-    InvalidProblem
-        Rows over another number of unknowns than n.
+    Raises InvalidProblem: rows over another number of unknowns than n.
     """
     for i, matrix in enumerate(rows):
         if matrix.shape[1] != n:

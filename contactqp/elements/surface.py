@@ -95,12 +95,10 @@ class FacetKind:
     Parameters
     ----------
     name : str
-    corners : int
-        How many of the nodes are corners; they come first.
+    corners : int, how many of the nodes are corners; they come first
     nodes : (k, d-1) array
         Reference coordinates xi: lines and quadrilaterals on [-1, 1], triangles on xi_1, xi_2 >= 0, xi_1 + xi_2 <= 1.
-    powers : (k, d-1) array of int
-        Row j is the monomial xi_1^powers[j, 0] xi_2^powers[j, 1].
+    powers : (k, d-1) array of int, row j is the monomial xi_1^powers[j, 0] xi_2^powers[j, 1]
     edges : (e, 1 or 2) array of int
         The corners of each edge, in the facet's own sense; a line's "edges" are its two ends.
     """
@@ -221,10 +219,7 @@ KINDS = {
 def kind_of(surface: Surface) -> FacetKind:
     """Return the kind of a surface's facets.
 
-    Raises
-    ------
-    InvalidProblem
-        No facet of this dimension has so many nodes.
+    Raises InvalidProblem: no facet of this dimension has so many nodes.
     """
     key = (surface.points.shape[1], surface.facets.shape[1])
     if key not in KINDS:

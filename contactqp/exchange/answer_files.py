@@ -55,12 +55,7 @@ KEYS = ("force", "joint_force", "velocity", "motion")
 def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, Ledger]:
     """Return forces (m, d) for a problem, what else the file holds, and the ledger; the answer is not checked here.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, or not m d numbers.
-    BackendMissing
-        An HDF5 file, and h5py is not installed.
+    Raises InvalidProblem: no such file, or not m d numbers; BackendMissing: an HDF5 file, and h5py is not installed.
     """
     ledger = Ledger(str(path))
     found, form = _read(path, problem, ledger)
@@ -192,6 +187,9 @@ READERS: list[AnswerReader] = [
 def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return the answer in a file: its parts, the ledger, and which parts came by name.
 
+    Raises InvalidProblem: no such file, no answer in it, names that are not the problem's; BackendMissing: the package
+    that reads this format is not installed.
+
     Parameters
     ----------
     path : path
@@ -199,13 +197,6 @@ def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     problem : ContactProblem
         Whose names and sizes the file is held against; its ties are also called "tie 0", "tie 1", ... . Lists keep the
         file's order and length.
-
-    Raises
-    ------
-    InvalidProblem
-        No such file, no answer in it, names that are not the problem's.
-    BackendMissing
-        The package that reads this format is not installed.
 
     Examples
     --------

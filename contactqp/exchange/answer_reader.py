@@ -61,10 +61,7 @@ OF_PROGRAMS = ("x", "y", "z", "z_box")
 def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any]) -> AnswerFile | None:
     """Return the answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
 
-    Raises
-    ------
-    InvalidProblem
-        A vector is none, or has another length than the problem asks for.
+    Raises InvalidProblem: a vector is none, or has another length than the problem asks for.
     """
     if "x" not in given or any(part_called(name) for name in given):
         return None
@@ -89,10 +86,7 @@ UNIT = re.compile(r"(.*?)(?:[\s_]*[\[({/<].*|[\s_]+(?:[kmcu\u00b5]?m|[km]n|[kmg]
 def refuse_unit(path: Path, name: str, known: Callable[[str], object] = part_called) -> None:
     """Refuse a name such as "displacement [mm]": numbers come in the problem's units and are not converted.
 
-    Raises
-    ------
-    InvalidProblem
-        The name is known without what looks like a unit.
+    Raises InvalidProblem: the name is known without what looks like a unit.
     """
     found = UNIT.fullmatch(name.strip().lower())
     if found is not None and not known(name) and known(found[1]):

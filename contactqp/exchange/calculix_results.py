@@ -324,10 +324,7 @@ def read_dat_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 def read_displacements(path: Path) -> tuple[NodalField, Ledger]:
     """Return the displacements of the last time in a .frd or .dat file, of all nodes that it has.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, no displacements in it, a file that was cut off.
+    Raises InvalidProblem: no such file, no displacements in it, a file that was cut off.
     """
     ledger = Ledger(str(path))
     if read_bytes(path, FRD_EXPECTED, len(BEGINNING)) == BEGINNING:
@@ -345,23 +342,16 @@ def answer_of(
 ) -> AnswerFile:
     """Return the displacements and contact pressures of the last increment that has them.
 
+    Raises InvalidProblem: unknowns that are not called node.axis, an unknown of whose node nothing is printed, no
+    displacement and no contact pressure at nodes at all.
+
     Parameters
     ----------
-    path : Path
-        The file, for messages.
+    path : the file, for messages
     problem : ContactProblem
-    fields : list of NodalField
-        All that the file prints at nodes.
-    ledger : Ledger
-        Takes what was ignored and assumed.
-    expected : str
-        The kind of file, for messages.
-
-    Raises
-    ------
-    InvalidProblem
-        Unknowns that are not called node.axis, an unknown of whose node nothing is printed, no displacement and no
-        contact pressure at nodes at all.
+    fields : list of NodalField, all that the file prints at nodes
+    ledger : takes what was ignored and assumed
+    expected : the kind of file, for messages
     """
     parts: dict[str, Values] = {}
     moved = [field for field in fields if field.kind == DISPLACEMENT]

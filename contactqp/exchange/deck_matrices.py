@@ -24,21 +24,14 @@ EXACT = 2**53
 def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> NDArray[np.float64]:
     """Return the numbers (rows, columns) of a text in which blanks separate them.
 
+    Raises InvalidProblem: no number at all, a word that is none, a line of another length.
+
     Parameters
     ----------
-    path : Path
-        The file, for messages.
-    lines : iterable of str
-        Its text; lines without a word are skipped.
-    columns : int
-        How many numbers stand in each line.
-    expected : str
-        What the file should hold, for messages.
-
-    Raises
-    ------
-    InvalidProblem
-        No number at all, a word that is none, a line of another length.
+    path : the file, for messages
+    lines : iterable of str, its text; lines without a word are skipped
+    columns : how many numbers stand in each line
+    expected : what the file should hold, for messages
     """
     rows = (line for line in lines if line.strip())
     first = next(rows, None)
@@ -58,10 +51,7 @@ def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) 
 def whole_numbers(path: Path, place: str, values: Vector) -> Integers:
     """Return the values as integers from 1 on.
 
-    Raises
-    ------
-    InvalidProblem
-        One is no integer, or below 1, or beyond what a float counts exactly.
+    Raises InvalidProblem: one is no integer, or below 1, or beyond what a float counts exactly.
     """
     bad = np.flatnonzero(~((values == np.floor(values)) & (values >= 1) & (values < EXACT)))
     if bad.size:
@@ -72,22 +62,16 @@ def whole_numbers(path: Path, place: str, values: Vector) -> Integers:
 def symmetric_matrix(path: Path, row: Integers, column: Integers, value: Vector, size: int, ledger: Ledger) -> Any:
     """Return the matrix (size, size) of a list of entries, indices from 0; one triangle is mirrored.
 
+    Raises InvalidProblem: a value that is not finite, an entry given twice, some mirrored and some not, a missing
+    diagonal entry: no stiffness has a zero there, so that the list must have been cut off.
+
     Parameters
     ----------
     path
         The file, for messages.
-    row, column, value : (e,) arrays
-        The entries, with indices from 0.
-    size : int
-        The number of unknowns.
-    ledger : Ledger
-        Where it is noted what was read and mirrored.
-
-    Raises
-    ------
-    InvalidProblem
-        A value that is not finite, an entry given twice, some mirrored and some not, a missing diagonal entry: no
-        stiffness has a zero there, so that the list must have been cut off.
+    row, column, value : (e,) arrays, the entries, with indices from 0
+    size : the number of unknowns
+    ledger : where it is noted what was read and mirrored
     """
     check_finite(path, "values", value)
     key = row * size + column
@@ -136,12 +120,8 @@ def read_abaqus_matrix(path: Path) -> MatrixFile:
 
     Unknowns with 1e36 on the diagonal, which Abaqus holds fixed, are left out.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, words that are no numbers, a list of entries that is not whole.
-    Unsupported
-        Internal nodes, whose labels are negative.
+    Raises InvalidProblem: no such file, words that are no numbers, a list of entries that is not whole; Unsupported:
+    internal nodes, whose labels are negative.
     """
     ledger = Ledger(str(path))
     comments: list[int] = []
@@ -256,10 +236,7 @@ def read_sti(path: Path) -> MatrixFile:
 def read_dof(path: Path) -> tuple[str, ...]:
     """Return the names "node.axis" of the unknowns, in the order of rows and columns.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, a line that is no such name, a name twice.
+    Raises InvalidProblem: no such file, a line that is no such name, a name twice.
     """
     expected = "CalculiX's list of unknowns, node.axis a line"
     names = [name for line in text_lines(path, expected) if (name := line.strip())]

@@ -50,12 +50,7 @@ def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
 def check_dimension(path: Path, place: str, dimension: int) -> int:
     """Return the dimension of contacts, 2 or 3.
 
-    Raises
-    ------
-    Unsupported
-        5, which says that the contacts resist rolling too.
-    InvalidProblem
-        Anything else.
+    Raises Unsupported: 5, which says that the contacts resist rolling too; InvalidProblem: anything else.
     """
     if dimension == 5:
         raise Unsupported(
@@ -143,10 +138,7 @@ HEAD = 512
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
     """Return the first bytes of a file, or all.
 
-    Raises
-    ------
-    InvalidProblem
-        There is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
+    Raises InvalidProblem: there is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
     """
     size = file_size(path, expected)
     if most < 0 and size > LARGEST_WHOLE:
@@ -161,10 +153,7 @@ def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
 def read_text(path: Path, expected: str) -> str:
     """Return all of a text file, UTF-8.
 
-    Raises
-    ------
-    InvalidProblem
-        As `read_bytes`, or bytes that are no text.
+    Raises InvalidProblem as `read_bytes`, or bytes that are no text.
     """
     data = read_bytes(path, expected)
     refuse_utf_16(path, data)
@@ -242,11 +231,8 @@ LONGEST = 2**16
 def text_lines(path: Path, expected: str) -> Iterator[str]:
     """Yield the lines, without their ends.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, an empty one, a byte that is not ASCII or zero, an endless line, or a last line that does not
-        end: such a file was cut off, maybe within a number.
+    Raises InvalidProblem: no such file, an empty one, a byte that is not ASCII or zero, an endless line, or a last line
+    that does not end: such a file was cut off, maybe within a number.
     """
     if not file_size(path, expected):
         raise wrong(path, "content", expected, "nothing")
@@ -271,10 +257,7 @@ VTU = (".vtu",)
 def check_file(file: str | FilePath, suffixes: tuple[str, ...]) -> FilePath:
     """Return the file as a path.
 
-    Raises
-    ------
-    InvalidProblem
-        Another suffix, a folder that is not there, a folder in the place of the file.
+    Raises InvalidProblem: another suffix, a folder that is not there, a folder in the place of the file.
     """
     path = FilePath(file)
     if path.suffix.lower() not in suffixes:
@@ -300,15 +283,11 @@ def check_installed(package: str, purpose: str) -> None:
 def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: bool = False) -> None:
     """Write a file as a whole or not at all: `write` fills another beside it, which then takes its place.
 
+    Raises InvalidProblem: the file system refuses.
+
     Parameters
     ----------
-    durable : bool
-        It is on the disk before this returns: a machine that dies afterwards does not lose it.
-
-    Raises
-    ------
-    InvalidProblem
-        The file system refuses.
+    durable : it is on the disk before this returns: a machine that dies afterwards does not lose it
     """
     beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
     try:
@@ -429,10 +408,7 @@ def _inside(index: Integers, size: int, path: Path, place: str) -> None:
 def stored_form(matrix: Any, storage: Storage, name: str) -> StoredMatrix:
     """Return a matrix as FCLIB stores it, nzmax = nz, no entry twice.
 
-    Raises
-    ------
-    InvalidProblem
-        A storage that FCLIB does not have, or a matrix that FCLIB's 32 bits do not hold.
+    Raises InvalidProblem: a storage that FCLIB does not have, or a matrix that FCLIB's 32 bits do not hold.
     """
     if storage not in ("csc", "csr", "triplet"):
         raise InvalidProblem(f"storage: expected 'csc', 'csr' or 'triplet', got {shown(storage)}")

@@ -85,10 +85,7 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
 def body_motion(problem: GlobalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
     """Return the velocities v = M^-1 (H r + f + G l) (n,) of the bodies.
 
-    Raises
-    ------
-    InvalidProblem
-        M is singular.
+    Raises InvalidProblem: M is singular.
     """
     acting = problem.directions @ force.ravel() + problem.load + problem.joints @ joint_force
     return _Inverse(problem.matrix).solve(acting)

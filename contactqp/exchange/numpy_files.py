@@ -55,12 +55,8 @@ Arrays = Mapping[str, NDArray[Any]]
 def read_numpy(path: Path) -> MatrixFile:
     """Return the array in a .npy file, the sparse matrix of `scipy.sparse.save_npz`, or the one array of a .npz file.
 
-    Raises
-    ------
-    InvalidProblem
-        A damaged file, one that holds something else, sizes that the file cannot hold.
-    Unsupported
-        Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
+    Raises InvalidProblem: a damaged file, one that holds something else, sizes that the file cannot hold; Unsupported:
+    Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
     """
     ledger = Ledger(str(path))
     if starts_with(path, NUMPY):

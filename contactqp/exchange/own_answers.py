@@ -107,10 +107,7 @@ def _along_axes(values: Any) -> bool:
 def load_json(path: Path, expected: str) -> Any:
     """Return what a JSON file holds.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, no JSON, a key twice in one object.
+    Raises InvalidProblem: no such file, no JSON, a key twice in one object.
     """
     text = read_text(path, expected)
 
@@ -206,10 +203,7 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
 def _refuse_forces(table: Table, column: str) -> None:
     """Refuse a column of forces that would be ignored: an answer whose forces are not read may be right without them.
 
-    Raises
-    ------
-    InvalidProblem
-        The column's name is one of forces, as far as names tell.
+    Raises InvalidProblem: the column's name is one of forces, as far as names tell.
     """
     if part_called(column) is None and LIKE_FORCES.match(column.strip().lower()) is None:
         return
@@ -260,10 +254,7 @@ ARRAYS = "displacement or normal_force"
 def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return the arrays of an archive that are parts of an answer.
 
-    Raises
-    ------
-    InvalidProblem
-        A damaged archive, none of the names, arrays of anything but numbers.
+    Raises InvalidProblem: a damaged archive, none of the names, arrays of anything but numbers.
     """
     arrays = numpy_files.read_npz(path, none_for_objects=True)
     of_program = answer_of_names(path, problem, arrays)
@@ -289,10 +280,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return one array from any format that matrices come in; its part by the file's name, or by its length.
 
-    Raises
-    ------
-    InvalidProblem
-        No array, or one of a length that may be either or neither.
+    Raises InvalidProblem: no array, or one of a length that may be either or neither.
     """
     _refuse_table(path)
     source = matrix_files.read_matrix(path)

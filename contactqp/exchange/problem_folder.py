@@ -50,12 +50,8 @@ NAMES = ("dof_names", "contact_names", "tie_names")
 def read_problem_archive(path: Path) -> tuple[ContactProblem, Ledger]:
     """Return the problem in an archive, and its ledger.
 
-    Raises
-    ------
-    InvalidProblem
-        No archive, a part that is missing or there twice, arrays that are no numbers or no problem together.
-    Unsupported
-        Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
+    Raises InvalidProblem: no archive, a part that is missing or there twice, arrays that are no numbers or no problem
+    together; Unsupported: Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
     """
     arrays, ledger = read_npz(path), Ledger(str(path))
     parts: dict[str, Any] = {}
@@ -124,12 +120,8 @@ def is_problem_folder(path: Path) -> bool:
 def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
     """Return the problem in a folder, and the ledger of its files.
 
-    Raises
-    ------
-    InvalidProblem
-        No such folder, a part that is missing or there twice, files that are none of what they should be.
-    Unsupported, BackendMissing
-        Of one of the files.
+    Raises InvalidProblem: no such folder, a part that is missing or there twice, files that are none of what they
+    should be; Unsupported, BackendMissing: of one of the files.
     """
     root = FilePath(folder)
     if not root.is_dir():

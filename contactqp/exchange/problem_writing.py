@@ -60,23 +60,18 @@ def problem_of(
 ) -> ContactProblem:
     """Return the problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
 
+    Raises InvalidProblem: a part is missing, or they are no contact problem together.
+
     Parameters
     ----------
     path
         The file or folder, for messages.
-    parts : mapping
-        Matrices and vectors by the names of `SYMBOLS`; one coefficient of friction serves all contacts.
-    ledger : Ledger
-        Where it is noted what was assumed.
+    parts : mapping, matrices and vectors by the names of `SYMBOLS`; one coefficient of friction serves all contacts
+    ledger : where it is noted what was assumed
     dof_names, contact_names, tie_names, units : optional
         As a ContactProblem takes them.
     ties : optional
         How many ties are stated.
-
-    Raises
-    ------
-    InvalidProblem
-        A part is missing, or they are no contact problem together.
     """
     missing = next((part for part in REQUIRED if part not in parts), None)
     if missing is not None:

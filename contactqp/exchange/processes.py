@@ -47,10 +47,7 @@ def read_in_own_process(path: Path, kind: str, name: str) -> dict[str, Any]:
 
     A sparse matrix M comes as M_data, M_indices, M_indptr and M_shape of its rows.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no such file, it is damaged, or it is not read within two minutes.
+    Raises InvalidProblem: there is no such file, it is damaged, or it is not read within two minutes.
     """
     size = file_size(path, name)
     home = str(FilePath(__file__).absolute().parents[2])
@@ -222,10 +219,7 @@ class CalculixRun:
 def calculix_command() -> str:
     """Return the command of CalculiX.
 
-    Raises
-    ------
-    BackendMissing
-        It is not installed.
+    Raises BackendMissing: it is not installed.
     """
     command = os.environ.get("CONTACTQP_CCX", COMMAND)
     if shutil.which(command) is None:
@@ -239,24 +233,15 @@ def calculix_command() -> str:
 def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) -> CalculixRun:
     """Run a deck in a folder and return where its results are.
 
+    Raises BackendMissing: CalculiX is not installed; BackendFailed: it did not end in time, ended with an error, or
+    left no displacements; its own words, and where all of them are; InvalidProblem: the folder cannot be made.
+
     Parameters
     ----------
     deck : path
-    nodes : (N,) array of int
-        The labels of the nodes whose displacements are printed.
-    folder : path
-        It is made where it is not there; files of an earlier run in it are taken away.
-    time_limit : float
-        Seconds after which the run is stopped.
-
-    Raises
-    ------
-    BackendMissing
-        CalculiX is not installed.
-    BackendFailed
-        It did not end in time, ended with an error, or left no displacements; its own words, and where all of them are.
-    InvalidProblem
-        The folder cannot be made.
+    nodes : (N,) array of int, the labels of the nodes whose displacements are printed
+    folder : path, it is made where it is not there; files of an earlier run in it are taken away
+    time_limit : seconds after which the run is stopped
     """
     command = calculix_command()
     try:

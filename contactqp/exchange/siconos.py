@@ -120,14 +120,10 @@ def as_integers(words: Words, taken: list[str], what: str, first: int, step: int
 
     Parameters
     ----------
-    words : Words
-        The file, which errors name.
-    taken : list of str
-        The words.
-    what : str
-        What they are, for messages.
-    first, step : int
-        The k-th of them stands at the place first + k step of the file.
+    words : the file, which errors name
+    taken : list of str, the words
+    what : what they are, for messages
+    first, step : the k-th of them stands at the place first + k step of the file
     """
     try:
         return np.array([int(word) for word in taken], dtype=np.int64)
@@ -177,12 +173,8 @@ TRIPLETS, COLUMNS, ROWS = 1, 2, 3
 def read_matrix(words: Words, name: str, shape: tuple[int, int] | None = None) -> Any:
     """Return the next matrix in CSR form, of this shape if one is given.
 
-    Raises
-    ------
-    InvalidProblem
-        The text ends, sizes do not agree, an index is out of range, a value is no finite number.
-    Unsupported
-        A storage that is none of these.
+    Raises InvalidProblem: the text ends, sizes do not agree, an index is out of range, a value is no finite number;
+    Unsupported: a storage that is none of these.
     """
     storage = words.integer(f"{name}, storage")
     if storage not in (DENSE, BLOCKS, SPARSE):

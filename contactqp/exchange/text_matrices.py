@@ -78,12 +78,8 @@ def read_matrix_market(path: Path) -> MatrixFile:
     """Return a matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored
     twice add up.
 
-    Raises
-    ------
-    InvalidProblem
-        No Matrix Market, sizes that the file cannot hold, too few or too many numbers, an index outside.
-    Unsupported
-        Complex numbers, a pattern without values.
+    Raises InvalidProblem: no Matrix Market, sizes that the file cannot hold, too few or too many numbers, an index
+    outside; Unsupported: complex numbers, a pattern without values.
     """
     size = file_size(path, MATRIX_MARKET_NAME)
     with open(path, "rb") as file:
@@ -312,12 +308,8 @@ class Header:
 def read_harwell_boeing(path: Path) -> MatrixFile:
     """Return the matrix; of a symmetric one both halves.
 
-    Raises
-    ------
-    InvalidProblem
-        No such file, a header or a number that is none, sizes that the file cannot hold, lines that are missing.
-    Unsupported
-        Complex numbers, a pattern, elements that are not assembled.
+    Raises InvalidProblem: no such file, a header or a number that is none, sizes that the file cannot hold, lines that
+    are missing; Unsupported: complex numbers, a pattern, elements that are not assembled.
     """
     lines, header = _opened(path)
     rows, columns = header.shape

@@ -190,12 +190,10 @@ class ContactIteration(ABC):
 
         Parameters
         ----------
-        operator : function of an (n,) array
-            Returns A x.
+        operator : function of an (n,) array, returns A x
         right : (n,) array
         reduction : float
-        most : int
-            The largest number of steps.
+        most : the largest number of steps
 
         Returns
         -------

@@ -39,21 +39,15 @@ def stiffness_factor(
 ) -> StiffnessFactor | None:
     """Return factors of K if they are wanted, None where K is singular to working precision.
 
+    Raises InvalidProblem: K is indefinite, as `refuse_indefinite` says.
+
     Parameters
     ----------
-    problem : ContactProblem
-        K is its stiffness.
-    wanted : bool
-        Whether the factors are wanted, or only that K is found to be semidefinite.
+    problem : K is its stiffness
+    wanted : whether the factors are wanted, or only that K is found to be semidefinite
     known : Pardiso, optional
         Factors of a matrix that may have the entries of K, whose analysis then serves.
-    least : float, optional
-        The pivot, as a part of its diagonal entry, beneath which K counts as singular: from `DEFINITE` on it is not.
-
-    Raises
-    ------
-    InvalidProblem
-        K is indefinite, as `refuse_indefinite` says.
+    least : the pivot, as a part of its diagonal entry, beneath which K counts as singular: from `DEFINITE` on it is not
     """
     of_stiffness, factor = problem._computed.of_stiffness, None
     if of_stiffness.convex is None:

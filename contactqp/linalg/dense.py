@@ -96,10 +96,7 @@ class DenseCholesky:
 def dense_factor(matrix: Any) -> DenseCholesky:
     """Factorise a small matrix, dense or sparse.
 
-    Raises
-    ------
-    InvalidProblem
-        A pivot is negative beyond rounding: the matrix is indefinite.
+    Raises InvalidProblem: a pivot is negative beyond rounding: the matrix is indefinite.
     """
     factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
     refuse_negative(factor.smallest_pivot)

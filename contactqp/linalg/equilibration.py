@@ -231,12 +231,9 @@ def nothing_in_rows(
     ----------
     problem : ContactProblem
     answer : Answer
-    part : float
-        The fraction that counts as none.
-    connected : (n,) array of int
-        The number of the part that each unknown belongs to.
-    beside : float
-        The least force of a part that counts, relative to the largest of all.
+    part : the fraction that counts as none
+    connected : (n,) array of int, the number of the part that each unknown belongs to
+    beside : the least force of a part that counts, relative to the largest of all
     """
     twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)
@@ -283,12 +280,9 @@ def balanced_exponents(entries: Any, exponent: Index, unknowns: Index, free: Mas
 
     Parameters
     ----------
-    entries : sparse array in coordinates, (r, n)
-        E, without entries of zero.
-    exponent : (z,) array
-        The binary exponents of the entries.
-    unknowns, free : (n,) arrays
-        The exponents of D that are given, and which are not.
+    entries : sparse array in coordinates, (r, n), E, without entries of zero
+    exponent : (z,) array, the binary exponents of the entries
+    unknowns, free : (n,) arrays, the exponents of D that are given, and which are not
     """
     from scipy.sparse.linalg import lsqr
 

@@ -111,18 +111,12 @@ class FloatingMotions(MotionProjections):
 
     Parameters
     ----------
-    processes : Processes
-        Those that share the problem.
-    diagonal : (n_here,) array
-        D, the diagonal of K, positive [force / length].
-    motions : (n_here, r) array
-        Z, orthonormal in the metric of D; no columns where all bodies are supported.
-    contacts : int
-        The number m_here of contacts.
-    lengths : function
-        Returns E z (a,) of all rows, contacts first.
-    compliance : (a,) array
-        E_i D^-1 E_i' of the rows [length / force].
+    processes : Processes, those that share the problem
+    diagonal : (n_here,) array, D, the diagonal of K, positive [force / length]
+    motions : (n_here, r) array, Z, orthonormal in the metric of D; no columns where all bodies are supported
+    contacts : int, the number m_here of contacts
+    lengths : function, returns E z (a,) of all rows, contacts first
+    compliance : (a,) array, E_i D^-1 E_i' of the rows [length / force]
     """
 
     def __init__(
@@ -168,12 +162,8 @@ class FloatingMotions(MotionProjections):
     def resting(self, load: Vector, limit: Vector) -> tuple[Vector, Mask]:
         """Return a rigid displacement (n_here,) where the load presses the bodies, and the contacts that stop them.
 
-        Raises
-        ------
-        NoEquilibrium
-            The load drives a motion that nothing holds back.
-        NotConverged
-            The linear program found no resting place, and no such motion.
+        Raises NoEquilibrium: the load drives a motion that nothing holds back; NotConverged: the linear program found
+        no resting place, and no such motion.
         """
         work = self._work(load)
         every = self._processes.gathered(self.moved), self._processes.gathered(limit)
@@ -272,14 +262,10 @@ def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> t
 
     Parameters
     ----------
-    work : (r,) array
-        The work Z'f of the load on each motion.
-    moved : (a, r) array
-        E Z of contacts and ties.
-    limit : (a,) array
-        g and b [length].
-    contact : (a,) array of bool
-        Which rows are contacts; the others are ties.
+    work : (r,) array, the work Z'f of the load on each motion
+    moved : (a, r) array, E Z of contacts and ties
+    limit : (a,) array, g and b [length]
+    contact : (a,) array of bool, which rows are contacts; the others are ties
 
     Returns
     -------

@@ -77,14 +77,10 @@ def combination_of(
 
     Parameters
     ----------
-    trial : (m,) and (m, d-1) arrays
-        p and y [force].
-    bound : (m,) array
-        theta [force].
-    stiffness : (m,) array
-        rho_T [force / length].
-    before : Combination, optional
-        The states before.
+    trial : (m,) and (m, d-1) arrays, p and y [force]
+    bound : (m,) array, theta [force]
+    stiffness : (m,) array, rho_T [force / length]
+    before : the states before
     """
     normal, y = trial
     closed, size = normal > 0, lengths(y)
@@ -101,12 +97,9 @@ def turning_stiffness(y: Array, bound: Vector, stiffness: Vector, slides: Mask) 
 
     Parameters
     ----------
-    y : (m, d-1) array [force]
-        The trial forces.
-    bound : (m,) array [force]
-        The friction bounds.
-    stiffness : (m,) array [force / length]
-        rho_T, by which slips enter the trial forces.
+    y : (m, d-1) array [force], the trial forces
+    bound : (m,) array [force], the friction bounds
+    stiffness : (m,) array [force / length], rho_T, by which slips enter the trial forces
     slides : (m,) mask
     """
     room = np.where(slides, lengths(y) - bound, 1.0)
@@ -333,16 +326,11 @@ class CombinationSystem:
 
         Parameters
         ----------
-        x : (n,) array [length]
-            The displacement.
-        residual : (n,) array [force]
-            What it leaves out of balance.
-        tolerance : float
-            That of the certificate: at every unknown a part of it is left at most.
-        energy : float
-            The largest error in energy, relative to that of the displacement.
-        floor : float [energy]
-            The square of an error in energy that is small enough, whatever the displacement.
+        x : (n,) array [length], the displacement
+        residual : (n,) array [force], what it leaves out of balance
+        tolerance : that of the certificate: at every unknown a part of it is left at most
+        energy : the largest error in energy, relative to that of the displacement
+        floor : float [energy], the square of an error in energy that is small enough, whatever the displacement
         """
         if not self._small(x, residual, EQUILIBRIUM * tolerance):
             return False

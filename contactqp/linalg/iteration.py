@@ -245,6 +245,9 @@ def iterable(problem: ContactProblem) -> bool:
 class Iteration(ContactIteration):
     """A stiffness and its rows in one process, with the V-cycle of a hierarchy.
 
+    Raises Unsupported: a body floats along motions that `near_null_space` does not state: without a factorisation these
+    cannot be told from soft ones; BackendMissing: pyamg is not installed.
+
     Attributes
     ----------
     matrix : (n, n) sparse matrix
@@ -253,14 +256,6 @@ class Iteration(ContactIteration):
         Contacts, then ties, over the unknowns that they touch.
     rigid : RigidMotions
         The rigid motions of bodies that float.
-
-    Raises
-    ------
-    Unsupported
-        A body floats along motions that `near_null_space` does not state: without a factorisation these cannot be told
-        from soft ones.
-    BackendMissing
-        pyamg is not installed.
     """
 
     solver = "pyamg"

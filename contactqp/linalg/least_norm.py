@@ -28,11 +28,9 @@ def shift_to_least_norm(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
+    condensation : that of the problem
     answer : Answer
-    closed : (q,) array of int
-        The contacts that resist.
+    closed : (q,) array of int, the contacts that resist
 
     Returns
     -------

@@ -66,6 +66,8 @@ class Level:
 class Hierarchy:
     """The levels of one stiffness.
 
+    Raises BackendMissing: pyamg is not installed.
+
     Parameters
     ----------
     stiffness : (n, n) sparse matrix, symmetric positive semidefinite, its diagonal positive
@@ -83,11 +85,6 @@ class Hierarchy:
         The least energy b'Kb / b'Db of a motion b out of B, body by body: rounding where the body floats.
     soft : (number of bodies,) array of int
         The dimension of the space of motions out of B whose energy is at most FLOATING.
-
-    Raises
-    ------
-    BackendMissing
-        pyamg is not installed.
     """
 
     def __init__(self, stiffness: Any, motions: Array | None = None, coarsest: int | None = None) -> None:
@@ -261,10 +258,8 @@ class CoarsestLevel:
 
     Parameters
     ----------
-    matrix : (n, n) sparse matrix
-        K of the level; an unknown with a zero row gets a diagonal of one.
-    touched : (t,) array of int
-        The unknowns that rows may touch.
+    matrix : (n, n) sparse matrix, K of the level; an unknown with a zero row gets a diagonal of one
+    touched : (t,) array of int, the unknowns that rows may touch
     afloat : (n,) array of bool, optional
         The unknowns of bodies that float, on which K is singular: their diagonal is lifted.
     """

@@ -32,6 +32,8 @@ def dual_active_set(
 ) -> tuple[Vector, int, bool]:
     """Find forces l with l >= 0 off `free` and h - W l <= tolerance; return them, the steps, and whether it ended.
 
+    Raises Infeasible: no forces exist: the rows conflict.
+
     Parameters
     ----------
     W : (q, q) array, positive semidefinite, unit diagonal
@@ -39,11 +41,6 @@ def dual_active_set(
     free : (q,) bool, rows whose force has no sign (ties); their excess ends at zero
     tolerance : (q,) array, excess that counts as closed
     max_steps : int
-
-    Raises
-    ------
-    Infeasible
-        No forces exist: the rows conflict.
     """
     force = np.zeros(len(h))
     active = _independent(W, np.flatnonzero(free))

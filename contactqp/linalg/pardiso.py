@@ -108,10 +108,8 @@ class Pardiso:
     Parameters
     ----------
     matrix : (n, n) sparse matrix
-    retained : (r,) array of int
-        Unknowns that are not eliminated.
-    kind : int
-        POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC.
+    retained : (r,) array of int, unknowns that are not eliminated
+    kind : int, POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC
     order : (n,) array of int, optional
         The unknowns in the order in which they are eliminated, where none is retained; by default `ordering` finds one.
     most_entries : float, optional
@@ -281,19 +279,13 @@ class _Analysis:
     def call(self, phase: int, number: int, values: Array, right: Array, solution: Array) -> None:
         """Call PARDISO for the first or the second matrix.
 
+        Raises NotPositive, BackendFailed as `Pardiso` does.
+
         Parameters
         ----------
-        phase, number : int
-            ANALYSE and the like; 1 or OF_ONE_ANALYSIS.
-        values : array
-            The entries of that matrix.
-        right, solution : arrays
-            Right-hand sides (n,) or (n, q), and what is found for them.
-
-        Raises
-        ------
-        NotPositive, BackendFailed
-            As `Pardiso`.
+        phase, number : ANALYSE and the like; 1 or OF_ONE_ANALYSIS
+        values : array, the entries of that matrix
+        right, solution : arrays, right-hand sides (n,) or (n, q), and what is found for them
         """
         error, size = ctypes.c_int32(0), len(self._starts) - 1
         most = 1 if self.settings[SCHUR] else OF_ONE_ANALYSIS
@@ -332,10 +324,7 @@ class EliminationOrder:
     def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:
         """Return the factors of a matrix whose first rows are those of these unknowns of the stiffness.
 
-        Raises
-        ------
-        NotPositive, TooLarge, BackendMissing, BackendFailed
-            As `Pardiso`.
+        Raises NotPositive, TooLarge, BackendMissing, BackendFailed as `Pardiso` does.
         """
         nothing, rows = np.zeros(0, dtype=np.intp), matrix.shape[0] * (2 if kind == UNSYMMETRIC else 1)
         order = self._known(matrix, unknowns)

@@ -50,10 +50,7 @@ FEW_TRAILING = 16
 class TrailingBlock:
     """S and solves with K + T, from one sparse factorisation; it needs at least one interior unknown.
 
-    Raises
-    ------
-    InvalidProblem
-        A pivot of K_ii is negative beyond rounding: the matrix is indefinite.
+    Raises InvalidProblem: a pivot of K_ii is negative beyond rounding: the matrix is indefinite.
     """
 
     solver = "superlu"
@@ -225,10 +222,7 @@ class NestedBlock:
     With r the unknowns that go, S_cc - S_cr S_rr^-1 S_rc is the Schur complement of K onto c, and no sparse
     factorisation is made anew.
 
-    Raises
-    ------
-    NotPositive
-        S_rr is singular, as far as its pivots tell.
+    Raises NotPositive: S_rr is singular, as far as its pivots tell.
     """
 
     def __init__(self, outer: Elimination, outer_retained: NDArray[np.intp], retained: NDArray[np.intp]) -> None:

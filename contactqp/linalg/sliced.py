@@ -32,10 +32,7 @@ LEFT_OUT = 2.0**-64
 class SlicedStiffness:
     """A stiffness (n, n) CSR cut into slices, in units that are powers of two near `unit` (n,), about 1/sqrt(K_jj).
 
-    Raises
-    ------
-    Unsupported
-        A row has too many entries.
+    Raises Unsupported: a row has too many entries.
     """
 
     def __init__(self, stiffness: Any, unit: Vector) -> None:
@@ -78,12 +75,9 @@ def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extend
     Parameters
     ----------
     problem : ContactProblem
-    displacement : (n,) array [length]
-        u.
-    elastic : Extended (n,)
-        K u [force].
-    change : (n,) array [length]
-        du.
+    displacement : (n,) array [length], u
+    elastic : Extended (n,), K u [force]
+    change : (n,) array [length], du
     """
     sizes = problem.stiffness_sizes
     if not (sizes @ abs(change) <= SLIGHT * (sizes @ abs(displacement))).all():

@@ -171,10 +171,8 @@ class StateSystem(ABC):
 
         Parameters
         ----------
-        load : (n,) array [force]
-            What is out of balance.
-        gap, slip, tie : (m,), (m,), (k,) arrays [length]
-            What gaps, slips and ties miss.
+        load : (n,) array [force], what is out of balance
+        gap, slip, tie : (m,), (m,), (k,) arrays [length], what gaps, slips and ties miss
         """
         rows = self._rows
         lengths = (gap / rows.normal_length, slip / rows.tangent_length, tie / rows.tie_length)
@@ -192,10 +190,7 @@ class StateSystem(ABC):
 class SparseStateSystem(StateSystem):
     """The factorised system of one combination.
 
-    Raises
-    ------
-    BackendFailed
-        As `contactqp.linalg.sparse_saddle.factorised`.
+    Raises BackendFailed as `contactqp.linalg.sparse_saddle.factorised` does.
     """
 
     def __init__(self, problem: ContactProblem, rows: SparseFrictionalRows, status: Status) -> None:
@@ -264,8 +259,7 @@ class ChangedStateSystem(StateSystem):
     ----------
     rows : SparseFrictionalRows
     factorised : SparseStateSystem
-    status : (m,) array
-        The combination.
+    status : (m,) array, the combination
     """
 
     def __init__(self, rows: SparseFrictionalRows, factorised: SparseStateSystem, status: Status) -> None:
@@ -337,21 +331,14 @@ def _largest(parts: _Parts) -> float:
 def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweeps: int = MAX_SWEEPS) -> RefinedState:
     """Refine the answer of a combination from a start, in extended precision.
 
+    Raises BackendFailed as `SparseStateSystem` does.
+
     Parameters
     ----------
-    problem : ContactProblem
-        In the plane, with friction.
-    status : (m,) array of int
-        The combination.
-    start : Answer
-        Where refinement begins.
-    sweeps : int
-        At most so many corrections.
-
-    Raises
-    ------
-    BackendFailed
-        As `SparseStateSystem`.
+    problem : in the plane, with friction
+    status : (m,) array of int, the combination
+    start : where refinement begins
+    sweeps : at most so many corrections
     """
     rows, exact = frictional_rows(problem), extended_rows(problem)
     return refined_by(lambda *_: rows.system(problem, status), exact, problem, rows, status, start, sweeps)

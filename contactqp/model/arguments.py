@@ -249,10 +249,7 @@ def _words(stated: Any) -> str:
 def read_whole(name: str, value: Any) -> NDArray[np.int64]:
     """Return a copy of whole numbers of any shape.
 
-    Raises
-    ------
-    InvalidProblem
-        Rows of different lengths, masked arrays, or entries that are no whole numbers.
+    Raises InvalidProblem: rows of different lengths, masked arrays, or entries that are no whole numbers.
     """
     refuse_masked(name, value)
     try:
@@ -267,10 +264,7 @@ def read_whole(name: str, value: Any) -> NDArray[np.int64]:
 def read_places(name: str, value: Any, count: int) -> NDArray[np.intp]:
     """Return places among `count`, given as whole numbers or as one truth value for each.
 
-    Raises
-    ------
-    InvalidProblem
-        Neither, or a place that is none.
+    Raises InvalidProblem: neither, or a place that is none.
     """
     chosen = isinstance(value, np.ndarray) and value.dtype == bool and value.shape == (count,)
     places = np.flatnonzero(value) if chosen else read_whole(name, value)

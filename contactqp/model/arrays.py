@@ -109,10 +109,7 @@ def _refuse_misfit(function: Callable[..., Any], args: Sequence[Any], kwargs: Ma
 def refuses_misfits(function: Callable[P, R]) -> Callable[P, R]:
     """Refuse calls that do not fit a constructor which reads its arguments itself.
 
-    Raises
-    ------
-    WrongCall
-        There is no argument of that name, and the nearest one is given; or arguments are missing.
+    Raises WrongCall: there is no argument of that name, and the nearest one is given; or arguments are missing.
     """
     names = [*signature(function).parameters][1:]
     known = frozenset(names)

@@ -81,10 +81,7 @@ class ReadOnly:
 def read_array(name: str, value: Any) -> NDArray[np.float64]:
     """Return a copy of real numbers of any shape, NaN included.
 
-    Raises
-    ------
-    InvalidProblem
-        Words, complex numbers, dates, objects that are no real numbers, masked arrays.
+    Raises InvalidProblem: words, complex numbers, dates, objects that are no real numbers, masked arrays.
     """
     refuse_masked(name, value)
     try:
@@ -454,15 +451,12 @@ def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, 
 def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
     """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
 
+    Raises InvalidProblem: it is none of the numbers from 0 to `count` - 1.
+
     Parameters
     ----------
     kind : "contact", "unknown" or "tie"
     number, count, names : int, counted from 0, how many there are, and their names, if they have any
-
-    Raises
-    ------
-    InvalidProblem
-        It is none of the numbers from 0 to `count` - 1.
     """
     if not (is_whole(number) and 0 <= number < count):
         raise InvalidProblem(f"{kind}: expected a number from 0 to {count - 1}, got {shown(number)}")

@@ -58,10 +58,7 @@ class QuadraticProgram:
 def given_program(P: Any, q: Any, *others: Any) -> QuadraticProgram:
     """Return the program that the arguments of `ContactProblem.from_qp` make, or P alone: a `qpsolvers.Problem`.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no q.
+    Raises InvalidProblem: there is no q.
     """
     if q is not None:
         return QuadraticProgram(P, q, *others)
@@ -82,10 +79,12 @@ def contact_data(
 ) -> dict[str, Any]:
     """Return the arguments of `ContactProblem` for a program as it came, with ranges; see `ContactProblem.from_qp`.
 
+    Raises InvalidProblem: there is no such argument, a matrix came without its right-hand side or the other way round,
+    shapes differ, a lower side is above the upper one, or names are not as many as what they name.
+
     Parameters
     ----------
-    given : QuadraticProgram
-        P, q, G, h, A, b, lb, ub.
+    given : P, q, G, h, A, b, lb, ub
     C : (r, n) matrix, optional
         Rows of ranges l <= C x <= u.
     l, u : (r,) arrays, optional
@@ -94,12 +93,6 @@ def contact_data(
         Names of the unknowns (n,) and of the ranges (r,).
     **unknown
         Refused.
-
-    Raises
-    ------
-    InvalidProblem
-        There is no such argument, a matrix came without its right-hand side or the other way round, shapes differ, a
-        lower side is above the upper one, or names are not as many as what they name.
     """
     if unknown:
         raise InvalidProblem(
@@ -240,10 +233,11 @@ def answer_of_program(
 ) -> dict[str, Vector]:
     """Return displacement, normal_force and tie_force of an answer in the form and signs of qpsolvers.
 
+    Raises InvalidProblem: a vector has another length.
+
     Parameters
     ----------
-    problem : ContactProblem
-        As `from_qp` makes it.
+    problem : ContactProblem, as `from_qp` makes it
     x : (n,) array
     y : (k,) array, optional
         Of the ties; those of fixed bounds at the end may be left out where `z_box` holds them.
@@ -252,11 +246,6 @@ def answer_of_program(
     z_box : (n,) array, optional
         Of the bounds: positive of an upper, negative of a lower one. What stands where there is no such bound has no
         place in the answer, whose balance then misses it.
-
-    Raises
-    ------
-    InvalidProblem
-        A vector has another length.
     """
     bound = _bounds_of(problem)
     rows = np.setdiff1d(np.arange(problem.contacts), np.array(sorted(bound), dtype=int))

@@ -295,13 +295,11 @@ def history_table(
     Parameters
     ----------
     times : (steps,) array
-    solutions : sequence of Solution
-        Of these only those that are shown are looked at.
+    solutions : sequence of Solution, of these only those that are shown are looked at
     normal_forces : (steps, m) array
     events : sequence of Event
     exact : bool
-    time_label : str
-        The heading of the column of times, with their unit.
+    time_label : the heading of the column of times, with their unit
     """
     chosen = np.arange(len(times))
     if len(times) > MOST_INSTANTS:
@@ -415,21 +413,14 @@ def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: s
 
     A number is the place itself; one below zero counts from the end.
 
+    Raises InvalidProblem: there is none; the nearest names are given.
+
     Parameters
     ----------
-    name : str or int
-        What is looked for.
-    count : int
-        How many there are.
-    name_of : function of int
-        Returns the name of each, counted from 0.
-    what : str
-        "contact", "unknown" or "tie", for messages.
-
-    Raises
-    ------
-    InvalidProblem
-        There is none; the nearest names are given.
+    name : str or int, what is looked for
+    count : how many there are
+    name_of : function of int, returns the name of each, counted from 0
+    what : "contact", "unknown" or "tie", for messages
     """
     from difflib import get_close_matches
 

@@ -49,12 +49,9 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
 
     Parameters
     ----------
-    wanted : iterable of str
-        Names that were not found as they stand.
-    given : collection of str
-        All names that were given.
-    among : iterable of str
-        All names that there are; a given name that is one of them means that one and no other.
+    wanted : iterable of str, names that were not found as they stand
+    given : collection of str, all names that were given
+    among : iterable of str, all names that there are; a given name that is one of them means that one and no other
     """
     exact = set(among)
     by_meaning: dict[str, list[str]] = {}

@@ -102,10 +102,7 @@ def known_reference(known: GalleryProblem) -> Reference:
 def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
     """Return a certified solution, of several the one nearest to an answer.
 
-    Raises
-    ------
-    ContactQPError
-        There is none, or none was found.
+    Raises ContactQPError: there is none, or none was found.
     """
     found = right_answer(problem, answer)
     sliding = found.contact_status == "slip"
@@ -166,12 +163,10 @@ def force_deviations(
 
     Parameters
     ----------
-    reference : Reference
-        The right answer.
+    reference : the right answer
     normal_force, friction_force, tie_force : (m,), (m, d-1) and (k,) arrays
         The forces to be compared, the last two None where they were not given.
-    rtol : float
-        The largest relative deviation that is right.
+    rtol : the largest relative deviation that is right
     """
     if not reference.one_force:
         return resultant_deviations(reference, normal_force, friction_force, tie_force, rtol)
@@ -205,12 +200,10 @@ def resultant_deviations(
 
     Parameters
     ----------
-    reference : Reference
-        A right answer.
+    reference : a right answer
     normal_force, friction_force, tie_force : (m,), (m, d-1) and (k,) arrays
         The forces to be judged, the last two None where they were not given.
-    rtol : float
-        The largest relative deviation that is right.
+    rtol : the largest relative deviation that is right
     """
     problem = reference.problem
     right = reference.resultant

@@ -39,10 +39,7 @@ def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[In
     Nodes are found from the rows: a contact moves by -n.(w_i u_i + ...), so its own node is the one at its point with
     w_i > 0; the nodes of a master surface have w_i < 0.
 
-    Raises
-    ------
-    InvalidProblem
-        The row of a contact touches no node of the structure at its point.
+    Raises InvalidProblem: the row of a contact touches no node of the structure at its point.
     """
     d = int(structure.bodies[0].mesh.points.shape[1])
     points = np.concatenate([body.mesh.points for body in structure.bodies])
@@ -257,10 +254,7 @@ def contact_facets(fields: ContactFields, pairing: PairingFields) -> Iterator[tu
 def contacts_of(solution: Solution, system: System, pairings: Sequence[Pairing]) -> NDArray[np.intp]:
     """Return the places of the contacts of a solution among the rows of the pairings that its problem is made of.
 
-    Raises
-    ------
-    InvalidProblem
-        The solution is not one of this system and these pairings.
+    Raises InvalidProblem: the solution is not one of this system and these pairings.
     """
     kept = system.free_contacts(pairings)
     expected, got = (len(system.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
@@ -279,10 +273,8 @@ def contact_fields(
 
     Parameters
     ----------
-    system : System
-        ``structure.assemble(supports, loads)``.
-    pairings : sequence of Pairing
-        The pairings of the problem, in the same order.
+    system : ``structure.assemble(supports, loads)``
+    pairings : sequence of Pairing, the pairings of the problem, in the same order
     solution : Solution
     names : sequence of str, optional
         Names of the pairings, for legends; by default "contact", numbered if there are several.

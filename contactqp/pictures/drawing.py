@@ -100,10 +100,8 @@ def draw_plane(
     ----------
     axes : matplotlib axes
     fields : ContactFields
-    colour : str
-        "displacement" or "von mises".
-    scale : float
-        How many times displacements are magnified.
+    colour : "displacement" or "von mises"
+    scale : how many times displacements are magnified
     window : (2, 2) array, optional
         Corners of the part that is shown; all by default.
 
@@ -378,18 +376,14 @@ def draw_crosscheck(found: CrossCheck, file: str | Path) -> None:
 
     In the plane they are drawn along the surface, in space from the direction in which the slave nodes spread least.
 
+    Raises InvalidProblem: the suffix is unknown, the folder does not exist, or the deck has no contact pairs;
+    BackendMissing: matplotlib is not installed.
+
     Parameters
     ----------
     found : CrossCheck
     file : str or Path
         A file that ends in .png, .pdf or .svg.
-
-    Raises
-    ------
-    InvalidProblem
-        The suffix is unknown, the folder does not exist, or the deck has no contact pairs.
-    BackendMissing
-        matplotlib is not installed.
     """
     path = style.check_picture(file)
     pairs = [pair for pair in found.pairs if len(pair.labels)]

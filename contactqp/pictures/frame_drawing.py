@@ -149,6 +149,9 @@ CLOSE = 0.02
 def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None = None, title: str = "") -> None:
     """Draw the undeformed and the deformed members, supports, loads, and contacts with their force or gap.
 
+    Raises InvalidProblem: the suffix is unknown, the scale is not positive, or the folder does not exist;
+    BackendMissing: matplotlib is not installed.
+
     Parameters
     ----------
     fields : FrameFields
@@ -156,15 +159,7 @@ def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None
         A file that ends in .png, .pdf or .svg.
     scale : float, optional
         How many times displacements are magnified; by default as many as make them visible. The title states it.
-    title : str
-        The title of the picture.
-
-    Raises
-    ------
-    InvalidProblem
-        The suffix is unknown, the scale is not positive, or the folder does not exist.
-    BackendMissing
-        matplotlib is not installed.
+    title : the title of the picture
 
     Notes
     -----
@@ -418,10 +413,8 @@ def solution_figure(solution: Solution, *, title: str = "") -> Figure:
 
     Parameters
     ----------
-    solution : Solution
-        The answer; its problem's units and names are those of the figure.
-    title : str
-        The title of the picture; below it stand the method and its verdict.
+    solution : the answer; its problem's units and names are those of the figure
+    title : the title of the picture; below it stand the method and its verdict
     """
     problem = solution.problem
     panels = [_normal_force, *([_friction] if solution.friction_force is not None else []), _gap]

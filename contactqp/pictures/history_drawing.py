@@ -126,8 +126,7 @@ def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: 
     ----------
     panel : matplotlib axes
     events : sequence of Event
-    x, y : (number of events,) arrays
-        The places of the events on the curve.
+    x, y : (number of events,) arrays, the places of the events on the curve
     """
     for kind in KINDS:
         mine = np.array([event.kind == kind for event in events], dtype=bool)

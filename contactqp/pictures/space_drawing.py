@@ -50,11 +50,9 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
     Parameters
     ----------
     figure : matplotlib figure
-    axes : matplotlib axes
-        The part of the figure that the map is drawn to.
+    axes : matplotlib axes, the part of the figure that the map is drawn to
     fields : ContactFields
-    pairing : PairingFields
-        One of its pairings.
+    pairing : one of its pairings
     """
     at, names = flattened(pairing)
     unit = style.length_unit(fields.units)
@@ -185,14 +183,10 @@ def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale
     Parameters
     ----------
     fields : ContactFields
-    colour : str
-        "displacement" or "von mises".
-    label, title : str
-        The label of the colour bar, and the title.
-    scale : float
-        How many times displacements are magnified.
-    size : float
-        The largest side of the box around the undeformed bodies [length].
+    colour : "displacement" or "von mises"
+    label, title : the label of the colour bar, and the title
+    scale : how many times displacements are magnified
+    size : the largest side of the box around the undeformed bodies [length]
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

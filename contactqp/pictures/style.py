@@ -96,10 +96,7 @@ def plain(text: str, most: int = 40) -> str:
 def colour_label(colour: str, units: Units) -> str:
     """Return the label of the colour bar.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no such colouring.
+    Raises InvalidProblem: there is no such colouring.
     """
     if colour == "displacement":
         return f"displacement, magnitude [{length_unit(units)}]"
@@ -235,13 +232,10 @@ def magnification(scale: float | None, size: float, displacement: Array, initial
 
     Parameters
     ----------
-    scale : float or None
-        The scale that the user states; None to choose one.
-    size : float
-        The largest side of the box around the undeformed bodies [length].
+    scale : float or None, the scale that the user states; None to choose one
+    size : the largest side of the box around the undeformed bodies [length]
     displacement : (N, d) array [length]
-    initial_gap, gap : (m,) arrays
-        Gaps of all contacts, before and under the load [length].
+    initial_gap, gap : (m,) arrays, gaps of all contacts, before and under the load [length]
 
     Raises
     ------

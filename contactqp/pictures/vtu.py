@@ -42,18 +42,14 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
     Elastic bodies have the cell field `body`, the place of the body among ContactFields.bodies. Members are lines
     between their nodes (beams too: their points in between are not written), and every node is a vertex.
 
+    Raises InvalidProblem: the suffix is another one, or the folder does not exist; BackendMissing: meshlane is not
+    installed.
+
     Parameters
     ----------
     fields : ContactFields or FrameFields
     file : str or Path
         A file that ends in .vtu.
-
-    Raises
-    ------
-    InvalidProblem
-        The suffix is another one, or the folder does not exist.
-    BackendMissing
-        meshlane is not installed.
     """
     path = check_vtu(file)
     meshlane: Any = importlib.import_module("meshlane")

@@ -285,10 +285,7 @@ def _snap(claim: Claim, answer: Answer) -> Snap:
 def _numbered(claim: Claim, points: Sequence[Point], what: str, found: Sequence[str]) -> Point:
     """Return the point that the claim counts to, from 1 or from the end.
 
-    Raises
-    ------
-    SceneError
-        The path has fewer.
+    Raises SceneError: the path has fewer.
     """
     if len(points) < abs(claim.occurrence):
         raise SceneError(

@@ -219,13 +219,10 @@ def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
 
     Parameters
     ----------
-    name : str
-        What the block is called.
+    name : what the block is called
     count : int
-    what : str
-        What one of them is called; its plural has an s.
-    otherwise : str
-        The reason where there is none.
+    what : what one of them is called; its plural has an s
+    otherwise : the reason where there is none
     """
     return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
 

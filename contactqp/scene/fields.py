@@ -46,8 +46,7 @@ def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: S
     Parameters
     ----------
     table : Block
-    kind : str
-        What the table is, as in "sphere".
+    kind : what the table is, as in "sphere"
     required, optional : sequences of str
         The keys of the kind; those that tables of all kinds have are among the optional ones, first.
     """
@@ -220,8 +219,7 @@ def refuse_unknown(key: str, name: object, known: Collection[str], what: str) ->
         Where the name stands, as in ``bars[1].nodes[0] ('left')``.
     name : str
     known : collection of str
-    what : str
-        What is called so, as in "node".
+    what : what is called so, as in "node"
     """
     if name not in known:
         raise SceneError(f"{key}: {no_such(name, known, what)}")

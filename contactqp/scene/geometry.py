@@ -47,12 +47,8 @@ class Nearest:
 def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
     """Return the mesh of a body in the scene's unit of length.
 
-    Raises
-    ------
-    InvalidProblem
-        The file or its mesh is no good, or the shape's numbers are none.
-    BackendMissing
-        A file that needs meshlane, which is not installed.
+    Raises InvalidProblem: the file or its mesh is no good, or the shape's numbers are none; BackendMissing: a file that
+    needs meshlane, which is not installed.
     """
     if body.shape is not None:
         return lattice_of_shape(scene, body.shape).mesh()

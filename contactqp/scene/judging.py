@@ -124,14 +124,11 @@ def judge_all(
     Parameters
     ----------
     scene : SceneData
-    methods : sequence of str
-        Names of methods; without any, those that `trials` finds in the case.
+    methods : sequence of str, names of methods; without any, those that `trials` finds in the case
     knobs : mapping of str to Knob, optional
         Options of the methods, each for those that take it; quantities carry their units.
-    engine : str
-        "serial" or "petsc", as for `contactqp.run`.
-    checkpoint : str, optional
-        The folder for the steps of a load path, of engines that keep them.
+    engine : "serial" or "petsc", as for `contactqp.run`
+    checkpoint : the folder for the steps of a load path, of engines that keep them
 
     Raises
     ------
@@ -167,10 +164,7 @@ def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob
     Without `method`: active-set, and every method that the case itself says something about. With `method`, but
     without a knob that it needs: each of the knobs that the case states for it.
 
-    Raises
-    ------
-    SceneError
-        A knob that the method needs is stated neither here nor in the case.
+    Raises SceneError: a knob that the method needs is stated neither here nor in the case.
     """
     stated = _distinct(
         Trial(claim.method, claim.knobs) for claim in (*scene.expect, *scene.published) if claim.method is not None
@@ -444,19 +438,13 @@ def read_knobs(
 ) -> dict[str, Knob]:
     """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method.
 
+    Raises SceneError: a stiffness or an option of another form.
+
     Parameters
     ----------
-    penalty, perturbation : str or None
-        A number with a unit of force / length.
-    options : iterable of str
-        Each of the form key=value.
-    bare : bool
-        Whether a stiffness may be a number without a unit, as problems of matrices have them.
-
-    Raises
-    ------
-    SceneError
-        A stiffness or an option of another form.
+    penalty, perturbation : str or None, a number with a unit of force / length
+    options : iterable of str, each of the form key=value
+    bare : whether a stiffness may be a number without a unit, as problems of matrices have them
     """
     knobs: dict[str, Knob] = {}
     for name, text in (("penalty", penalty), ("perturbation", perturbation)):

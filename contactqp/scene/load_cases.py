@@ -42,22 +42,15 @@ class CaseAnswers:
 def solve_cases(scene: SceneData, file: str, method: str, knobs: Mapping[str, Knob]) -> CaseAnswers:
     """Solve a scene under each load case of a table, in the scene's units; what it does not state is the scene's own.
 
+    Raises Unsupported: the scene has a load path, a motion or large deformations; InvalidProblem: the table is none, or
+    names what the scene has not.
+
     Parameters
     ----------
     scene : Scene
-    file : str
-        The table, whose columns are named as `read_case_rows` says.
-    method : str
-        A name of `contactqp.methods()`.
-    knobs : mapping
-        Options of the method by name, stiffnesses with their units.
-
-    Raises
-    ------
-    Unsupported
-        The scene has a load path, a motion or large deformations.
-    InvalidProblem
-        The table is none, or names what the scene has not.
+    file : the table, whose columns are named as `read_case_rows` says
+    method : a name of `contactqp.methods()`
+    knobs : mapping, options of the method by name, stiffnesses with their units
     """
     if scene.path is not None or scene.motion is not None or scene.large:
         raise Unsupported("--loads: of cases without load path, motion and large deformations")

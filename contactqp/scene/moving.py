@@ -121,12 +121,8 @@ class DeformableModel:
 def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
     """Follow the path that the scene states, at large deformations.
 
-    Raises
-    ------
-    SceneError
-        What `large_deformation` refuses, with its key in ``path``; an option that belongs there.
-    NotConverged
-        With the history so far.
+    Raises SceneError: what `large_deformation` refuses, with its key in ``path``; an option that belongs there;
+    NotConverged: with the history so far.
     """
     scene, deformable = model.scene, DeformableModel(model)
     path = scene.path
@@ -272,10 +268,7 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
 def start_of(model: Model, key: str) -> Vector:
     """Return the ``displacements`` or ``velocities`` that all unknowns start with, in the scene's units.
 
-    Raises
-    ------
-    SceneError
-        A body that is set going along an axis that a support holds.
+    Raises SceneError: a body that is set going along an axis that a support holds.
     """
     places = dict(_places(model))
     start = np.zeros(sum(len(at) for at in places.values()))

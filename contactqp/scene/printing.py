@@ -322,10 +322,8 @@ def print_events(console: Console, history: History, when: str, verbose: bool = 
     ----------
     console : rich.console.Console
     history : History
-    when : str
-        The head of the column of times.
-    verbose : bool
-        Whether every event has a row.
+    when : the head of the column of times
+    verbose : whether every event has a row
     """
     few = len(history.events) if verbose else FEW_EVENTS
     told = events_together(history.events, history[-1].problem.contact_name, few)

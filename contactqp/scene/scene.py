@@ -141,10 +141,7 @@ def _standard_input() -> str:
 def read_standard_input(what: str) -> bytes:
     """Return all that comes in on standard input, which is to be `what`.
 
-    Raises
-    ------
-    SceneError
-        It is closed, or holds more than a file may.
+    Raises SceneError: it is closed, or holds more than a file may.
     """
     if sys.stdin is None or sys.stdin.closed:
         raise SceneError(f"expected {what}, and it is closed")
@@ -309,8 +306,7 @@ def run_model(
 
     Parameters
     ----------
-    model : NodeModel or BodyModel
-        From `build_for` with the same engine.
+    model : NodeModel or BodyModel, from `build_for` with the same engine
     method, engine, checkpoint
         As for `run`.
     **options

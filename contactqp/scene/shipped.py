@@ -108,10 +108,7 @@ def case_path(named: str | Path) -> Path:
 def shipped_case(name: str) -> ShippedCase:
     """Return the case of that name.
 
-    Raises
-    ------
-    SceneError
-        There is none; the nearest are named.
+    Raises SceneError: there is none; the nearest are named.
     """
     for case in _all_cases():
         if case.name == name.removesuffix(SUFFIX):

@@ -145,12 +145,9 @@ def print_table(
     ----------
     console : Console
     header : sequence of str
-    rows : sequence of rows
-        As many cells each as the header; all are text.
-    drawn : sequence of Drawn
-        Columns of pictures; the last of them are left out first where the terminal is narrow.
-    most : int
-        The rows that are printed; how many more there are is said.
+    rows : sequence of rows, as many cells each as the header; all are text
+    drawn : sequence of Drawn, columns of pictures; the last of them are left out first where the terminal is narrow
+    most : the rows that are printed; how many more there are is said
     """
     if not rows:
         return
@@ -209,12 +206,9 @@ def print_noted(
     Parameters
     ----------
     console : Console
-    header : sequence of str
-        The names of all columns.
-    rows : sequence of rows
-        Of each row the cells of the first columns, which are short.
-    notes : sequence of rows
-        Of each row the sentences of the other columns; empty ones are left out below a row.
+    header : sequence of str, the names of all columns
+    rows : sequence of rows, of each row the cells of the first columns, which are short
+    notes : sequence of rows, of each row the sentences of the other columns; empty ones are left out below a row
     """
     whole = _table(header, [[*row, *note] for row, note in zip(rows, notes, strict=True)], ())
     if console.measure(whole, options=console.options.update(width=ENDLESS)).maximum <= console.width:

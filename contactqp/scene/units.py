@@ -346,10 +346,7 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
 def _single_unit(name: str) -> tuple[Fraction, Dimension]:
     """Return the value and dimension of one unit by its name, with a prefix or none.
 
-    Raises
-    ------
-    NotANumber
-        There is no such unit; the nearest are named.
+    Raises NotANumber: there is no such unit; the nearest are named.
     """
     for singular in (name, _PLURALS.get(name, name.removesuffix("s"))):
         if singular != name and name not in _PLURALS and len(singular) < _SHORTEST_PLURAL:

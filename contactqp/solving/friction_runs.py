@@ -117,8 +117,7 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
     ----------
     problem, condensation : ContactProblem, Condensation
     answer : Answer
-    free : (n, q) array
-        An orthonormal basis of the free motions; q may be 0.
+    free : (n, q) array, an orthonormal basis of the free motions; q may be 0
     """
     if not free.shape[1]:
         return answer
@@ -170,18 +169,14 @@ class FrictionRun(Run):
     Parameters
     ----------
     problem : ContactProblem
-    answer : Answer
-        What the algorithm found.
-    name : str
-        The algorithm, and the convex method where it takes steps of one.
+    answer : Answer, what the algorithm found
+    name : str, the algorithm, and the convex method where it takes steps of one
     meter : Meter, optional
         What has counted the cost so far.
-    history : tuple of float
-        The algorithm's own measure of progress, one number an iteration.
+    history : tuple of float, the algorithm's own measure of progress, one number an iteration
     iterations : int, optional
         Of the algorithm; without it one more than the history has.
-    exact : bool
-        Whether the algorithm promises Coulomb's answer; the associated relaxation does not.
+    exact : bool, whether the algorithm promises Coulomb's answer; the associated relaxation does not
     """
 
     def __init__(
@@ -222,10 +217,7 @@ class FrictionRun(Run):
 class SparseFrictionRun(FrictionRun):
     """The answer to a problem in the plane whose contacts are many, found and refined in sparse systems.
 
-    Raises
-    ------
-    NotConverged
-        As `solve_sparse_newton`.
+    Raises NotConverged as `solve_sparse_newton` does.
     """
 
     def __init__(self, problem: ContactProblem, settings: Settings) -> None:
@@ -255,12 +247,8 @@ class SparseFrictionRun(FrictionRun):
 class IteratedFrictionRun(RunByIteration):
     """Coulomb's answer on a body too large to factorise, by Tresca's fixed point and Newton's method.
 
-    Raises
-    ------
-    NotConverged, NoEquilibrium
-        As `solve_friction_by_iteration`.
-    Unsupported
-        Another method than the active set.
+    Raises NotConverged, NoEquilibrium as `solve_friction_by_iteration` does; Unsupported: another method than the
+    active set.
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
@@ -410,14 +398,10 @@ def run_on_combination(
     Parameters
     ----------
     problem : ContactProblem
-    system, lengths : ForceSystem, Lengths
-        The linear systems of combinations, and the lengths of this load.
-    found : CombinationAnswer
-        Forces and states on the contact unknowns.
-    combinations : int
-        The number of combinations that were tried, which becomes the count of iterations.
-    meter : Meter
-        The counter of what the answer costs.
+    system, lengths : ForceSystem, Lengths, the linear systems of combinations, and the lengths of this load
+    found : forces and states on the contact unknowns
+    combinations : the number of combinations that were tried, which becomes the count of iterations
+    meter : the counter of what the answer costs
     """
     with meter.running():
         answer = refined(problem, condense(problem), system, lengths, found)
@@ -427,10 +411,7 @@ def run_on_combination(
 def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     """Find every equilibrium of a small problem by enumeration.
 
-    Raises
-    ------
-    Unsupported
-        As `run_friction`.
+    Raises Unsupported as `run_friction` does.
     """
     if iterated(problem):
         raise Unsupported(f"enumeration: a body this large is not factorised; {_FACTORISE}")

@@ -137,12 +137,8 @@ def solve_local(
 def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[LocalSolution, ...]:
     """Return every answer of a local problem in the plane with at most eight contacts, one for each velocity.
 
-    Raises
-    ------
-    Unsupported
-        The problem is in space, or has more contacts.
-    NotConverged
-        No answer passes `tolerance`, and some nearly do.
+    Raises Unsupported: the problem is in space, or has more contacts; NotConverged: no answer passes `tolerance`, and
+    some nearly do.
     """
     began, form = time.perf_counter(), LocalForm(problem)
     found = [
@@ -218,10 +214,7 @@ SAME = 1e-8
 def enumerated(form: LocalForm) -> Iterator[Iterate]:
     """Yield the answers of all combinations whose signs may hold, refined by Newton's method, each velocity once.
 
-    Raises
-    ------
-    Unsupported
-        The problem is in space, or has more than eight contacts.
+    Raises Unsupported: the problem is in space, or has more than eight contacts.
     """
     if (reason := not_enumerated(form)) is not None:
         raise Unsupported(reason)

@@ -235,22 +235,15 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
 class PresolvedRun(Run):
     """A run on the kept rows whose answer is one on all rows.
 
+    Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as the run on the kept rows.
+
     Parameters
     ----------
-    fewer : Presolved
-        The problem of the kept rows.
-    problem : ContactProblem
-        That of all rows.
+    fewer : Presolved, the problem of the kept rows
+    problem : ContactProblem, that of all rows
     method : Method
-    settings : Settings
-        Its `warm_start` is one on all rows.
-    begin : function of a problem and settings
-        Makes the run on the kept rows.
-
-    Raises
-    ------
-    NoEquilibrium, NotConverged, BackendFailed, Unsupported
-        As the run on the kept rows.
+    settings : Settings, its `warm_start` is one on all rows
+    begin : function of a problem and settings, makes the run on the kept rows
     """
 
     def __init__(
@@ -327,10 +320,8 @@ def solve_among(
     Parameters
     ----------
     problem : ContactProblem
-    start : Solution or None
-        Where to start from, of all contacts.
-    solve : function of a problem of the candidates and a start
-        Returns its solution.
+    start : Solution or None, where to start from, of all contacts
+    solve : function of a problem of the candidates and a start, returns its solution
     without_friction : function of a problem
         Returns normal forces (m,) of the problem without friction and what they have cost.
     """

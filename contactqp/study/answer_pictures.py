@@ -46,16 +46,12 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
     FrameFields. Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made
     of; draw, write_vtu and the command line take either.
 
+    Raises Unsupported: the scene has a membrane.
+
     Parameters
     ----------
     scene : Scene
-    solution : Solution
-        A solution of ``scene.problem()``, by any method.
-
-    Raises
-    ------
-    Unsupported
-        The scene has a membrane.
+    solution : a solution of ``scene.problem()``, by any method
     """
     if scene.meshed:
         return _fields_of_bodies(scene, solution)
@@ -178,11 +174,9 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scal
     Parameters
     ----------
     scene : SceneData
-    solution : Solution
-        Of the scene's problem.
+    solution : of the scene's problem
     title : str
-    scale : float, optional
-        By how much displacements are magnified.
+    scale : by how much displacements are magnified
     """
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)
@@ -366,10 +360,8 @@ class AnswerFiles:
         The files that were asked for. With several cases the name of the case is put before the suffix, with several
         answers of one case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a
         picture of its own, ``bar.history.png``.
-    several_cases : bool
-        Whether names of cases are put into file names.
-    every_method : bool
-        Write all answers of a case; otherwise the first one, which is printed in full.
+    several_cases : bool, whether names of cases are put into file names
+    every_method : bool, write all answers of a case; otherwise the first one, which is printed in full
     """
 
     plot: Path | None

@@ -83,10 +83,8 @@ class CaseStudy:
         Parameters
         ----------
         setting : Setting
-        first : float
-            Time of an earlier call [s].
-        warm : bool
-            Whether the modules of the method are imported already.
+        first : time of an earlier call [s]
+        warm : whether the modules of the method are imported already
         """
         return timing(self.problem, setting, first, self.follow, warm)
 
@@ -178,21 +176,14 @@ def load_studies(
 
     With `brief` the settings are those of `brief_settings`, whatever tolerances and ladders are asked for.
 
+    Raises SceneError, InvalidProblem: a file is no case, or its problem is invalid; the message names the file.
+
     Parameters
     ----------
-    files : iterable of paths
-        Case files.
-    methods : sequence of Method
-        Those to be tried, where a case does not limit them.
-    tolerances : sequence of float
-        For methods that take one.
-    brief : bool
-        Whether each method has few settings.
-
-    Raises
-    ------
-    SceneError, InvalidProblem
-        A file is no case, or its problem is invalid; the message names the file.
+    files : iterable of paths, case files
+    methods : sequence of Method, those to be tried, where a case does not limit them
+    tolerances : sequence of float, for methods that take one
+    brief : whether each method has few settings
     """
     paths = [Path(file) for file in files]
     _refuse_twins(paths)

@@ -47,13 +47,8 @@ class AnswerVerdict(Verdict):
 def check_case(problem_file: str, candidate_file: str, options: CheckOptions) -> AnswerVerdict:
     """Judge an answer against a case file.
 
-    Raises
-    ------
-    SceneError, InvalidProblem
-        One of the files is invalid.
-    Unsupported
-        The case is a motion, a load path with friction or a large deformation: what is right at its end depends on the
-        history that leads there.
+    Raises SceneError, InvalidProblem: one of the files is invalid; Unsupported: the case is a motion, a load path with
+    friction or a large deformation: what is right at its end depends on the history that leads there.
     """
     scene = load_scene(problem_file)
     problem = build(scene).problem
@@ -72,22 +67,15 @@ def check_case(problem_file: str, candidate_file: str, options: CheckOptions) ->
 def check_problem(problem: ContactProblem, ledger: Ledger, candidate_file: str, options: CheckOptions) -> AnswerVerdict:
     """Judge an answer against a problem.
 
+    Raises InvalidProblem: the candidate, the areas or the maps are invalid; BackendMissing: the candidate's reader is
+    not installed.
+
     Parameters
     ----------
     problem : ContactProblem
-    ledger : Ledger
-        What was read of the problem's file, which the verdict lists.
-    candidate_file : str
-        The file of the answer.
-    options : CheckOptions
-        Tolerances, sign of compression, areas and maps.
-
-    Raises
-    ------
-    InvalidProblem
-        The candidate, the areas or the maps are invalid.
-    BackendMissing
-        The candidate's reader is not installed.
+    ledger : what was read of the problem's file, which the verdict lists
+    candidate_file : the file of the answer
+    options : tolerances, sign of compression, areas and maps
     """
     dofs = read_order(options.dof_map, names_of(problem, "displacement"))
     contacts = read_order(options.contact_map, names_of(problem, "normal_force"))
@@ -196,11 +184,8 @@ class ForcesVerdict(Verdict):
 def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) -> ForcesVerdict:
     """Judge a file of forces against a file's problem, by the contact law and W as given.
 
-    Raises
-    ------
-    InvalidProblem, Unsupported, BackendMissing
-        One of the files is invalid; M is singular, so that forces alone do not determine the motion; or there is a map,
-        which does not apply to forces contact by contact.
+    Raises InvalidProblem, Unsupported, BackendMissing: one of the files is invalid; M is singular, so that forces alone
+    do not determine the motion; or there is a map, which does not apply to forces contact by contact.
     """
     for name, file in (("--dof-map", options.dof_map), ("--contact-map", options.contact_map)):
         if file is not None:
@@ -311,10 +296,7 @@ def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
 def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesVerdict | AnswerVerdict:
     """Judge an answer to a case file or to matrices, or forces for a file of FCLIB or Siconos.
 
-    Raises
-    ------
-    SceneError, InvalidProblem, Unsupported, BackendMissing
-        The files or the options are invalid.
+    Raises SceneError, InvalidProblem, Unsupported, BackendMissing: the files or the options are invalid.
     """
     if Path(problem).is_dir() and not is_problem_file(problem):
         names = ", ".join(sorted(file.name for file in Path(problem).iterdir())[:5]) or "nothing"

@@ -174,12 +174,9 @@ def timing_cell(study: CaseStudy, setting: Setting, first: float, round_: int, c
     ----------
     study : CaseStudy
     setting : Setting
-    first : float
-        Time of its first call [s].
-    round_ : int
-        The number of the round, from 0.
-    cost : float
-        Expected time [s].
+    first : time of its first call [s]
+    round_ : the number of the round, from 0
+    cost : expected time [s]
     """
     arguments = (ticket_of(study), setting, first)
     return Cell(f"{study.name}/{_name(setting)}/time {round_}", take_time, arguments, Timing, study.digest, cost)
@@ -191,10 +188,8 @@ def limit_cell(study: CaseStudy, round_: int, cost: float) -> Cell:
     Parameters
     ----------
     study : CaseStudy
-    round_ : int
-        The number of the round, from 0.
-    cost : float
-        Expected time [s].
+    round_ : the number of the round, from 0
+    cost : expected time [s]
     """
     cell = _cell(study, f"linear solve {round_}", time_linear_solve, (ticket_of(study),), LinearSolve)
     return replace(cell, cost=cost)
@@ -281,12 +276,9 @@ class Collector:
     workers : Workers
     journal : Journal
     progress : Progress
-    rounds : Rounds
-        In how many rounds every setting is timed.
-    time_limit : float
-        Limit for each cell [s].
-    brief : bool
-        Measure the footprints of two cases alone.
+    rounds : Rounds, in how many rounds every setting is timed
+    time_limit : float, limit for each cell [s]
+    brief : bool, measure the footprints of two cases alone
     show : callable, optional
         Called with this whenever something has been found; while it runs nothing is timed.
     """
@@ -317,10 +309,7 @@ class Collector:
     def collect(self) -> None:
         """Run all cells; `found` then returns all records and rows.
 
-        Raises
-        ------
-        ContactQPError
-            A case is wrong.
+        Raises ContactQPError: a case is wrong.
         """
         self._show(self)
         # The largest first: at the end no process waits for another one's long cell.

@@ -127,12 +127,10 @@ def timing(
     ----------
     problem : ContactProblem
     setting : Setting
-    first : float
-        Time that a call took before [s], in this process or another.
+    first : time that a call took before [s], in this process or another
     follow : callable, optional
         Called in place of solve where the answer depends on the history that leads to it.
-    warm : bool
-        Whether the modules of the method are imported already; else a first call is not timed.
+    warm : whether the modules of the method are imported already; else a first call is not timed
     """
     if first >= LONG:
         return Timing((_seconds(problem, setting, follow),), warm=False)

@@ -176,12 +176,9 @@ def _answers(lines: Sequence[MethodLine], cases: int, smallest: int, passed_wron
     Parameters
     ----------
     lines : sequence of MethodLine
-    cases : int
-        The number of cases with a known answer.
-    smallest : int
-        The unknowns of the smallest case whose times count.
-    passed_wrong : int
-        How many wrong answers the certificate has passed.
+    cases : the number of cases with a known answer
+    smallest : the unknowns of the smallest case whose times count
+    passed_wrong : how many wrong answers the certificate has passed
     """
     if not lines:
         return (("", "No answer is known yet that others could be held against."),)
@@ -370,10 +367,7 @@ _WORKSHOP = ".unfinished-"
 def report_folder(folder: str | Path) -> Path:
     """Return the folder of a report, made if need be.
 
-    Raises
-    ------
-    SceneError
-        The folder cannot be made.
+    Raises SceneError: the folder cannot be made.
     """
     if not str(folder):
         raise SceneError("-o: expected a folder for the report, got an empty name")
@@ -391,21 +385,14 @@ def report_folder(folder: str | Path) -> Path:
 def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool, name: str = JOURNAL) -> Iterator[Journal]:
     """Yield the journal of this folder's report, removed when the report is finished and kept when it is not.
 
+    Raises SceneError: the folder cannot be written, or another report is being written to it.
+
     Parameters
     ----------
-    folder : Path
-        Folder of the report.
-    conditions : mapping
-        Versions, machine and settings under which kept results are the same.
-    fresh : bool
-        Discard the results of an interrupted report.
-    name : str
-        File name of the journal.
-
-    Raises
-    ------
-    SceneError
-        The folder cannot be written, or another report is being written to it.
+    folder : folder of the report
+    conditions : mapping, versions, machine and settings under which kept results are the same
+    fresh : discard the results of an interrupted report
+    name : file name of the journal
     """
     journal = Journal(folder / name, conditions, fresh)
     for left_behind in folder.glob(f"{_WORKSHOP}*"):

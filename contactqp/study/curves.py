@@ -21,15 +21,12 @@ class Chart:
 
     Parameters
     ----------
-    name : str
-        Its identifier on the page.
+    name : str, its identifier on the page
     title : str
-    caption : str
-        What the chart shows and how to read it.
+    caption : str, what the chart shows and how to read it
     figure : mapping
         "data" and "layout" of Plotly; colours of text, grid and background are the page's, not the figure's.
-    headings, lines : tuples of str
-        The same numbers as a table.
+    headings, lines : tuples of str, the same numbers as a table
     """
 
     name: str
@@ -206,12 +203,9 @@ def method_line(name: str, xs: Sequence[float], ys: Sequence[float], variant: st
 
     Parameters
     ----------
-    name : str
-        Name of the method.
-    xs, ys : sequences of float
-        The points of the curve.
-    variant : str
-        The variant, by which the page can hide the curve.
+    name : name of the method
+    xs, ys : sequences of float, the points of the curve
+    variant : the variant, by which the page can hide the curve
     **changes
         Other properties of the trace.
     """
@@ -358,12 +352,9 @@ def marker(colour: str, symbol: str, variant: str, whole: bool) -> dict[str, Any
     Parameters
     ----------
     colour : str
-    symbol : str
-        Plotly's name.
-    variant : str
-        "raw", "uzawa" or empty.
-    whole : bool
-        Whether the method worked on all unknowns, without condensation.
+    symbol : Plotly's name
+    variant : "raw", "uzawa" or empty
+    whole : whether the method worked on all unknowns, without condensation
     """
     return dict(color=colour, symbol=symbol + FILLINGS.get(variant, ""), size=SIZES[whole])
 

@@ -38,21 +38,15 @@ ROUNDING = 1e-11
 def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions, verdict: Verdict) -> None:
     """Write the receipt of a verdict; paths in it are relative to its own folder.
 
+    Raises InvalidProblem: the problem or the candidate is standard input, the file is one of those that are judged or
+    no regular file, or it cannot be written.
+
     Parameters
     ----------
-    file : str
-        The receipt.
-    problem, candidate : str
-        The files that were judged.
-    options : CheckOptions
-        The options of the check, with the files that they name.
+    file : the receipt
+    problem, candidate : the files that were judged
+    options : the options of the check, with the files that they name
     verdict : Verdict
-
-    Raises
-    ------
-    InvalidProblem
-        The problem or the candidate is standard input, the file is one of those that are judged or no regular file, or
-        it cannot be written.
     """
     target, problem = receipt_path(file, problem, candidate, options), str(case_path(problem))
     asked = {
@@ -81,15 +75,12 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
 def receipt_path(file: str, problem: str, candidate: str, options: CheckOptions) -> Path:
     """Return the file of a receipt, if one can be written there.
 
+    Raises InvalidProblem as `write_receipt` does.
+
     Parameters
     ----------
     file, problem, candidate, options
         As in `write_receipt`.
-
-    Raises
-    ------
-    InvalidProblem
-        As `write_receipt`.
     """
     if "-" in (problem, candidate):
         raise InvalidProblem("--receipt: expected files, whose hashes it holds, got standard input")
@@ -125,12 +116,9 @@ def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -
 
     Parameters
     ----------
-    receipt : Path
-        The receipt, absolute.
-    problem, candidate : str
-        The files that are judged.
-    options : CheckOptions
-        The options of the check, with the files that they name.
+    receipt : the receipt, absolute
+    problem, candidate : the files that are judged
+    options : the options of the check, with the files that they name
     """
     named = [problem, candidate, *_meshes(problem), *options.files().values()]
     return {

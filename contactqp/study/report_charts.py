@@ -137,16 +137,11 @@ def work_precision(
 
     Parameters
     ----------
-    drawn_rows : sequence of Row
-        The rows of one case, or medians.
-    quantity : Quantity
-        The part of the answer whose errors are drawn.
-    unit : str
-        Unit of the error, and what it is relative to.
-    stiffness : str
-        Unit of penalties.
-    limit : float, optional
-        Time of one linear solve [s].
+    drawn_rows : sequence of Row, the rows of one case, or medians
+    quantity : the part of the answer whose errors are drawn
+    unit : unit of the error, and what it is relative to
+    stiffness : unit of penalties
+    limit : time of one linear solve [s]
     """
     drawn = curves(drawn_rows, quantity.column)
     if not drawn:

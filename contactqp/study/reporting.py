@@ -144,21 +144,16 @@ def write_report(
 
     Parameters
     ----------
-    cases : sequence of paths
-        Case files.
+    cases : sequence of paths, case files
     output : path
         The folder, made if need be. Files appear in it complete or not at all: the page from the beginning on, and
         again as it grows; the others when everything has been run.
     methods : sequence of names, optional
         All by default, the missing ones listed as missing.
-    tolerances : sequence of float
-        The ladder of the methods whose knob is the tolerance, where the case states none.
-    repeats : int
-        Rounds of timing at most; every call on a fresh problem.
-    running : Running
-        Processes, time limit and display of progress.
-    brief : bool
-        Final answers at the default tolerance alone, raw ones at three, and nothing on all unknowns.
+    tolerances : sequence of float, the ladder of the methods whose knob is the tolerance, where the case states none
+    repeats : rounds of timing at most; every call on a fresh problem
+    running : processes, time limit and display of progress
+    brief : final answers at the default tolerance alone, raw ones at three, and nothing on all unknowns
 
     Raises
     ------

@@ -192,8 +192,7 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
     Parameters
     ----------
     rows : sequence of Row
-    truth : str
-        What the errors are measured against.
+    truth : what the errors are measured against
     """
     ran = sorted((row for row in rows if row.seconds is not None), key=lambda row: (row.seconds, row.verdict != RIGHT))
     cells = [("method", "error in u", "error in λ", "time [ms]", "verdict")]

@@ -77,10 +77,7 @@ def contact_stiffness(problem: ContactProblem) -> float:
 def chosen_methods(names: str | Sequence[str] | None) -> tuple[Method, ...]:
     """Return the methods of these names, all by default, installed or not.
 
-    Raises
-    ------
-    Unsupported
-        There is no method of that name; the nearest names are given.
+    Raises Unsupported: there is no method of that name; the nearest names are given.
     """
     names = [names] if isinstance(names, str) else names
     by_name = {method.name: method for method in methods()}
@@ -113,12 +110,9 @@ def all_settings(
 
     Parameters
     ----------
-    problem : ContactProblem
-        The problem whose contact stiffness scales penalties and perturbations.
-    method : Method
-        The method; one that is not installed yields a single setting.
-    tolerances : sequence of float
-        Values for the methods whose knob is the tolerance; each is run raw and polished.
+    problem : the problem whose contact stiffness scales penalties and perturbations
+    method : the method; one that is not installed yields a single setting
+    tolerances : sequence of float, values for the methods whose knob is the tolerance; each is run raw and polished
     stated : sequence of (variant, knob, values)
         Values that the case states for this method; they take the place of the default ones.
     """
@@ -168,14 +162,10 @@ def ladder(method: Method, knob: str, values: Sequence[float], variant: str = ""
 
     Parameters
     ----------
-    method : Method
-        The method that is set.
-    knob : str
-        "tolerance", "penalty", "perturbation" or "iterations".
-    values : sequence of float
-        Values of the knob, in the order of the settings.
-    variant : str
-        "raw", "polished" or "uzawa"; by default "polished" where the method polishes its answer.
+    method : the method that is set
+    knob : "tolerance", "penalty", "perturbation" or "iterations"
+    values : sequence of float, values of the knob, in the order of the settings
+    variant : "raw", "polished" or "uzawa"; by default "polished" where the method polishes its answer
     """
     variant = variant or ("polished" if method.polish else "")
     for given in values:

@@ -68,10 +68,7 @@ derivation = "equilibrium: 50 MPa times 20 mm times 1 mm; no discretisation erro
 def telling_cases(folder: Path) -> tuple[Path, ...]:
     """Return the files of the telling cases; those of Hertz's contact are written to the report's folder.
 
-    Raises
-    ------
-    SceneError
-        The package has come without its cases, or the folder cannot be written.
+    Raises SceneError: the package has come without its cases, or the folder cannot be written.
     """
     shipped = shipped_folder()
     if shipped is None:
@@ -191,12 +188,9 @@ def _labels(
 
     Parameters
     ----------
-    spots : sequence of (str, float, float)
-        The method of each point, and where the point is, on logarithmic axes.
-    arranged : mapping
-        The layout, whose axes have ranges.
-    lines : sequence of float
-        Where vertical lines with a label are.
+    spots : sequence of (str, float, float), the method of each point, and where the point is, on logarithmic axes
+    arranged : mapping, the layout, whose axes have ranges
+    lines : sequence of float, where vertical lines with a label are
     """
     (left, right), (low, high) = (arranged[axis]["range"] for axis in ("xaxis", "yaxis"))
     scale = AREA[0] / (right - left), AREA[1] / (high - low)

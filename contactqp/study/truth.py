@@ -167,10 +167,7 @@ Reference = Solution | tuple[ArrayLike, ...]
 def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Truth | None:
     """Return the reference as a truth, or the proven active-set solution, or None where nothing is proven.
 
-    Raises
-    ------
-    InvalidProblem
-        The reference has wrong shapes, or values that are not finite.
+    Raises InvalidProblem: the reference has wrong shapes, or values that are not finite.
     """
     own = proven_solution(problem)
     if reference is None:
@@ -212,10 +209,7 @@ def _unique(solution: Solution) -> bool:
 def truth_of_reference(problem: ContactProblem, reference: Reference) -> Truth:
     """Return a reference as the truth.
 
-    Raises
-    ------
-    InvalidProblem
-        It has wrong shapes, or values that are not finite.
+    Raises InvalidProblem: it has wrong shapes, or values that are not finite.
     """
     if isinstance(reference, Solution):
         values: tuple[ArrayLike, ...] = (reference.displacement, reference.normal_force, reference.tie_force)

@@ -144,10 +144,7 @@ def _renaming(file: str, names: Sequence[str]) -> Order:
 def read_areas(file: str, contact_names: Sequence[str], ledger: Ledger) -> Vector:
     """Read the (m,) areas [length^2], in the problem's order of contacts or by name in a table contact,area.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no such file, it holds no numbers, or its names are not the problem's.
+    Raises InvalidProblem: there is no such file, it holds no numbers, or its names are not the problem's.
     """
     if not is_table(file, "contact"):
         matrix, _, own = read_matrix(file)

@@ -36,10 +36,7 @@ CHANGES = 20
 def solve_system(matrix: Any, right: Vector) -> Vector:
     """Return the solution of a square system, symmetric or not; dense where it is small.
 
-    Raises
-    ------
-    NotConverged
-        The matrix is singular.
+    Raises NotConverged: the matrix is singular.
     """
     size = matrix.shape[0]
     try:
@@ -92,23 +89,15 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
     K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
     with E u > g close, until none does. K need not be definite, and there may be other points.
 
+    Raises NotConverged: a singular system, or sets that come back.
+
     Parameters
     ----------
-    K : (n, n) matrix
-        Symmetric, definite or not.
-    load : (n,) array
-        f.
-    normal, gap : (m, n) matrix, (m,) array
-        E and g.
-    tie, value : (k, n) matrix, (k,) array
-        A and b.
-    closed : (m,) mask
-        The contacts that are closed at first.
-
-    Raises
-    ------
-    NotConverged
-        A singular system, or sets that come back.
+    K : (n, n) matrix, symmetric, definite or not
+    load : (n,) array, f
+    normal, gap : (m, n) matrix, (m,) array, E and g
+    tie, value : (k, n) matrix, (k,) array, A and b
+    closed : (m,) mask, the contacts that are closed at first
     """
     n, m = len(load), len(gap)
     seen: set[bytes] = set()
@@ -211,21 +200,14 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
     comes back, then one contact at a time, which closes slipping as it moved. It starts from the states that
     `forces` show. Rows, gaps, slip origins and ties are those of `problem`, which has one tangent a contact.
 
+    Raises NotConverged: a singular system, or combinations that come back.
+
     Parameters
     ----------
-    K : (n, n) matrix
-        Symmetric, definite or not.
-    problem : ContactProblem
-        Rows, gaps, slip origins, friction and ties.
-    load : (n,) array
-        f.
-    forces : Forces
-        Forces that show the states at first.
-
-    Raises
-    ------
-    NotConverged
-        A singular system, or combinations that come back.
+    K : (n, n) matrix, symmetric, definite or not
+    problem : rows, gaps, slip origins, friction and ties
+    load : (n,) array, f
+    forces : forces that show the states at first
     """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         raise ValueError("friction of a problem without tangential rows")

@@ -60,25 +60,16 @@ def find_balance(
     The merit is energy - f'u + w (sum of overlaps + sum of |A u - b|), w above the largest force; steps are halved
     until it falls. Approximate methods and friction have no such merit and take full steps.
 
+    Raises NotConverged: too many iterations, no way down, a body turned inside out, a lost contact pair; Unsupported:
+    an indefinite tangent, and a method or friction that cannot have it.
+
     Parameters
     ----------
-    loaded : LoadedBody
-        The body with its contacts and ties.
-    start : (n,) array
-        The displacement from which the iterations start.
-    forces : Forces
-        The forces there.
-    target : Target
-        Loads, tie values and slip origins.
-    settings : NewtonSettings
-        Method, options and tolerance.
-
-    Raises
-    ------
-    NotConverged
-        Too many iterations, no way down, a body turned inside out, a lost contact pair.
-    Unsupported
-        An indefinite tangent, and a method or friction that cannot have it.
+    loaded : the body with its contacts and ties
+    start : (n,) array, the displacement from which the iterations start
+    forces : the forces there
+    target : loads, tie values and slip origins
+    settings : method, options and tolerance
     """
     started = time.perf_counter()
     try:

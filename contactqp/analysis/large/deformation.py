@@ -75,12 +75,9 @@ class LoadedBody:
 
     Parameters
     ----------
-    body : Deformable
-        Its internal forces f_int (n,) and their tangent K (n, n).
-    contact : ContactGeometry or None
-        Gaps and rows of its m contacts at a displacement; None without contacts.
-    tie : (k, n) sparse array
-        A, which no displacement changes; k may be 0.
+    body : Deformable, its internal forces f_int (n,) and their tangent K (n, n)
+    contact : ContactGeometry or None, gaps and rows of its m contacts at a displacement; None without contacts
+    tie : (k, n) sparse array, A, which no displacement changes; k may be 0
     friction : (m,) array, optional
         Coefficients of friction; None where there is none.
     """
@@ -128,10 +125,7 @@ class LoadedBody:
     def hessian(self, now: Instant, forces: Forces) -> Any:
         """Return K + curvature of the contacts under their forces, (n, n) CSC, symmetric [force / length].
 
-        Raises
-        ------
-        NotConverged
-            An entry is beyond doubles.
+        Raises NotConverged: an entry is beyond doubles.
         """
         K = sp.csc_array(self.body.tangent(now.displacement))
         if self.contact is not None and np.any(forces.normal):
@@ -159,14 +153,10 @@ class LoadedBody:
 
         Parameters
         ----------
-        now : Instant
-            Displacement u, internal forces, gaps and rows before the step.
-        K : (n, n) matrix [force / length]
-            The tangent of the step.
-        load : (n,) array [force]
-            f at the end of the load step.
-        tie_value : (k,) array [length]
-            b at the end of the load step.
+        now : displacement u, internal forces, gaps and rows before the step
+        K : (n, n) matrix [force / length], the tangent of the step
+        load : (n,) array [force], f at the end of the load step
+        tie_value : (k,) array [length], b at the end of the load step
         slipped : (m, d-1) array [length], optional
             The slip of the load step so far, s = E_T du + slipped; without it the step has no friction.
         """
@@ -198,18 +188,13 @@ class LoadedBody:
 
         Parameters
         ----------
-        now : Instant
-            The configuration, its internal forces and contacts.
-        K : matrix (n, n)
-            The tangent stiffness, which tells the rounding of internal forces.
-        load : (n,) array
-            The load at this instant [force].
-        forces : Forces
-            Those of contacts and ties.
+        now : the configuration, its internal forces and contacts
+        K : matrix (n, n), the tangent stiffness, which tells the rounding of internal forces
+        load : (n,) array, the load at this instant [force]
+        forces : those of contacts and ties
         length_error, length_rounding : arrays of any one size
             The errors of gaps, slips and ties, and their rounding [length].
-        tolerance : float
-            Relative to the largest force and the largest displacement.
+        tolerance : relative to the largest force and the largest displacement
         """
         residual = abs(self.out_of_balance(now, load, forces))
         parts = [load, now.internal, now.contact.normal.T @ forces.normal, self.tie.T @ forces.tie]

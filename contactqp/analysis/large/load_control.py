@@ -74,10 +74,7 @@ class LoadControl:
     def follow(self, start: Vector | LargeSolution, times: Sequence[float]) -> LargeHistory:
         """Find the equilibria at the load factors, from a displacement or from a solution of the path.
 
-        Raises
-        ------
-        NotConverged, NotCertified
-            With the history so far.
+        Raises NotConverged, NotCertified: with the history so far.
         """
         solutions: list[LargeSolution] = []
         notes: list[str] = []
@@ -219,23 +216,15 @@ def large_solution(
 ) -> LargeSolution:
     """Return the equilibrium with the certificate of its last Newton step, and say whether it is stable.
 
+    Raises NotCertified: the certificate refuses the answer of an exact method.
+
     Parameters
     ----------
-    loaded : LoadedBody
-        The body with its contacts and ties.
-    balance : Balance
-        The equilibrium and its iterations.
-    target : Target
-        Loads, tie values and slip origins.
-    load_factor : float
-        The load factor t.
-    settings : NewtonSettings
-        The settings that found it.
-
-    Raises
-    ------
-    NotCertified
-        The certificate refuses the answer of an exact method.
+    loaded : the body with its contacts and ties
+    balance : the equilibrium and its iterations
+    target : loads, tie values and slip origins
+    load_factor : the load factor t
+    settings : the settings that found it
     """
     now, step, forces = balance.now, balance.step, balance.forces
     problem = in_displacement(step.problem, balance.before.displacement)
@@ -349,10 +338,8 @@ def balance_with_anchors(
     Parameters
     ----------
     loaded : LoadedBody
-    position, gap, touching : (m, d), (m,), (m,)
-        At the start of the step.
-    solve_with : function
-        The balance of a body whose slips start at anchors.
+    position, gap, touching : (m, d), (m,), (m,), at the start of the step
+    solve_with : function, the balance of a body whose slips start at anchors
     """
     found = solve_with(loaded, position)
     closes = (found.forces.normal > 0) & ~touching

@@ -102,29 +102,18 @@ def newton_step(
     minimum: its closed set is found by signs. Where it has not, no step leads to a minimum; K is then shifted,
     K + shift 1, which leads down and leaves every equilibrium where it is. The step says so.
 
+    Raises Unsupported: an indefinite tangent and a method that is convex, or friction in space; NotConverged: the step
+    has no answer.
+
     Parameters
     ----------
-    loaded : LoadedBody
-        The body with its contacts and ties.
-    now : Instant
-        The body at the displacement of the iteration.
-    K : (n, n) matrix
-        Its tangent, with the curvature of the contacts.
-    target : Target
-        Loads, tie values and slip origins.
-    settings : NewtonSettings
-        Method, options and tolerance.
-    before : NewtonStep or None
-        The step before, whose solution starts this one.
-    forces : Forces
-        The forces of the iteration.
-
-    Raises
-    ------
-    Unsupported
-        An indefinite tangent and a method that is convex, or friction in space.
-    NotConverged
-        The step has no answer.
+    loaded : the body with its contacts and ties
+    now : the body at the displacement of the iteration
+    K : (n, n) matrix, its tangent, with the curvature of the contacts
+    target : loads, tie values and slip origins
+    settings : method, options and tolerance
+    before : NewtonStep or None, the step before, whose solution starts this one
+    forces : the forces of the iteration
     """
     stiff, load = K, target.load
     if not positive_semidefinite(K):
@@ -296,10 +285,8 @@ def stationary_step(
     ----------
     loaded, now, K, target, forces
         As for `newton_step`.
-    du : (n,) array
-        The increment.
-    grazing : int, optional
-        A contact with no force at gap 0.
+    du : (n,) array, the increment
+    grazing : a contact with no force at gap 0
     """
     springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
     stiff = sp.csc_array(K + springs * sp.identity(K.shape[0])) if springs else K

@@ -326,10 +326,7 @@ class PathControl:
         """Take a number of steps of one arc length; by default a step is as long as a `steps`-th of the load takes
         at the start.
 
-        Raises
-        ------
-        NotConverged
-            With the history so far.
+        Raises NotConverged: with the history so far.
         """
         follower = self._follower(self._at_rest(start), None)
         pace = ByArc(float(np.sqrt(2) * follower.path.scale / steps) if radius is None else radius)
@@ -340,21 +337,14 @@ class PathControl:
     def follow_unknown(self, start: Vector | LargeSolution, steps: int, place: int, wanted: float) -> LargeHistory:
         """Take a number of equal steps of one unknown to a value.
 
+        Raises NotConverged: with the history so far.
+
         Parameters
         ----------
-        start : (n,) array [length] or LargeSolution
-            Where the path begins, as a guess or as an equilibrium.
-        steps : int
-            How many.
-        place : int
-            The number of the unknown, counted from 0.
-        wanted : float [length]
-            Its value at the end.
-
-        Raises
-        ------
-        NotConverged
-            With the history so far.
+        start : (n,) array [length] or LargeSolution, where the path begins, as a guess or as an equilibrium
+        steps : how many
+        place : the number of the unknown, counted from 0
+        wanted : float [length], its value at the end
         """
         at_rest = self._at_rest(start)
         first = float(at_rest.displacement[place])

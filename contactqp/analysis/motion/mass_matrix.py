@@ -31,11 +31,8 @@ DENSE_SIZE = 200
 def read_mass(mass: Any, n: int) -> Any:
     """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one; a number for n = 1.
 
-    Raises
-    ------
-    InvalidProblem
-        Another shape, values that are not finite, an asymmetric or indefinite matrix, mass that couples to an
-        unknown that has none.
+    Raises InvalidProblem: another shape, values that are not finite, an asymmetric or indefinite matrix, mass that
+    couples to an unknown that has none.
     """
     values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
     values = values.reshape(1) if values.ndim == 0 and n == 1 else values

@@ -379,8 +379,7 @@ def frictional_forces(
     ----------
     W, c : (d m, d m), (d m,) arrays
     friction : (m,) array
-    start : (m,) array
-        The states of the step before.
+    start : (m,) array, the states of the step before
     method, options
         Of `solve`, for the local problem; any but the default is what solves it.
     """
@@ -409,14 +408,10 @@ def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Arra
 
     Parameters
     ----------
-    W : (m d, m d) array
-        The Delassus operator of the step.
-    force : (m, d) array
-        Forces on the body, contact by contact in the order (N, T).
-    sticks : (m,) mask
-        Contacts that stick.
-    residual : (m, d) array
-        Gaps and slips that should vanish.
+    W : (m d, m d) array, the Delassus operator of the step
+    force : (m, d) array, forces on the body, contact by contact in the order (N, T)
+    sticks : (m,) mask, contacts that stick
+    residual : (m, d) array, gaps and slips that should vanish
     """
     m, d = force.shape
     rows = np.zeros((m, d), dtype=bool)

@@ -447,10 +447,8 @@ def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: f
         x = (M s + K)^-1 y with the closed contacts held, s = `inertia`: its frequencies are those of s / (s + omega^2)
         as the eigenvalues of x = respond(s M x).
     mass : (n, n) matrix
-    inertia : float
-        s [1 / time^2].
-    velocity : (n,) array
-        What the impact excites: vibrations that have no part in it are not found.
+    inertia : s [1 / time^2]
+    velocity : (n,) array, what the impact excites: vibrations that have no part in it are not found
     """
     basis: list[Vector] = []
     images: list[Vector] = []

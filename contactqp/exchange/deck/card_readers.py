@@ -117,10 +117,7 @@ def _members(sets: dict[str, Index], card: Card, line: Line, word: str) -> Index
 def _find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> T:
     """Return what is called so in a deck, or refuse the line, with the nearest name.
 
-    Raises
-    ------
-    InvalidProblem
-        There is none of that name further up.
+    Raises InvalidProblem: there is none of that name further up.
     """
     if name in among:
         return among[name]

@@ -65,16 +65,12 @@ _ON_FACES = ("*DLOAD", "*DSLOAD")
 def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
     """Return what a deck states; the ledger says what was read, assumed and without effect.
 
+    Raises InvalidProblem: anything that is not known, not offered or not as it should be, by file and line.
+
     Parameters
     ----------
     path : path
-    columns : int, optional
-        Read this many characters of each number, as CalculiX reads 20; all of them by default.
-
-    Raises
-    ------
-    InvalidProblem
-        Anything that is not known, not offered or not as it should be, by file and line.
+    columns : read this many characters of each number, as CalculiX reads 20; all of them by default
     """
     cards, labels = flattened(read_cards(path, columns))
     model = DeckModel(str(path), Ledger(str(path), converted=labels))
@@ -299,10 +295,7 @@ def _on_other_faces(before: Sequence[FacePressure], stated: Sequence[FacePressur
 def _other_gravity(before: Sequence[Acceleration], stated: Sequence[Acceleration]) -> list[Acceleration]:
     """Return the gravity of before on elements that have none anew.
 
-    Raises
-    ------
-    InvalidProblem
-        Other elements, or another direction: CalculiX adds both, Abaqus takes the later one.
+    Raises InvalidProblem: other elements, or another direction: CalculiX adds both, Abaqus takes the later one.
     """
     kept = []
     for one in before:

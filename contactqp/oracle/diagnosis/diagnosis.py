@@ -285,12 +285,9 @@ def diagnose(
     problem : ContactProblem
     given, answer
         What came from another code, and the complete answer that was judged.
-    certificate : Certificate
-        That of the answer.
-    right : Solution or None
-        The right answer, where one was found.
-    operations : float, optional
-        How many operations other questions may take.
+    certificate : that of the answer
+    right : Solution or None, the right answer, where one was found
+    operations : how many operations other questions may take
     """
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:
@@ -369,12 +366,9 @@ def paragraph(
     ----------
     certificate : Certificate
     problem : ContactProblem
-    findings : tuple of Finding
-        In the order in which they are to be said.
-    wrong : sequence of JudgedContact
-        The worst first.
-    why_not : str or None
-        Why no right answer stands beside this one; None where one does.
+    findings : tuple of Finding, in the order in which they are to be said
+    wrong : sequence of JudgedContact, the worst first
+    why_not : str or None, why no right answer stands beside this one; None where one does
     """
     worst, others = (wrong[0] if wrong else None), len(wrong) - 1
     if certificate.passed:

@@ -73,10 +73,7 @@ class Enclosure:
 def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
     """Return the proof that the system of closed contacts (c,) has one solution, and by how much.
 
-    Raises
-    ------
-    NotCertified
-        It was not found.
+    Raises NotCertified: it was not found.
     """
     K, scale = _scaled(problem)
     B, length = _rows(sp.vstack([problem.tie, problem.normal[closed]]), scale)
@@ -102,11 +99,8 @@ def is_convex(problem: ContactProblem) -> bool:
 def enclose(refined: Refined) -> Enclosure:
     """Return proven radii around all components of a refined answer.
 
-    Raises
-    ------
-    NotCertified
-        The system is not proven to be regular (redundant contacts, floating bodies that nothing holds, floats too
-        ill-conditioned), or a force or a gap is not proven to be positive (a contact that just touches).
+    Raises NotCertified: the system is not proven to be regular (redundant contacts, floating bodies that nothing holds,
+    floats too ill-conditioned), or a force or a gap is not proven to be positive (a contact that just touches).
     """
     problem, closed = refined.problem, refined.closed
     bounds = regular(problem, closed, refined.first)
@@ -226,10 +220,7 @@ def hold(problem: ContactProblem, solution: Solution) -> Held:
 def carried(held: Held, refined: Refined, radius: Floats) -> str:
     """Say where free motions are held, and bound the force that holds them.
 
-    Raises
-    ------
-    NotCertified
-        It carries more than rounding: the motions are not free.
+    Raises NotCertified: it carries more than rounding: the motions are not free.
     """
     problem = held.problem
     first = problem.ties - len(held.unknowns)
@@ -264,16 +255,8 @@ FLOATS_THAT_FLOAT = (
 def prove_by_enclosure(asked: Asked) -> ExactSolution:
     """Return intervals that contain all displacements and forces of the equilibrium, proven.
 
-    Raises
-    ------
-    NotCertified
-        The contact set is not proven: contacts that just touch, redundant ones, bodies that float.
-    NotConverged
-        Refinement ends too early.
-    NoEquilibrium
-        Floats find none.
-    Unsupported
-        Friction.
+    Raises NotCertified: the contact set is not proven: contacts that just touch, redundant ones, bodies that float;
+    NotConverged: refinement ends too early; NoEquilibrium: floats find none; Unsupported: friction.
     """
     problem = asked.problem
     if problem.frictional:

@@ -169,12 +169,8 @@ class Enclosed:
 def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
     """Return the answer in balls.
 
-    Raises
-    ------
-    NotCertified
-        A sign cannot be decided.
-    Unsupported
-        Too many unknowns, friction in space, a singular system, floats that propose nothing.
+    Raises NotCertified: a sign cannot be decided; Unsupported: too many unknowns, friction in space, a singular system,
+    floats that propose nothing.
     """
     problem = asked.problem
     if problem.dimension > MOST_UNKNOWNS:

@@ -38,12 +38,9 @@ class LooseRates:
 
     Parameters
     ----------
-    system : System
-        Of one combination, singular.
-    motion, forces : (n, 1), (r, 1) fmpq_mat
-        Rates of displacements and held forces that solve it.
-    rooms : Rooms
-        Returns from an answer the numbers that may not become negative.
+    system : System, of one combination, singular
+    motion, forces : (n, 1), (r, 1) fmpq_mat, rates of displacements and held forces that solve it
+    rooms : Rooms, returns from an answer the numbers that may not become negative
 
     Attributes
     ----------
@@ -108,14 +105,8 @@ def follow(data: RationalProblem, corners: Sequence[fmpq_mat], names: Sequence[s
     """Return the end of the path that loads take in straight lines from rest without load to each corner (n, 1) in
     turn.
 
-    Raises
-    ------
-    NoEquilibrium
-        At a load from which no states go on.
-    SeveralEquilibria
-        Several do, and nothing chooses.
-    Unsupported
-        The path does not start at rest, rates are not unique, or friction in space.
+    Raises NoEquilibrium: at a load from which no states go on; SeveralEquilibria: several do, and nothing chooses;
+    Unsupported: the path does not start at rest, rates are not unique, or friction in space.
     """
     if data.width != 1:
         raise Unsupported("exact: friction on a load path in space, where slip directions turn")

@@ -44,21 +44,14 @@ class ExactDerivative:
 def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direction: Any) -> ExactDerivative:
     """Return the exact rates of a quantity of an exact answer; names as in `Solution.derivative`.
 
+    Raises InvalidProblem: a name that is none of these, a wrong shape, or numbers that are not finite; Unsupported: an
+    enclosed answer, one of a case's own numbers, friction in space, or too many contacts at a border.
+
     Parameters
     ----------
-    answer : ExactSolution
-        Rational, of a problem's floats.
-    of, with_respect_to : str
-        Quantity and parameter.
-    direction : array in the shape of the parameter
-        The change of the parameter.
-
-    Raises
-    ------
-    InvalidProblem
-        A name that is none of these, a wrong shape, or numbers that are not finite.
-    Unsupported
-        An enclosed answer, one of a case's own numbers, friction in space, or too many contacts at a border.
+    answer : rational, of a problem's floats
+    of, with_respect_to : quantity and parameter
+    direction : array in the shape of the parameter, the change of the parameter
     """
     for argument, name, known in (("of", of, QUANTITIES), ("with_respect_to", with_respect_to, PARAMETERS)):
         if name not in known:

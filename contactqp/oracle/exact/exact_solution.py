@@ -302,10 +302,8 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
     ----------
     console : rich.console.Console
     answer : ExactSolution
-    ties : sequence of str
-        Names of the ties.
-    title : str
-        What the first line begins with.
+    ties : sequence of str, names of the ties
+    title : what the first line begins with
     """
     from rich.table import Table
 

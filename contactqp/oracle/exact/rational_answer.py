@@ -75,14 +75,8 @@ def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
 def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
     """Return the exact answer.
 
-    Raises
-    ------
-    NoEquilibrium
-        Proven in rational arithmetic.
-    NotConverged
-        No proposed set holds, and Lemke's method did not end.
-    Unsupported
-        The stiffness as it stands is indefinite, or friction that is not covered.
+    Raises NoEquilibrium: proven in rational arithmetic; NotConverged: no proposed set holds, and Lemke's method did not
+    end; Unsupported: the stiffness as it stands is indefinite, or friction that is not covered.
     """
     solution, error = proposal(asked)
     if data.frictional:
@@ -113,10 +107,7 @@ def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
 def prove_path(data: RationalProblem, corners: Sequence[fmpq_mat], asked: Asked) -> ExactSolution:
     """Return the exact answer at the end of a load path with friction.
 
-    Raises
-    ------
-    NoEquilibrium, SeveralEquilibria, NotConverged, Unsupported
-        As `exact_path.follow`.
+    Raises NoEquilibrium, SeveralEquilibria, NotConverged, Unsupported as `exact_path.follow` does.
     """
     names = [asked.problem.contact_name(i) for i in range(data.contacts)]
     end = follow(data, corners, names)
@@ -148,20 +139,13 @@ def solution_of(
 
     Parameters
     ----------
-    data : RationalProblem
-        The problem in rational numbers.
-    settled : Settled
-        The proven answer.
-    asked : Asked
-        What was asked for: problem, method, when it began.
-    solution : Solution or None
-        What floats proposed.
-    equilibria : int, optional
-        How many there are, where they were counted.
-    findings : tuple of str
-        What is known of other equilibria.
-    events : tuple of ExactEvent
-        Those of a load path.
+    data : the problem in rational numbers
+    settled : the proven answer
+    asked : what was asked for: problem, method, when it began
+    solution : Solution or None, what floats proposed
+    equilibria : how many there are, where they were counted
+    findings : tuple of str, what is known of other equilibria
+    events : tuple of ExactEvent, those of a load path
     """
     problem, answer = asked.problem, settled.answer
     u, shape = answer.displacement, None if problem.slip_origin is None else problem.slip_origin.shape

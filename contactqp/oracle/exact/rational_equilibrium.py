@@ -290,12 +290,8 @@ class Settled:
 def settle(data: RationalProblem, guesses: Iterable[tuple[int, ...]], max_pivots: int) -> Settled:
     """Return the equilibrium, from the first guess that leads to it, or by Lemke's method.
 
-    Raises
-    ------
-    NoSolution
-        Proven: the constraints conflict, or the load drives a motion that nothing holds.
-    Undecided
-        Lemke's method did not end within `max_pivots`.
+    Raises NoSolution: proven: the constraints conflict, or the load drives a motion that nothing holds; Undecided:
+    Lemke's method did not end within `max_pivots`.
     """
     tried: set[tuple[int, ...]] = set()
     for guess in guesses:
@@ -340,12 +336,10 @@ def balanced(
     Parameters
     ----------
     data : RationalProblem
-    u : (n, 1) fmpq_mat
-        The displacement.
+    u : (n, 1) fmpq_mat, the displacement
     known : System and (r, 1) fmpq_mat, optional
         A combination and its forces that balance the displacement, where they are known.
-    way : str
-        How the displacement was found; the result keeps it.
+    way : how the displacement was found; the result keeps it
     """
     found = balance(data, u, known)
     if found is None:

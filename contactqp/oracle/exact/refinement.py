@@ -67,10 +67,7 @@ class Fixed:
     def floats(self) -> NDArray[np.float64]:
         """Return the nearest doubles.
 
-        Raises
-        ------
-        NotConverged
-            A number is beyond them: what is refined has left their range.
+        Raises NotConverged: a number is beyond them: what is refined has left their range.
         """
         one = 1 << max(self.bits, 0)
         more = 1 << max(-self.bits, 0)
@@ -152,8 +149,7 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
     Parameters
     ----------
     matrix : (n, n) sparse symmetric matrix of floats
-    uncertainty : float
-        The matrix meant differs by at most this, in the infinity norm.
+    uncertainty : the matrix meant differs by at most this, in the infinity norm
     """
     matrix = sp.csc_matrix(matrix)
     size = matrix.shape[0]

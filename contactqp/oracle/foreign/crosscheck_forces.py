@@ -203,12 +203,9 @@ def reference_forces(
     Parameters
     ----------
     deck : Deck
-    pairs : list of PairNodes
-        The slave nodes of each contact pair.
-    enforcement : str
-        How the problem states the contact conditions, as `Deck.problem` takes it.
-    discretisation : str
-        Which contacts there are, as `Deck.problem` takes it.
+    pairs : list of PairNodes, the slave nodes of each contact pair
+    enforcement : str, how the problem states the contact conditions, as `Deck.problem` takes it
+    discretisation : str, which contacts there are, as `Deck.problem` takes it
     """
     contacts = deck.contacts(discretisation)
     solution = solve(deck.problem(enforcement, discretisation))

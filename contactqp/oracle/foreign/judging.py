@@ -31,10 +31,7 @@ FEW = 4
 def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     """Return a certified solution; of several equilibria the one nearest to the answer, in the energy scale.
 
-    Raises
-    ------
-    ContactQPError
-        There is none, or none was found.
+    Raises ContactQPError: there is none, or none was found.
     """
     found = solve(problem)
     others = found.certificate.uniqueness
@@ -113,10 +110,8 @@ def judged_contacts(
     ----------
     problem : ContactProblem
     answer : Answer
-    certificate : Certificate
-        That of the answer.
-    right : Solution or None
-        Is set beside the answer, where there is one.
+    certificate : that of the answer
+    right : Solution or None, is set beside the answer, where there is one
     """
     names, table = _measures(problem, answer, certificate, right)
     largest = np.max(table, axis=0, initial=0.0)

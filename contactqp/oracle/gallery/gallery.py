@@ -129,17 +129,13 @@ def chosen_problems(
 ) -> list[GalleryProblem]:
     """Return the problems of the names, where there are some, else `problems` of the rest.
 
+    Raises InvalidProblem: names and a choice among kinds are given, or either knows no such problem.
+
     Parameters
     ----------
-    names : sequence of str
-        May be empty.
+    names : sequence of str, may be empty
     kind, difficulty, count, seed
         As in `problems`; at their defaults where there are names.
-
-    Raises
-    ------
-    InvalidProblem
-        Names and a choice among kinds are given, or either knows no such problem.
     """
     if names and (kind, difficulty, count, seed) != (None, None, None, 0):
         raise InvalidProblem(f"gallery: expected names or a kind, got both {names[0]!r} and a choice among kinds")
@@ -181,15 +177,12 @@ ABOUT = ("name", "kind", "difficulty", "unique_displacement", "unique_forces", "
 def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Path:
     """Write problems and their exact answers to a folder that is new or empty: all of them, or nothing.
 
+    Raises InvalidProblem: something is in the folder, it is none, nothing is to be written, or the file system refuses.
+
     Returns
     -------
     Path
         The folder.
-
-    Raises
-    ------
-    InvalidProblem
-        Something is in the folder, it is none, nothing is to be written, or the file system refuses.
     """
 
     def fill(root: Path) -> None:
@@ -211,10 +204,7 @@ def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Pat
 def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
     """Return a folder that is new or was empty, filled by `fill` or left as it was; `last` is its last part.
 
-    Raises
-    ------
-    InvalidProblem
-        Something is in the folder, it is none, or the file system refuses.
+    Raises InvalidProblem: something is in the folder, it is none, or the file system refuses.
     """
     root = Path(folder)
     _refuse_taken(root)
@@ -334,15 +324,12 @@ is not zero, the answer is that of fractions to which the doubles are the neares
 def write_qpbenchmark(folder: str | Path, problems: Sequence[GalleryProblem]) -> tuple[Path, int]:
     """Write the problems without friction as a test set of qpbenchmark to a folder that is new or empty.
 
+    Raises InvalidProblem: something is in the folder, no problem is without friction, or the file system refuses.
+
     Returns
     -------
     tuple of Path and int
         The folder, and how many problems are in it.
-
-    Raises
-    ------
-    InvalidProblem
-        Something is in the folder, no problem is without friction, or the file system refuses.
     """
     programs = [known for known in problems if not known.problem.frictional]
     if not programs:

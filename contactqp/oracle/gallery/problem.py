@@ -437,16 +437,12 @@ def stated(
         The coefficient of all contacts.
     displacement, normal_force, friction_force, tie_force
         The answer, which is proven when the problem is made.
-    description, source, formula : str
-        What the problem shows, where it comes from, and its answer as a formula.
-    units : (str, str)
-        Of length and of force.
+    description, source, formula : what the problem shows, where it comes from, and its answer as a formula
+    units : (str, str), of length and of force
     unknowns, contacts : sequences of str, optional
         Their names.
-    one_displacement : bool, optional
-        Given where a proof of uniqueness is known that `only_displacement` does not find.
-    rounding : Fraction
-        By how much the answer to the problem in doubles may differ from this one, relative.
+    one_displacement : given where a proof of uniqueness is known that `only_displacement` does not find
+    rounding : by how much the answer to the problem in doubles may differ from this one, relative
     """
     rough = bool(tangent)
     data = ExactProblem(
@@ -486,14 +482,10 @@ def with_uniqueness(
     ----------
     data, answer
         The problem and its exact answer.
-    description, source, formula : str
-        What the problem shows, where it comes from, and its answer as a formula.
-    names : dict
-        The names of unknowns, contacts and units, as a ContactProblem takes them.
-    one_displacement : bool, optional
-        Whether the displacement is unique, where that is known.
-    rounding : Fraction
-        By how much the answer to the problem in doubles may differ from this one, relative.
+    description, source, formula : what the problem shows, where it comes from, and its answer as a formula
+    names : dict, the names of unknowns, contacts and units, as a ContactProblem takes them
+    one_displacement : whether the displacement is unique, where that is known
+    rounding : by how much the answer to the problem in doubles may differ from this one, relative
     """
     displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
     forces = only_forces(data, answer, displacement)

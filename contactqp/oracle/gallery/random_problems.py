@@ -80,14 +80,10 @@ def lattice(springs: Springs, columns: int, rows: int, stiffness: Callable[[], i
 
     Parameters
     ----------
-    springs : Springs
-        Takes them.
-    columns, rows : int
-        Numbers of nodes.
-    stiffness : function
-        Returns the stiffness of the next spring [force / length].
-    first : int
-        The number of node (0, 0).
+    springs : takes them
+    columns, rows : numbers of nodes
+    stiffness : function, returns the stiffness of the next spring [force / length]
+    first : the number of node (0, 0)
     """
     for j in range(rows):
         for i in range(columns):

@@ -32,18 +32,14 @@ def write_deck(scene: Scene, folder: Path) -> str:
     Loads are written as nodal forces, supports with what they prescribe, contact of two sides as *CONTACT PAIR of
     nodes, or of faces for a mortar, on springs that yield a ten-thousandth of what the bodies do.
 
+    Raises Unsupported: a scene of nodes and bars, membranes, obstacles, elements that CalculiX has not, a motion or a
+    load path; InvalidProblem: the folder cannot be made or written to.
+
     Parameters
     ----------
     scene : Scene
     folder : path
         It is made where it is not there; the file is called as the case file, with the suffix .inp.
-
-    Raises
-    ------
-    Unsupported
-        A scene of nodes and bars, membranes, obstacles, elements that CalculiX has not, a motion or a load path.
-    InvalidProblem
-        The folder cannot be made or written to.
     """
     told = f"{scene.file or 'scene'}: export"
     if not scene.bodies or scene.membranes or any(contact.obstacle is not None for contact in scene.contacts):

@@ -174,27 +174,17 @@ def run_algorithm(
 ) -> Outcome:
     """Iterate until an iterate, refined by Newton's method where that helps, is accepted; else return the best one.
 
+    Raises NotConverged, BackendFailed, BackendMissing, Unsupported: of the convex method, or an overflow.
+
     Parameters
     ----------
-    form : LocalForm
-        The frictional problem in its contact forces.
-    algorithm : Algorithm
-        An entry of `ALGORITHMS`.
-    method : Method
-        The convex method of its steps, where it takes such.
-    settings : Settings
-        Tolerance and limits.
-    start : Iterate
-        Where it starts.
-    accepted : function
-        Says whether an iterate is the answer.
-    polish : bool
-        Whether Newton's method refines iterates in between.
-
-    Raises
-    ------
-    NotConverged, BackendFailed, BackendMissing, Unsupported
-        Of the convex method, or an overflow.
+    form : the frictional problem in its contact forces
+    algorithm : an entry of `ALGORITHMS`
+    method : the convex method of its steps, where it takes such
+    settings : tolerance and limits
+    start : where it starts
+    accepted : function, says whether an iterate is the answer
+    polish : whether Newton's method refines iterates in between
     """
     steps = ConvexSteps(form, method, settings) if algorithm.convex else None
     name = algorithm.name if steps is None else name_of(algorithm.name, method.name + steps.polygons)
@@ -263,18 +253,12 @@ def run_any(
 
     Parameters
     ----------
-    form : LocalForm
-        The frictional problem in its contact forces.
-    settings : Settings
-        Tolerance and limits, which all attempts share.
-    start : Iterate
-        Where the first attempt starts.
-    accepted : function
-        Says whether an iterate is the answer.
-    refuse_none : function
-        Raises where there is no answer; it is asked behind the short attempts.
-    attempts : int
-        How many of `ATTEMPTS` are made.
+    form : the frictional problem in its contact forces
+    settings : tolerance and limits, which all attempts share
+    start : where the first attempt starts
+    accepted : function, says whether an iterate is the answer
+    refuse_none : function, raises where there is no answer; it is asked behind the short attempts
+    attempts : how many of `ATTEMPTS` are made
     """
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None

@@ -75,12 +75,8 @@ def recovered(problem: ContactProblem, displacement: Vector, force: Vector, tie_
 def relaxed_in_space(problem: ContactProblem, condensation: Condensation) -> Answer:
     """Return the answer to the conic program.
 
-    Raises
-    ------
-    BackendMissing, BackendFailed
-        Clarabel is not installed, or raised.
-    NotConverged
-        Its answer, refined, misses the conditions.
+    Raises BackendMissing, BackendFailed: Clarabel is not installed, or raised; NotConverged: its answer, refined,
+    misses the conditions.
     """
     program = _Program(problem, condensation)
     point = program.refined(program.by_clarabel())

@@ -54,16 +54,11 @@ class FrictionNewton:
 
     Parameters
     ----------
-    rows : FrictionRows
-        Problem and iteration.
-    tolerance : float
-        That of the certificate.
-    energy : float
-        The error in energy that the last combination is solved to, relative.
-    certifiable : function of an Answer and a tolerance
-        Returns whether its figures pass.
-    end : float
-        The time at which the search ends, as `time.perf_counter` counts it.
+    rows : FrictionRows, problem and iteration
+    tolerance : float, that of the certificate
+    energy : float, the error in energy that the last combination is solved to, relative
+    certifiable : function of an Answer and a tolerance, returns whether its figures pass
+    end : float, the time at which the search ends, as `time.perf_counter` counts it
     """
 
     def __init__(
@@ -136,27 +131,18 @@ def solve_friction_by_iteration(
 
     Where they end without one, at a limit of time too, the last answer of a step is returned and not claimed.
 
+    Raises NotConverged: the steps ended before one of them had an answer; NoEquilibrium: the bodies are held neither
+    without friction nor with all contacts stuck.
+
     Parameters
     ----------
-    problem : FrictionalLimits
-        A problem with friction.
-    iteration : ContactIteration
-        The iteration on its rows, tangents included.
-    settings : Settings
-        `max_iter` counts contact problems without friction, `time_limit` is for all of them.
-    start : Answer, optional
-        The answer of a problem with the same K and rows.
-    energy : float
-        The error in energy, relative to the energy of the displacement.
+    problem : a problem with friction
+    iteration : the iteration on its rows, tangents included
+    settings : `max_iter` counts contact problems without friction, `time_limit` is for all of them
+    start : the answer of a problem with the same K and rows
+    energy : the error in energy, relative to the energy of the displacement
     certifiable : function
         Whether all figures of an answer, but `balance`, which equilibrium implies, are at most a limit.
-
-    Raises
-    ------
-    NotConverged
-        The steps ended before one of them had an answer.
-    NoEquilibrium
-        The bodies are held neither without friction nor with all contacts stuck.
     """
     fixed_point = _FixedPoint(problem, iteration, settings, energy, certifiable)
     status = ""

@@ -53,10 +53,7 @@ class ConicProgram:
 def solve_conic(program: ConicProgram, solver: str, settings: Settings) -> tuple[Vector, Vector]:
     """Solve a conic program for x and the multipliers z of its rows, P x + c + A'z = 0.
 
-    Raises
-    ------
-    BackendMissing, BackendFailed
-        The solver is not installed; it raised, or found nothing finite.
+    Raises BackendMissing, BackendFailed: the solver is not installed; it raised, or found nothing finite.
     """
     found = {"clarabel": _clarabel, "scs": _scs, "cvxpy": _cvxpy}[solver](program, settings)
     if found is None or not all(np.all(np.isfinite(part)) for part in found):

@@ -256,12 +256,9 @@ def solve_on_contacts(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    method : Method
-        Takes the convex steps, where the algorithm has such.
-    settings : Settings
-        Tolerance, limits and options.
+    condensation : that of the problem
+    method : takes the convex steps, where the algorithm has such
+    settings : tolerance, limits and options
     algorithm : str or None
 
     Raises

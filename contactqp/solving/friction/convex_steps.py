@@ -210,10 +210,7 @@ class ConvexSteps:
 def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
     """Solve one convex problem of a fixed point, made nondimensional where the method asks for it.
 
-    Raises
-    ------
-    NotConverged
-        The answer has numbers that are not finite.
+    Raises NotConverged: the answer has numbers that are not finite.
     """
     if method.scale:
         twin, scaling = nondimensional(problem)

@@ -223,10 +223,7 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
 
     Where contacts are redundant, many forces belong to one displacement: one of them is given.
 
-    Raises
-    ------
-    Unsupported
-        There are more than eight contacts.
+    Raises Unsupported: there are more than eight contacts.
     """
     if (reason := refuse_many(problem.contacts)) is not None:
         raise Unsupported(reason)

@@ -42,10 +42,7 @@ NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_orig
 class ExactData:
     """Matrices are lists of rows.
 
-    Raises
-    ------
-    InvalidProblem
-        A name is unknown, a value is no rational number, or it does not round to the problem's.
+    Raises InvalidProblem: a name is unknown, a value is no rational number, or it does not round to the problem's.
     """
 
     def __init__(self, problem: ContactProblem, exact: dict[str, Any]) -> None:

@@ -103,16 +103,11 @@ def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vect
 
     Parameters
     ----------
-    own : (k, d, d) array
-        The blocks W_ii of the contacts.
-    outer : (k, d) array
-        The velocities q_i that all other forces give them.
-    mu : (k,) array
-        The coefficients of friction.
-    start : (k, d) array
-        The forces so far.
-    rho : (k,) array
-        The steps of projections so far.
+    own : (k, d, d) array, the blocks W_ii of the contacts
+    outer : (k, d) array, the velocities q_i that all other forces give them
+    mu : (k,) array, the coefficients of friction
+    start : (k, d) array, the forces so far
+    rho : (k,) array, the steps of projections so far
     """
     if own.shape[1] == 2:
         r, solved = solve_in_plane(own, outer, mu)

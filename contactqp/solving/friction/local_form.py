@@ -125,10 +125,7 @@ class LocalForm:
 class BlockSystem:
     """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none.
 
-    Raises
-    ------
-    LinAlgError
-        It is singular.
+    Raises LinAlgError: it is singular.
     """
 
     def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
@@ -237,14 +234,10 @@ def aitken(
 
     Parameters
     ----------
-    relaxation : float
-        The factor of this step.
-    before : array or None
-        F(b) - b of the step before; None at the first step, which keeps the factor.
-    missing : array
-        F(b) - b of this step.
-    dot : function of two arrays
-        Their inner product.
+    relaxation : the factor of this step
+    before : array or None, F(b) - b of the step before; None at the first step, which keeps the factor
+    missing : array, F(b) - b of this step
+    dot : function of two arrays, their inner product
     """
     if before is None:
         return relaxation

@@ -69,21 +69,15 @@ def solve_newton(
 ) -> NewtonAnswer:
     """Find Coulomb's answer from the combination of `start`, or from all touching contacts stuck.
 
+    Raises NotConverged: the combinations come back.
+
     Parameters
     ----------
     problem, condensation
         The frictional problem and its condensation.
-    start : Candidate or None
-        An answer whose combination is tried first.
-    max_iter : int, optional
-        The largest number of combinations.
-    time_limit : float, optional
-        Seconds.
-
-    Raises
-    ------
-    NotConverged
-        The combinations come back.
+    start : Candidate or None, an answer whose combination is tried first
+    max_iter : the largest number of combinations
+    time_limit : seconds
     """
     began = time.perf_counter()
     system = ForceSystem(problem, condensation)
@@ -109,13 +103,10 @@ def refined(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
+    condensation : that of the problem
     system : ForceSystem
-    lengths : Lengths
-        The right-hand sides that belong to the problem's load.
-    found : CombinationAnswer
-        The answer in scaled forces, before refinement.
+    lengths : the right-hand sides that belong to the problem's load
+    found : the answer in scaled forces, before refinement
     """
     _, inner = condensation.reduce_load(problem.load)
     expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
@@ -140,25 +131,17 @@ def search(
 ) -> tuple[CombinationAnswer, int]:
     """Return the combination whose signs hold and the number of those solved; contacts `held_open` (m,) may overlap.
 
+    Raises NotConverged as `solve_newton` does.
+
     Parameters
     ----------
-    system : ForceSystem
-        The linear systems of all combinations.
-    lengths : Lengths
-        Gaps, slips and ties that the load leaves.
-    start : (m,) array
-        The first combination of open, stick and slip.
+    system : the linear systems of all combinations
+    lengths : gaps, slips and ties that the load leaves
+    start : (m,) array, the first combination of open, stick and slip
     held_open : (m,) array of bool, optional
         Contacts that stay open although they may overlap.
-    max_iter : int, optional
-        The largest number of combinations.
-    until : float, optional
-        When to stop, by `time.perf_counter`.
-
-    Raises
-    ------
-    NotConverged
-        As `solve_newton`.
+    max_iter : the largest number of combinations
+    until : when to stop, by `time.perf_counter`
     """
     status = system.plain(start)
     if held_open is not None:
@@ -278,10 +261,7 @@ COMPLIANT = 30.0
 def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNewtonAnswer:
     """Find Coulomb's answer in the plane for bodies that are held.
 
-    Raises
-    ------
-    NotConverged
-        The combinations come back, or one of them has a system without an inverse.
+    Raises NotConverged: the combinations come back, or one of them has a system without an inverse.
     """
     rows, spent, began = frictional_rows(problem), 0, time.perf_counter()
     before = rows.factorisations

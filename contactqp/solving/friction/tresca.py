@@ -76,14 +76,10 @@ def solve_tresca(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    method : Method
-        Solves the convex problems with given bounds.
-    settings : Settings
-        Tolerance, limits and options.
-    at_once : bool
-        Whether the combination that the answer without friction suggests is tried first.
+    condensation : that of the problem
+    method : solves the convex problems with given bounds
+    settings : tolerance, limits and options
+    at_once : whether the combination that the answer without friction suggests is tried first
 
     Raises
     ------

@@ -80,10 +80,7 @@ def register(method: Method) -> None:
 def registered_name(name: Any) -> str:
     """Return the name under which a method is registered; case does not count, nor whether - or _ joins its words.
 
-    Raises
-    ------
-    Unsupported
-        There is no such method; the nearest names are given.
+    Raises Unsupported: there is no such method; the nearest names are given.
     """
     if not isinstance(name, str):
         raise Unsupported(f"method: expected a name, got {shown(name)}")
@@ -108,12 +105,8 @@ def of_same_letters(name: Any, known: Iterable[str]) -> str | None:
 def find(name: str) -> Method:
     """Return the installed method of that name.
 
-    Raises
-    ------
-    Unsupported
-        There is no such method; the nearest names are given.
-    BackendMissing
-        It exists and its package is not installed; the pip command is given.
+    Raises Unsupported: there is no such method; the nearest names are given; BackendMissing: it exists and its package
+    is not installed; the pip command is given.
     """
     method = _REGISTRY[registered_name(name)]
     if method.packages and not method.installed:
@@ -207,10 +200,8 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     ----------
     problem : ContactProblem
     method : Method
-    settings : Settings
-        Their `options` are those that were given.
-    algorithm : str or None
-        The algorithm of friction that was asked for.
+    settings : their `options` are those that were given
+    algorithm : str or None, the algorithm of friction that was asked for
     """
     in_space = problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
     options = (*method.options, *(_polygon_options(method) if in_space else ()))

@@ -36,11 +36,8 @@ UNFELT = 1e-9
 def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     """Find the contact set of the solution, and the answer on it.
 
-    Raises
-    ------
-    NotConverged
-        No set was found: the constraints conflict, or `max_iter` steps (by default 50 for each contact and 200 more)
-        did not suffice.
+    Raises NotConverged: no set was found: the constraints conflict, or `max_iter` steps (by default 50 for each contact
+    and 200 more) did not suffice.
     """
     condensation = condense(problem)
     found = solve_condensed(problem, condensation, settings, problem)
@@ -58,12 +55,9 @@ def solve_condensed(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    settings : Settings
-        Limits, and the answer to start from.
-    shown : ContactProblem, optional
-        What Lemke's method is shown.
+    condensation : that of the problem
+    settings : limits, and the answer to start from
+    shown : what Lemke's method is shown
     """
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)

@@ -54,6 +54,9 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
     Each u is the answer of the penalty method with the gaps g - lambda / beta. The error shrinks by about
     S / (S + beta) an iteration with S the stiffness that a contact feels, (E_N K^-1 E_N')^-1.
 
+    Raises InvalidProblem: beta is negative or not finite, or zero with Uzawa; `update` is neither of the two;
+    NotConverged: the closed contacts do not hold the bodies.
+
     Options
     -------
     penalty : float or (m,) array, optional
@@ -67,13 +70,6 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
         `history` of Uzawa is the larger of the change of the forces relative to the largest force, and of the worst
         violation of g - E_N u >= 0, lambda (g - E_N u) = 0 relative to |E_N||u| + |g|, one number an iteration. It ends
         when both are at most `settings.tolerance`.
-
-    Raises
-    ------
-    InvalidProblem
-        beta is negative or not finite, or zero with Uzawa; `update` is neither of the two.
-    NotConverged
-        The closed contacts do not hold the bodies.
     """
     refuse_tangential_penalty(NAME, settings)
     update, beta = _chosen(problem, settings)
@@ -194,19 +190,14 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
     o - lambda_T / beta_T: the forces that it returns are lambda_N + beta (E_N u - g), and
     lambda_T + beta_T (E_T u - o) returned to the bound mu lambda_N where they exceed it.
 
+    Raises InvalidProblem: an option is wrong; NotConverged: the contacts do not hold the bodies.
+
     Options
     -------
     penalty, update
         As without friction; Uzawa's default beta_T is made of the tangential rows as beta is of the normal ones.
     tangential_penalty : float or (m,) array, optional
         beta_T [force / length]; beta where that is given.
-
-    Raises
-    ------
-    InvalidProblem
-        An option is wrong.
-    NotConverged
-        The contacts do not hold the bodies.
     """
     update, normal = _chosen(problem, settings)
     beta = spring_stiffnesses(NAME, problem, settings, normal, zero=update == "simultaneous")

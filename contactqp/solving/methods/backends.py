@@ -218,17 +218,13 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
 
     `settings.tolerance` is passed to every tolerance the backend has: defaults are wrong by up to 4e-3 in the forces.
 
+    Raises BackendFailed: the backend raised (its exception is the cause), or returned nothing, or something that is not
+    finite; Unsupported: a time limit, where the backend has none; a singular stiffness, where it takes none.
+
     Returns
     -------
     Candidate
         `claimed` is the backend's own flag; `status` its own words and warnings.
-
-    Raises
-    ------
-    BackendFailed
-        The backend raised (its exception is the cause), or returned nothing, or something that is not finite.
-    Unsupported
-        A time limit, where the backend has none; a singular stiffness, where it takes none.
     """
     from qpsolvers import solve_problem
 

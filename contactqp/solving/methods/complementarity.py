@@ -182,8 +182,7 @@ def expand(
     problem : ContactProblem
     reduced : Compliance
     lcp : Complementarity
-    force, gap : (m,) arrays
-        The solution of the complementarity problem.
+    force, gap : (m,) arrays, the solution of the complementarity problem
     """
     displacement = reduced.free - reduced.response @ force
     B = lcp.exchanged
@@ -219,15 +218,14 @@ def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
 def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None) -> tuple[Mask, int, str]:
     """Follow Lemke's path to w = q + M z, w >= 0, z >= 0, w'z = 0.
 
+    Raises NotConverged: the path ends in a ray.
+
     Parameters
     ----------
     q : (m,) array
-    M : (m, m) array
-        Positive semidefinite.
-    limit : int
-        The largest number of pivots.
-    time_limit : float, optional
-        Seconds.
+    M : (m, m) array, positive semidefinite
+    limit : the largest number of pivots
+    time_limit : seconds
 
     Returns
     -------
@@ -236,11 +234,6 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
     pivots : int
     status : str
         Empty when solved, otherwise why the path was left.
-
-    Raises
-    ------
-    NotConverged
-        The path ends in a ray.
     """
     m, started = q.size, time.perf_counter()
     scale = 1.0 / np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))
@@ -327,16 +320,13 @@ def basic_solution(lcp: Complementarity, basis: Mask) -> tuple[Vector, Vector]:
 def solve_projected_gauss_seidel(problem: ContactProblem, settings: Settings) -> Candidate:
     """Sweep over the contacts, l_i <- max(0, l_i - w_i / W_ii) with w = q + W l, until complementarity holds.
 
+    Raises Unsupported: bodies are held by contacts alone: W does not exist.
+
     Returns
     -------
     Candidate
         `history` is max over i of |min(w_i, W_ii l_i)| / (|q_i| + sum_j |W_ij| l_j), one number a sweep; the method
         ends when it is at most `settings.tolerance`, and claims no answer after `settings.max_iter` (20000) sweeps.
-
-    Raises
-    ------
-    Unsupported
-        Bodies are held by contacts alone: W does not exist.
     """
     name = "projected-gauss-seidel"
     reduced = compliance(name, problem)

@@ -22,18 +22,14 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
 
     cvxpy's dual of E_N u <= g is l_N >= 0, and that of A u == b is nu, in the signs of K u + E_N' l_N + A' nu = f.
 
+    Raises BackendMissing, Unsupported: the solver is not installed; there is none of that name; BackendFailed: cvxpy or
+    the solver raised, or found no values.
+
     Options
     -------
     solver : str, optional
         Any solver of cvxpy's by its name, Clarabel by default. Solvers that are also methods of their own get
         `settings.tolerance` in their own words; others run at their defaults.
-
-    Raises
-    ------
-    BackendMissing, Unsupported
-        The solver is not installed; there is none of that name.
-    BackendFailed
-        cvxpy or the solver raised, or found no values.
     """
     cp = _cvxpy()
     solver = _solver(cp, settings.options.get("solver", "CLARABEL"))

@@ -65,14 +65,10 @@ def solve_by_iteration(
 
     Parameters
     ----------
-    problem : Limits
-        Load, gaps and tie values.
-    iteration : ContactIteration
-        Stiffness and rows.
-    settings : Settings
-        Limits, and the answer to start from.
-    energy : float
-        The error in energy on that set, over the energy of the contact forces.
+    problem : load, gaps and tie values
+    iteration : stiffness and rows
+    settings : limits, and the answer to start from
+    energy : the error in energy on that set, over the energy of the contact forces
     """
     return _Search(problem, iteration, settings, energy).run()
 
@@ -86,8 +82,7 @@ def identified_by_iteration(
     ----------
     problem, iteration, settings
         As in `solve_by_iteration`.
-    error : float
-        The error in energy at which the set is taken, over the energy of the displacement.
+    error : the error in energy at which the set is taken, over the energy of the displacement
     """
     search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None

@@ -27,10 +27,7 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
     diagonal, regular as long as the rows of C are independent and K is positive definite on the motions that C leaves
     free. Rows that depend on others are left out. The multiplier is the contact force, positive in compression.
 
-    Raises
-    ------
-    NotConverged
-        The closed contacts do not hold the bodies, or ties contradict each other.
+    Raises NotConverged: the closed contacts do not hold the bodies, or ties contradict each other.
     """
     return active_set_loop(NAME, problem, settings, partial(_enforce, problem))
 
@@ -50,10 +47,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 
     The matrix is unsymmetric where a contact slips.
 
-    Raises
-    ------
-    NotConverged
-        The contacts do not hold the bodies, or ties contradict each other.
+    Raises NotConverged: the contacts do not hold the bodies, or ties contradict each other.
     """
     return status_loop(NAME, problem, settings, partial(_enforce_friction, problem))
 

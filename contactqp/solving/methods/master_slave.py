@@ -31,10 +31,7 @@ def solve_master_slave(problem: ContactProblem, settings: Settings) -> Candidate
     conditioned; constraints that follow from others are left out. The forces follow from the equilibrium of the slaves,
     C_s' lambda = (f - K u)_s, positive in compression.
 
-    Raises
-    ------
-    NotConverged
-        The closed contacts do not hold the bodies, or ties contradict each other.
+    Raises NotConverged: the closed contacts do not hold the bodies, or ties contradict each other.
     """
     return active_set_loop(NAME, problem, settings, partial(_enforce, problem))
 
@@ -59,10 +56,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
     with slaves of H for the displacements u and slaves of P for the motions T, so that the system of slip is
     unsymmetric (a Petrov-Galerkin form). The forces follow from the equilibrium of the slaves of P.
 
-    Raises
-    ------
-    NotConverged
-        The contacts do not hold the bodies, or ties contradict each other.
+    Raises NotConverged: the contacts do not hold the bodies, or ties contradict each other.
     """
     return status_loop(NAME, problem, settings, partial(_enforce_friction, problem))
 
@@ -86,8 +80,7 @@ def choose_slaves(rows: Matrix) -> Indices:
 
     Parameters
     ----------
-    rows : (r, n) csr_array
-        C, with independent rows.
+    rows : (r, n) csr_array, C, with independent rows
 
     Returns
     -------
@@ -107,10 +100,8 @@ def transformation(rows: Matrix, values: Vector, slaves: Indices) -> tuple[Matri
 
     Parameters
     ----------
-    rows : (r, n) csr_array
-        C.
-    values : (r,)
-        q.
+    rows : (r, n) csr_array, C
+    values : (r,), q
     slaves : (r,) index array
 
     Returns

@@ -53,17 +53,12 @@ def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
     difference of lengths, so that from beta of about 1e12 the rounding of the gap shows, and at beta = 1e20 lambda is a
     multiple of beta times the last place of the gap (the 21.684 kN of the chapter's Table 2.1).
 
+    Raises InvalidProblem: beta is not positive and finite; NotConverged: the closed contacts do not hold the bodies.
+
     Options
     -------
     penalty : float or (m,) array
         beta [force / length], positive.
-
-    Raises
-    ------
-    InvalidProblem
-        beta is not positive and finite.
-    NotConverged
-        The closed contacts do not hold the bodies.
     """
     refuse_tangential_penalty(NAME, settings)
     beta = contact_stiffness(NAME, "penalty", settings.options["penalty"], problem.contacts)
@@ -77,15 +72,11 @@ def penalty_loop(
 
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     problem : ContactProblem
-    settings : Settings
-        Limits, and the answer to start from.
-    beta : (m,) array [force / length]
-        Stiffnesses of the springs.
-    refined : bool
-        As in `solve_linear`.
+    settings : limits, and the answer to start from
+    beta : (m,) array [force / length], stiffnesses of the springs
+    refined : as in `solve_linear`
     """
     return active_set_loop(name, problem, settings, partial(_enforce, name, problem, beta, refined), stiffness=beta)
 
@@ -117,19 +108,14 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
     slider with friction: `slip_origin` o is where the slider is when the step starts, and it ends at
     E_T u - lambda_T / beta_T (`contactqp.solving.methods.penalty.sliders`), from where a next step goes on.
 
+    Raises InvalidProblem: beta or beta_T is not positive and finite; NotConverged: the contacts do not hold the bodies.
+
     Options
     -------
     penalty : float or (m,) array
         beta [force / length], positive.
     tangential_penalty : float or (m,) array, optional
         beta_T, in the same unit; beta by default.
-
-    Raises
-    ------
-    InvalidProblem
-        beta or beta_T is not positive and finite.
-    NotConverged
-        The contacts do not hold the bodies.
     """
     beta = contact_stiffness(NAME, "penalty", settings.options["penalty"], problem.contacts)
     return frictional_penalty_loop(NAME, problem, settings, spring_stiffnesses(NAME, problem, settings, beta))
@@ -144,8 +130,7 @@ def frictional_penalty_loop(
     ----------
     name, problem, settings, refined
         As in `penalty_loop`.
-    beta : two (m,) arrays [force / length]
-        Stiffnesses of the normal and of the tangential springs.
+    beta : two (m,) arrays [force / length], stiffnesses of the normal and of the tangential springs
     """
     enforce = partial(_enforce_friction, name, problem, beta, refined)
     return status_loop(name, problem, settings, enforce, compliance=1.0 / beta[1], stiffness=beta)
@@ -192,12 +177,12 @@ def with_contact_springs(
 ) -> ContactProblem:
     """Return the problem whose exact answer is the penalised answer to this one.
 
+    Raises InvalidProblem: a stiffness is not positive and finite, or there are no tangential rows.
+
     Parameters
     ----------
-    problem : ContactProblem
-        With tangential rows, in the plane or in space.
-    penalty : float or (m,) array
-        beta [force / length], positive.
+    problem : with tangential rows, in the plane or in space
+    penalty : float or (m,) array, beta [force / length], positive
     tangential_penalty : float or (m,) array, optional
         beta_T [force / length], positive; beta by default.
 
@@ -205,11 +190,6 @@ def with_contact_springs(
     -------
     ContactProblem
         Its unknowns are (u, z_N, z_T), z_T contact by contact; its contacts, ties and slip origins those of `problem`.
-
-    Raises
-    ------
-    InvalidProblem
-        A stiffness is not positive and finite, or there are no tangential rows.
     """
     if problem.tangent is None or problem.slip_origin is None:
         raise InvalidProblem(f"{SLIDERS}: expected a problem with tangential rows, got {shown(problem)}")
@@ -271,19 +251,14 @@ def sliders(
 
     They are the next step's slip origin. A slider whose contact is open hangs on a spring without force, E_T u.
 
+    Raises InvalidProblem as `with_contact_springs` does.
+
     Parameters
     ----------
-    problem : ContactProblem
-        With tangential rows.
-    solution : Solution
-        Its answer by the method "penalty".
+    problem : with tangential rows
+    solution : its answer by the method "penalty"
     penalty, tangential_penalty : numbers or (m,) arrays [force / length]
         The stiffnesses that it was made with; the tangential one is the normal one by default.
-
-    Raises
-    ------
-    InvalidProblem
-        As `with_contact_springs`.
     """
     if problem.tangent is None or problem.slip_origin is None or solution.friction_force is None:
         raise InvalidProblem(f"{SLIDERS}: expected a problem with tangential rows, got {shown(problem)}")

@@ -30,17 +30,12 @@ def solve_perturbed_lagrangian(problem: ContactProblem, settings: Settings) -> C
     at kappa = K). Eliminating lambda gives the penalty method with beta = kappa; in floating point this form does not
     multiply a difference of lengths by kappa, and stays right at kappa = 1e20. Ties have a zero on the diagonal.
 
+    Raises InvalidProblem: kappa is not positive and finite; NotConverged: the closed contacts do not hold the bodies.
+
     Options
     -------
     perturbation : float or (m,) array
         kappa [force / length], positive.
-
-    Raises
-    ------
-    InvalidProblem
-        kappa is not positive and finite.
-    NotConverged
-        The closed contacts do not hold the bodies.
     """
     kappa = contact_stiffness(NAME, "perturbation", settings.options["perturbation"], problem.contacts)
     return active_set_loop(NAME, problem, settings, partial(_enforce, problem, kappa), stiffness=0.0)
@@ -66,17 +61,12 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 
     It is the penalty method with friction for beta = beta_T = kappa, in exact arithmetic; `slip_origin` means the same.
 
+    Raises InvalidProblem: kappa is not positive and finite; NotConverged: the contacts do not hold the bodies.
+
     Options
     -------
     perturbation : float or (m,) array
         kappa [force / length], positive.
-
-    Raises
-    ------
-    InvalidProblem
-        kappa is not positive and finite.
-    NotConverged
-        The contacts do not hold the bodies.
     """
     kappa = contact_stiffness(NAME, "perturbation", settings.options["perturbation"], problem.contacts)
     return status_loop(NAME, problem, settings, partial(_enforce_friction, problem, kappa), compliance=1.0 / kappa)

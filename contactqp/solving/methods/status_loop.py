@@ -49,15 +49,14 @@ def status_loop(
 
     The first are all open, or where the bodies float freely all stuck; those of `settings.warm_start` that push, stuck.
 
+    Raises NotConverged: the first system is singular, or every one that may follow.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     problem : ContactProblem
-    settings : Settings
-        Limits, and the answer to start from.
-    enforce : FrictionalEnforcement
-        Solves the system of one status.
+    settings : limits, and the answer to start from
+    enforce : solves the system of one status
     compliance : (m,) array, optional
         Of tangential springs [length / force], zero by default: what has slipped is not E_T u - o but that less the
         spring's own stretch.
@@ -71,11 +70,6 @@ def status_loop(
         `history` is the number of contacts whose status is wrong, one number an iteration. Not claimed where no
         combination is left to try, or where the loop stops at `settings.max_iter` (50 m + 200) or at
         `settings.time_limit`.
-
-    Raises
-    ------
-    NotConverged
-        The first system is singular, or every one that may follow.
     """
     none = np.zeros(problem.contacts)
     loop = _Loop(

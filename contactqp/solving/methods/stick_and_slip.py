@@ -102,22 +102,15 @@ def status_rows(
     Of dependent ties the first are kept always. A closed contact whose normal row is left out is open; one that sticks
     and whose tangential row is left out carries no friction.
 
+    Raises NotConverged: ties contradict each other.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     problem : ContactProblem
-    status : (m,) array of int
-        OPEN, STICK, SLIP_BACK or SLIP_ON.
-    preference : (m,) array of int
-        All contacts, in the order in which their rows are kept.
-    independent : bool
-        Whether rows that follow from those before them are left out.
-
-    Raises
-    ------
-    NotConverged
-        Ties contradict each other.
+    status : (m,) array of int, OPEN, STICK, SLIP_BACK or SLIP_ON
+    preference : (m,) array of int, all contacts, in the order in which their rows are kept
+    independent : whether rows that follow from those before them are left out
     """
     E_N, E_T = problem.normal, sp.csr_array(problem.tangent)
     ties = independent_rows(problem.tie)
@@ -157,21 +150,15 @@ def spring_stiffnesses(
 ) -> tuple[Vector, Vector]:
     """Return normal and tangential spring stiffnesses, (m,) each [force / length]; equal without `tangential_penalty`.
 
+    Raises InvalidProblem: the option is not positive (or negative, where `zero` allows none) and finite.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     problem : ContactProblem
-    settings : Settings
-        Their options may have `tangential_penalty`.
+    settings : their options may have `tangential_penalty`
     normal : (m,) array [force / length]
-    zero : bool
-        Whether a stiffness of zero is allowed.
-
-    Raises
-    ------
-    InvalidProblem
-        The option is not positive (or negative, where `zero` allows none) and finite.
+    zero : whether a stiffness of zero is allowed
     """
     given = settings.options.get("tangential_penalty")
     if given is None:

@@ -37,14 +37,14 @@ def binding_rows(
     Ties come first, then the closed contacts in the order of `preference`; a row that depends on those before it is
     left out, and its multiplier is zero.
 
+    Raises NotConverged: ties contradict each other.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     problem : ContactProblem
     closed : (m,) mask
-    preference : (m,) array of int
-        All contacts, in the order in which their rows are kept.
+    preference : (m,) array of int, all contacts, in the order in which their rows are kept
 
     Returns
     -------
@@ -52,11 +52,6 @@ def binding_rows(
         [A; E_N] u = [b; g].
     ties, contacts : index arrays
         Which ties and which contacts the rows are, in this order.
-
-    Raises
-    ------
-    NotConverged
-        Ties contradict each other.
     """
     ties = independent_rows(problem.tie)
     refuse_contradiction(name, problem, ties)
@@ -73,10 +68,7 @@ def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> N
 
     Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish.
 
-    Raises
-    ------
-    NotConverged
-        They do not.
+    Raises NotConverged: they do not.
     """
     dropped = np.setdiff1d(np.arange(problem.ties), kept)
     if dropped.size == 0:
@@ -121,21 +113,14 @@ def spread(values: Vector, where: Indices, size: int) -> Vector:
 def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: bool = False) -> Vector:
     """Return a stiffness for each contact (m,) from one number or m numbers, positive (or nonnegative) and finite.
 
+    Raises InvalidProblem: it is anything else.
+
     Parameters
     ----------
-    name, key : str
-        The method and its option, for messages.
-    value : float or (m,) array
-        What the user gave [force / length].
-    contacts : int
-        Their number m.
-    zero : bool
-        Whether zero is allowed.
-
-    Raises
-    ------
-    InvalidProblem
-        It is anything else.
+    name, key : the method and its option, for messages
+    value : float or (m,) array, what the user gave [force / length]
+    contacts : their number m
+    zero : whether zero is allowed
     """
     sign = "not negative" if zero else "positive"
     whose = key if name == key else f"{name}: {key}"
@@ -174,10 +159,11 @@ def solve_bordered(
 ) -> tuple[Vector, Vector]:
     """Solve [[matrix, pushed'], [rows, diag(corner)]] {x; y} = {load; values}.
 
+    Raises NotConverged: the system is singular.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     matrix : (n, n), sparse or dense
     load : (n,)
     rows : (r, n) csr_array
@@ -186,13 +172,7 @@ def solve_bordered(
         Diagonal of the lower right block, zero by default.
     pushed : (r, n) csr_array, optional
         Where the forces y act, `rows` by default; contacts that slip push along other rows than they hold.
-    refined : bool
-        As for `solve_linear`.
-
-    Raises
-    ------
-    NotConverged
-        The system is singular.
+    refined : as for `solve_linear`
     """
     n, r = matrix.shape[0], rows.shape[0]
     corner = np.zeros(r) if corner is None else corner
@@ -213,20 +193,16 @@ def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refine
     A bad condition alone refuses nothing: rounding is to show as it would in the textbook's own program. Only a matrix
     that is singular however its rows and columns are scaled is refused.
 
+    Raises NotConverged: the matrix is singular.
+
     Parameters
     ----------
-    name : str
-        The method's name, for messages.
+    name : the method's name, for messages
     matrix : (n, n), sparse or dense
     load : (n,)
     refined : bool
         Whether one step of refinement in the same precision follows. It makes the residual small equation by equation,
         where stiffness beside multiplier rows leaves it small beside the largest equation only (Skeel 1980).
-
-    Raises
-    ------
-    NotConverged
-        The matrix is singular.
     """
     if matrix.shape[0] == 0:
         return np.zeros_like(load)

@@ -59,10 +59,8 @@ class Step:
         ----------
         problem : ContactProblem
         displacement : (n,) array [length]
-        force : (r,) array [force]
-            Of the ties, then of the contacts.
-        ties, contacts : arrays of int
-            Whose rows they are.
+        force : (r,) array [force], of the ties, then of the contacts
+        ties, contacts : arrays of int, whose rows they are
         """
         bound = np.zeros(problem.contacts, dtype=bool)
         bound[contacts] = True
@@ -110,8 +108,7 @@ class Sets:
 
         Parameters
         ----------
-        closed : (m,) mask
-            A set with independent rows that holds the bodies.
+        closed : (m,) mask, a set with independent rows that holds the bodies
 
         Raises
         ------
@@ -185,16 +182,11 @@ def last_candidate(
 
     Parameters
     ----------
-    name : str
-        The method.
-    step : Step or FrictionalStep
-        The last one.
-    reason : str
-        Why the loop ended.
-    history : sequence of float
-        What was wrong after each iteration; none in the last one claims the answer.
-    together : int or None
-        How many iterations changed all wrong contacts at once, None if all did.
+    name : the method
+    step : Step or FrictionalStep, the last one
+    reason : why the loop ended
+    history : sequence of float, what was wrong after each iteration; none in the last one claims the answer
+    together : int or None, how many iterations changed all wrong contacts at once, None if all did
     """
     one_by_one = "" if together is None else f" (one contact at a time after {together} iterations)"
     return Candidate(
@@ -299,15 +291,14 @@ def active_set_loop(
     The first set is that of the contacts penetrated in the free solution; of all contacts where the bodies float
     freely, so that there is no free solution.
 
+    Raises NotConverged: the first system is singular, or no contact can be exchanged for another.
+
     Parameters
     ----------
     problem : ContactProblem
-    settings : Settings
-        Limits, and the answer to start from.
-    name : str
-        The method's name, for messages.
-    enforce : Enforcement
-        Solves the equality problem of one set of closed contacts.
+    settings : limits, and the answer to start from
+    name : the method's name, for messages
+    enforce : solves the equality problem of one set of closed contacts
     stiffness : float or (m,) array
         Force that one unit of gap makes in a closed contact [force / length]: beta where contacts are springs or have
         springs beside them, 0 where they are exact. Rounding in the gap is seen in the force by this factor.
@@ -318,11 +309,6 @@ def active_set_loop(
         `history` is the number of contacts whose sign is wrong, one number an iteration. Not claimed where even the
         criss-cross steps cycle (rounding decides between sets), or where the loop stops at `settings.max_iter`
         (50 m + 200) or `settings.time_limit`.
-
-    Raises
-    ------
-    NotConverged
-        The first system is singular, or no contact can be exchanged for another.
     """
     loop = _Loop(name, problem, settings, enforce, stiffness)
     try:

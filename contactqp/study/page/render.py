@@ -117,30 +117,19 @@ def render(
 ) -> str:
     """Return the HTML page of a report.
 
+    Raises ModuleNotFoundError: one of `NEEDED` is not installed; `missing_packages` says so before.
+
     Parameters
     ----------
     data : ReportData
-    overview : sequence of Chart
-        Charts over all cases.
-    by_case : mapping of case names to sequences of Chart
-        Charts of each case.
-    notes : sequence of str
-        Limitations of this report, in addition to those of any report.
-    telling : Chart, optional
-        The chart of the first screen.
-    examples : Chart, optional
-        The chart after it, of the small cases.
-    ranges : StabilityBars, optional
-        Those of the stability study beside this report.
-    running : str
-        What is still running; empty of a finished report.
-    opened : str
-        Name of the case that is open at first; the first one by default.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        One of `NEEDED` is not installed; `missing_packages` says so before.
+    overview : sequence of Chart, charts over all cases
+    by_case : mapping of case names to sequences of Chart, charts of each case
+    notes : sequence of str, limitations of this report, in addition to those of any report
+    telling : the chart of the first screen
+    examples : the chart after it, of the small cases
+    ranges : those of the stability study beside this report
+    running : what is still running; empty of a finished report
+    opened : name of the case that is open at first; the first one by default
     """
     first, second = items("first", [telling] if telling else []), items("second", [examples] if examples else [])
     shared = items("all", overview)
@@ -357,27 +346,17 @@ def render_study(
 ) -> str:
     """Return the HTML page of a study along axes.
 
+    Raises ModuleNotFoundError: one of `NEEDED` is not installed; `missing_packages` says so before.
+
     Parameters
     ----------
-    sections : sequence of Section
-        The parts of the page.
-    tiles : sequence of Tile
-        The numbers at its top.
-    columns : mapping
-        Names and meanings of the columns of the data beside the page.
-    facts : mapping
-        Machine, versions, settings.
-    command : str
-        The command that makes this page again.
-    beside : str
-        The page of a report in the same folder; empty where there is none.
-    ranges : StabilityBars, optional
-        Where each method is right.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        One of `NEEDED` is not installed; `missing_packages` says so before.
+    sections : sequence of Section, the parts of the page
+    tiles : sequence of Tile, the numbers at its top
+    columns : mapping, names and meanings of the columns of the data beside the page
+    facts : mapping, machine, versions, settings
+    command : the command that makes this page again
+    beside : the page of a report in the same folder; empty where there is none
+    ranges : where each method is right
     """
     views = tuple(_study_views(sections))
     return fill_template(

@@ -38,8 +38,7 @@ def died_of(code: int | None) -> str:
 
     Parameters
     ----------
-    code : int, optional
-        Its exit code: the negative number of a signal on POSIX.
+    code : its exit code: the negative number of a signal on POSIX
 
     Examples
     --------
@@ -149,13 +148,10 @@ class Children:
 
         Parameters
         ----------
-        function : callable
-            Of a module that can be imported.
+        function : callable, of a module that can be imported
         arguments : tuple
-        time_limit : float
-            Seconds until the process is killed.
-        environment : mapping
-            Environment variables of the process, where it has to be started.
+        time_limit : seconds until the process is killed
+        environment : mapping, environment variables of the process, where it has to be started
         """
         with self._lock:
             if self._closed:

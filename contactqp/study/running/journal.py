@@ -67,18 +67,12 @@ class Cell:
 
     Parameters
     ----------
-    key : str
-        Its name, the same in every run and different from all others: "bar_wall/osqp/raw/tolerance=1e-06".
-    function : callable
-        A function of a module, so that another process finds it by its name.
-    arguments : tuple
-        Its arguments; they are pickled.
-    result : type
-        The type that it returns: a dataclass of plain data, see `encode`.
-    digest : str
-        Digest of what the arguments stand for; a result that was kept under another one is not used.
-    cost : float
-        Its expected time relative to the other cells.
+    key : str, its name, the same in every run and different from all others: "bar_wall/osqp/raw/tolerance=1e-06"
+    function : callable, a function of a module, so that another process finds it by its name
+    arguments : tuple, its arguments; they are pickled
+    result : type, the type that it returns: a dataclass of plain data, see `encode`
+    digest : str, digest of what the arguments stand for; a result that was kept under another one is not used
+    cost : float, its expected time relative to the other cells
     """
 
     key: str
@@ -120,10 +114,7 @@ def encode(value: Any) -> Any:
     Frozen dataclasses become mappings, arrays and bytes base64, tuples lists, fractions text. Fields annotated as Any
     must be plain data.
 
-    Raises
-    ------
-    TypeError
-        The value holds something else.
+    Raises TypeError: the value holds something else.
     """
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: encode(getattr(value, field.name)) for field in fields(value)}
@@ -149,10 +140,7 @@ def encode(value: Any) -> Any:
 def decode(data: Any, kind: Any) -> Any:
     """Return the value of a type that `encode` made these data of.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        The data are not of that type.
+    Raises KeyError, TypeError, ValueError: the data are not of that type.
     """
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
@@ -243,19 +231,13 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 class Journal:
     """The results of one study in one file, which no other process writes while this is open.
 
+    Raises SceneError: the file cannot be written, or another process is writing it.
+
     Parameters
     ----------
-    file : path
-        The file, which is made if need be; its folder exists.
-    conditions : mapping
-        Versions, machine and settings under which results are the same.
-    fresh : bool
-        Discard the results in it.
-
-    Raises
-    ------
-    SceneError
-        The file cannot be written, or another process is writing it.
+    file : path, the file, which is made if need be; its folder exists
+    conditions : mapping, versions, machine and settings under which results are the same
+    fresh : bool, discard the results in it
     """
 
     def __init__(self, file: Path, conditions: Mapping[str, Any], fresh: bool = False) -> None:

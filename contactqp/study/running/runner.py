@@ -131,12 +131,9 @@ class Lines:
 
         Parameters
         ----------
-        what : str
-            What is being done.
-        done, total : int
-            How many of how many.
-        left : str
-            How long the rest may take, in words; may be empty.
+        what : what is being done
+        done, total : how many of how many
+        left : how long the rest may take, in words; may be empty
         """
         if time.monotonic() - self._last < LINES:
             return
@@ -246,22 +243,16 @@ def run_cells(
     died of another cell, or of a signal that was sent to all. A cell that dies again has crashed, as has one that
     raises an exception other than an error of contactqp, and one that takes too long.
 
+    Raises ContactQPError: a cell raised it: the case is wrong.
+
     Parameters
     ----------
     cells : sequence of Cell
     pool : Pool
         The executor: ``with Processes(2).side_by_side() as pool``, or ``alone()`` for timings.
-    journal : Journal, optional
-        Keeps each result as soon as it is there.
-    watcher : Watcher, optional
-        Follows the progress.
-    time_limit : float
-        Limit for each cell [s]; cells that run in this process cannot be stopped.
-
-    Raises
-    ------
-    ContactQPError
-        A cell raised it: the case is wrong.
+    journal : keeps each result as soon as it is there
+    watcher : follows the progress
+    time_limit : limit for each cell [s]; cells that run in this process cannot be stopped
     """
     refuse_twins(cells)
     watcher = watcher or Progress(nothing)
@@ -331,12 +322,9 @@ class Running:
         Processes side by side; all cores by default, 0 for none but this process.
     dask : str, optional
         Address of a Dask scheduler, whose workers take the place of processes here.
-    fresh : bool
-        Discard the results of an interrupted study.
-    time_limit : float
-        Seconds after which one cell is stopped.
-    shown : bool
-        Show progress on stderr.
+    fresh : bool, discard the results of an interrupted study
+    time_limit : float, seconds after which one cell is stopped
+    shown : bool, show progress on stderr
     """
 
     jobs: int | None = None

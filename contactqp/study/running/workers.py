@@ -142,12 +142,8 @@ def cluster(address: str) -> Iterator[Cluster]:
 
     Its workers must have this very version of contactqp, and see the mesh files of the cases under the same names.
 
-    Raises
-    ------
-    BackendMissing
-        distributed is not installed.
-    InvalidProblem
-        No scheduler answers, it has no workers, or they have another contactqp.
+    Raises BackendMissing: distributed is not installed; InvalidProblem: no scheduler answers, it has no workers, or
+    they have another contactqp.
     """
     if importlib.util.find_spec("distributed") is None:
         raise BackendMissing(f"--dask needs distributed: {INSTALL}")
@@ -193,10 +189,8 @@ def in_child(
     ----------
     function : callable
     arguments : tuple
-    time_limit : float
-        Seconds until the process is killed.
-    environment : mapping
-        Environment variables of the process, where it has to be started.
+    time_limit : seconds until the process is killed
+    environment : mapping, environment variables of the process, where it has to be started
     """
     with _LOCK:
         children = _CHILDREN[-1]

@@ -49,10 +49,7 @@ def answer_with_closed(problem: ContactProblem, closed: Sequence[int]) -> ExactA
 
     Gaussian elimination in fractions solves it, and the answer is checked against every condition of the problem.
 
-    Raises
-    ------
-    ArithmeticError
-        The system is singular, or these contacts are not those that are closed.
+    Raises ArithmeticError: the system is singular, or these contacts are not those that are closed.
     """
     K, E = exact_rows(problem.stiffness), exact_rows(problem.normal)
     f, g = fractions(problem.load), fractions(problem.gap)
@@ -73,10 +70,7 @@ def answer_with_closed(problem: ContactProblem, closed: Sequence[int]) -> ExactA
 def refuse_wrong(problem: ContactProblem, answer: ExactAnswer) -> None:
     """Raise unless equilibrium, non-penetration, compression, complementarity and Coulomb's law hold with no tolerance.
 
-    Raises
-    ------
-    ArithmeticError
-        What does not hold.
+    Raises ArithmeticError: what does not hold.
     """
     u, force = list(answer.displacement), list(answer.normal_force)
     gap = [g - dot(row, u) for g, row in zip(fractions(problem.gap), exact_rows(problem.normal), strict=True)]
@@ -175,10 +169,7 @@ class AxisProblem:
 def problem_with_closed(problem: ContactProblem, closed: Sequence[int]) -> AxisProblem:
     """Return a frictionless problem with known closed contacts, whose truth is computed in rational numbers.
 
-    Raises
-    ------
-    ArithmeticError
-        These are not the contacts that are closed.
+    Raises ArithmeticError: these are not the contacts that are closed.
     """
     answer = answer_with_closed(problem, closed)
     rows = problem.normal.toarray()[list(closed)]
@@ -190,18 +181,13 @@ def problem_with_answers(
 ) -> AxisProblem:
     """Return a problem whose equilibria are known in closed form, each of which is checked with no tolerance.
 
+    Raises ArithmeticError: one of the answers is no equilibrium.
+
     Parameters
     ----------
     problem : ContactProblem
-    answers : sequence of ExactAnswer
-        All equilibria; empty where none exists.
-    constraint_rows, force_rows : (r, n) arrays
-        The linear system of the first one, see `AxisProblem`.
-
-    Raises
-    ------
-    ArithmeticError
-        One of the answers is no equilibrium.
+    answers : sequence of ExactAnswer, all equilibria; empty where none exists
+    constraint_rows, force_rows : (r, n) arrays, the linear system of the first one, see `AxisProblem`
     """
     for answer in answers:
         refuse_wrong(problem, answer)
@@ -376,10 +362,8 @@ def predict(posed: AxisProblem, method: Method, variant: str, stiffness: float |
     ----------
     posed : AxisProblem
     method : Method
-    variant : str
-        "uzawa" or empty.
-    stiffness : float or None
-        β or κ of a method that has one [force / length].
+    variant : "uzawa" or empty
+    stiffness : float or None, β or κ of a method that has one [force / length]
     """
     return _predict(posed, system_of(method, variant), variant == "" and not method.exact, stiffness or 0.0)
 

@@ -51,10 +51,7 @@ AXES: tuple[Axis, ...] = (
 def find_axis(name: str) -> Axis:
     """Return the axis of that name.
 
-    Raises
-    ------
-    InvalidProblem
-        There is none; the message lists the names.
+    Raises InvalidProblem: there is none; the message lists the names.
     """
     for axis in AXES:
         if axis.name == name:
@@ -249,14 +246,10 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
 
     Parameters
     ----------
-    axis : str
-        Name of the axis.
-    value : float
-        One of its values.
-    method : str
-        Name of the method.
-    variant : str
-        "uzawa" or empty.
+    axis : name of the axis
+    value : one of its values
+    method : name of the method
+    variant : "uzawa" or empty
     """
     swept, [chosen] = find_axis(axis), chosen_methods([method])
     columns = _cell_columns(swept, value, chosen, variant)

@@ -105,12 +105,9 @@ def curve(axis: Axis, name: str, rows: Sequence[StabilityRow], heights: Sequence
     Parameters
     ----------
     axis : Axis
-    name : str
-        The method with its variant.
-    rows : sequence of StabilityRow
-        The points of the curve.
-    heights : sequence of float or None
-        The ordinates of the points.
+    name : the method with its variant
+    rows : sequence of StabilityRow, the points of the curve
+    heights : sequence of float or None, the ordinates of the points
     """
     method, variant = (rows[0].method, rows[0].variant) if rows else (name, "")
     style = method_style(method)

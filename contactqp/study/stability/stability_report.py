@@ -343,28 +343,21 @@ def write_stability(
 
     What is found streams to ``unfinished_stability.jsonl`` there; after an interruption the same call goes on.
 
+    Raises SceneError: the folder cannot be written; Stopped: the study was interrupted by Ctrl-C or SIGTERM; the
+    message says how far it was.
+
     Parameters
     ----------
-    output : path
-        The folder, made if need be.
-    axes : sequence of Axis
-        All by default.
+    output : path, the folder, made if need be
+    axes : sequence of Axis, all by default
     methods : sequence of names, optional
         All by default.
-    running : Running
-        Processes, time limit and display of progress.
+    running : processes, time limit and display of progress
 
     Returns
     -------
     study, files, notes
         What was found; what was written; what was left out, and why.
-
-    Raises
-    ------
-    SceneError
-        The folder cannot be written.
-    Stopped
-        The study was interrupted by Ctrl-C or SIGTERM; the message says how far it was.
     """
     folder = report_folder(output)
     with stopped_by_signals(), workers_of(running) as workers:
@@ -401,13 +394,11 @@ def run_study(
     Parameters
     ----------
     axes : sequence of Axis
-    methods : sequence of names or None
-        None for all.
+    methods : sequence of names or None, none for all
     workers : Workers
     journal : Journal
     bar : Progress
-    time_limit : float
-        Limit for each cell [s], at most `LONGEST_CELL`.
+    time_limit : limit for each cell [s], at most `LONGEST_CELL`
     """
     todo = list(cells(axes, methods))
     bar.part("stability", later=lambda: 0.0)

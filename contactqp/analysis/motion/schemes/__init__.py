@@ -30,10 +30,7 @@ def register(entry: SchemeEntry) -> None:
 def find(name: str) -> SchemeEntry:
     """Return the scheme of that name.
 
-    Raises
-    ------
-    InvalidProblem
-        There is no such scheme; the message lists all names.
+    Raises InvalidProblem: there is no such scheme; the message lists all names.
     """
     if not isinstance(name, str) or name not in SCHEMES:
         raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {shown(name)}")
