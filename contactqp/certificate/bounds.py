@@ -271,14 +271,15 @@ def iterated_bounds(problem: Limits, answer: Forces, iteration: ContactIteration
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
+    """Return the bounds of an answer by its distance to the pair and the pair's own: (2), (3) and (4)."""
     solution = extend(answer.displacement) + pair.to_middle
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     push, changed = pair.force.double(), changes[0].double()
     floats = bool(condensation.rigid.count)
     forces = (pair.force, pair.tie_force) if pair.exact else None
-    stretched = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
-    (energy_scale, uncertain), rigid = stretched, rigid_rounding(problem, condensation.rigid, answer.displacement)
+    strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
+    (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     size = force_size(problem, push)
@@ -308,15 +309,12 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not problem.diagonal.any()
-    relative, shared_part = None, 0.0
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
-    if pair.cleared and problem.near_null_space is None:  # nobody has said what is rigid
-        shared, size_of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
-        shared_part = size_of_shared / (scale or 1.0)
-        error, changed = error + shared_part, abs(changed) + shared
-    force_bound = None if force_bound is None else force_bound + abs(changed)
-    if force_bound is not None and max(largest, scale) > 0:
-        relative = force_bound * own / (largest or max(scale, size))
+    shared, shared_part = _shared_by_rounding(problem, answer, condensation, pair, scale)
+    relative = None
+    if force_bound is not None:
+        force_bound = force_bound + (abs(changed) + shared)
+        relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
     energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
@@ -324,7 +322,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         known,
         energy_scale=energy_scale,
         energy_error=0.0 if nothing_elastic else energy_error,
-        force_error=0.0 if nothing_elastic else error,
+        force_error=0.0 if nothing_elastic else error + shared_part,
         force_scale=scale,
         shared=shared_part,
         largest_force=largest,
@@ -333,6 +331,19 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         solution=solution if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
+
+
+def _shared_by_rounding(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, scale: float
+) -> tuple[Vector | float, float]:
+    """Return the forces (m,) that K's rounding may move between closed contacts, and their part of |l*|_W, `scale`.
+
+    They are zero where motions are stated in `near_null_space`, which are exact.
+    """
+    if not pair.cleared or problem.near_null_space is not None:
+        return 0.0, 0.0
+    shared, size = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
+    return shared, size / (scale or 1.0)
 
 
 def _force_error(
