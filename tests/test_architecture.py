@@ -132,6 +132,31 @@ def test_at_the_top_of_the_package_lie_four_modules() -> None:
     assert {file.stem for file in PACKAGE.glob("*.py")} == {"__init__", "__main__", "errors", "testing"}
 
 
+# A file is a chapter that one reads at once; imports are at its head, functions fit on a page.
+FILES, LINES_OF_A_FILE, LINES_OF_A_FUNCTION, PART_OF_IMPORTS = 330, 500, 60, 0.06
+
+
+def lines_of(node: ast.AST, body: list[ast.stmt]) -> int:
+    """Return the lines of a function's body without its docstring, or of an import statement."""
+    if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+        body = body[1:]
+    first, last = (body[0], body[-1]) if body else (node, node)
+    return int(last.end_lineno - first.lineno + 1) if body or isinstance(node, ast.Import | ast.ImportFrom) else 0
+
+
+def test_files_and_functions_stay_short() -> None:
+    sources = {file.relative_to(PACKAGE): file.read_text("utf-8") for file in PACKAGE.rglob("*.py")}
+    nodes = [(file, node) for file, text in sources.items() for node in ast.walk(ast.parse(text))]
+    functions = [(file, one) for file, one in nodes if isinstance(one, ast.FunctionDef)]
+    imports = sum(lines_of(one, []) for _, one in nodes if isinstance(one, ast.Import | ast.ImportFrom))
+    lines = {file: text.count("\n") for file, text in sources.items()}
+    assert 200 < len(sources) <= FILES
+    assert [str(file) for file, count in lines.items() if count > LINES_OF_A_FILE] == []
+    assert len(functions) > 3000
+    assert [(str(file), one.name) for file, one in functions if lines_of(one, one.body) > LINES_OF_A_FUNCTION] == []
+    assert 0.03 < imports / sum(lines.values()) <= PART_OF_IMPORTS
+
+
 def test_errors_import_nothing_of_the_package() -> None:
     assert imported(PACKAGE / "errors.py", set(files_by_module(PACKAGE))) == set()
 

@@ -33,7 +33,7 @@ from contactqp.certificate.figures import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, plane_states
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -253,7 +253,7 @@ class Standing:
     null: Mask  # (m,) neither gap nor force
 
     @property
-    def undecided(self) -> NDArray[np.intp]:
+    def undecided(self) -> Indices:
         """Return which contacts have a choice, (m,)."""
         return np.flatnonzero(self.null | (self.edge != 0))
 
@@ -403,7 +403,7 @@ def _described(problem: ContactProblem, standing: Standing, answer: CombinationA
     return ", ".join(chosen[:NAMES_IN_A_MESSAGE])
 
 
-def _named(problem: ContactProblem, contacts: NDArray[np.intp]) -> str:
+def _named(problem: ContactProblem, contacts: Indices) -> str:
     names = [problem.contact_name(i) for i in contacts.tolist()]
     more = len(names) - NAMES_IN_A_MESSAGE
     return (", ".join(names[:NAMES_IN_A_MESSAGE]) or "no contact") + (f" and {more} more" if more > 0 else "")

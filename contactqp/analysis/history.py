@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.contact_table import ContactTable, contact_table
 from contactqp.certificate.idle_rows import ActingRows
@@ -25,7 +24,7 @@ from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsuppo
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.refinement import OnSet, answer_on
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
+from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
@@ -164,17 +163,17 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     @property
-    def displacements(self) -> NDArray[np.float64]:
+    def displacements(self) -> Array:
         """Return the displacements (steps, n) [length]."""
         return read_only(np.array([solution.displacement for solution in self]))
 
     @property
-    def normal_forces(self) -> NDArray[np.float64]:
+    def normal_forces(self) -> Array:
         """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([solution.normal_force for solution in self]))
 
     @property
-    def friction_forces(self) -> NDArray[np.float64] | None:
+    def friction_forces(self) -> Array | None:
         """Return the friction forces (steps, m, d-1) [force], or None without tangential rows."""
         if any(solution.friction_force is None for solution in self):
             return None

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.analysis.history import History, LazySolutions, OnAllRows, events_on_all_rows
 from contactqp.analysis.motion.mass_matrix import massless, read_mass, redistributed_mass, touched
@@ -21,7 +21,7 @@ from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.model.solution import Solution
@@ -252,7 +252,7 @@ def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -
     if not callable(load):
         raise InvalidProblem(f"load: expected a function of time, got {shown(load)}")
 
-    def at(instant: float) -> NDArray[np.float64]:
+    def at(instant: float) -> Array:
         return read_vector(f"load at time {instant:g}", load(instant), problem.dimension)
 
     return at
@@ -308,17 +308,17 @@ class _MotionOfAllRows(MotionHistory):
         return self._rows.whole
 
     @property
-    def normal_forces(self) -> NDArray[np.float64]:
+    def normal_forces(self) -> Array:
         """Return the normal forces (steps, m) [force], positive in compression."""
         return np.asarray(self._rows.normal(self._history.normal_forces))
 
     @property
-    def friction_forces(self) -> NDArray[np.float64] | None:
+    def friction_forces(self) -> Array | None:
         """Return the friction forces (steps, m, d-1) [force], or None without friction."""
         force = self._history.friction_forces
         return None if force is None else np.asarray(self._rows.friction(force))
 
     @property
-    def tie_forces(self) -> NDArray[np.float64]:
+    def tie_forces(self) -> Array:
         """Return the tie forces (steps, k) [force]."""
         return np.asarray(self._rows.tie(self._history.tie_forces))

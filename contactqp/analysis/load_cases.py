@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Array, Mask, Vector, computes
+from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
 from contactqp.model.solution import Solution, Work
@@ -73,7 +73,7 @@ class LoadCases:
             return self.problem.load
         return np.asarray(self.loads[[i]].toarray()[0] if sp.issparse(self.loads) else self.loads[i], dtype=float)
 
-    def loaded(self) -> NDArray[np.intp]:
+    def loaded(self) -> Indices:
         """Return the unknowns that any case loads."""
         if self.loads is None:
             return np.flatnonzero(self.problem.load)
@@ -84,7 +84,7 @@ class LoadCases:
             found |= (self.loads[start : start + ROWS] != 0).any(axis=0)
         return np.flatnonzero(found)
 
-    def blocks(self, loaded: NDArray[np.intp]) -> Iterator[tuple[range, Any]]:
+    def blocks(self, loaded: Indices) -> Iterator[tuple[range, Any]]:
         """Yield the numbers of some cases and their loads at these unknowns; one row where all have the same."""
         if self.loads is None:
             yield range(self.count), self.problem.load[None, loaded]
@@ -179,7 +179,7 @@ class Envelope(ReadOnly, Printed):
     """The largest force of each contact over all cases that have an answer, and the case that causes it."""
 
     normal_force: Vector  # (m,), NaN where no case has an answer
-    load: NDArray[np.intp]  # (m,) the number of the case, -1 where none has an answer
+    load: Indices  # (m,) the number of the case, -1 where none has an answer
     names: tuple[str, ...] = field(repr=False)
 
     def __str__(self) -> str:
@@ -202,7 +202,7 @@ class Solutions(ReadOnly, Printed):
 
     problem: ContactProblem = field(repr=False)
     normal_force: Array  # (N, m)
-    friction_force: NDArray[np.float64] | None  # (N, m, d-1), None without tangential rows
+    friction_force: Array | None  # (N, m, d-1), None without tangential rows
     tie_force: Array  # (N, k)
     gap: Array  # (N, m), positive when open
     force_bound: Array  # (N, m) proven errors of the normal forces, NaN where there is none

@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.analysis.load_cases import STATUS, LoadCases, Solutions
 from contactqp.certificate.bounds import REDUNDANT
@@ -49,7 +49,7 @@ from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import METHOD, free_memory, lapack, one_blas_thread, stage, telling
 from contactqp.linalg.sliced import LEFT_OUT, SlicedStiffness
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
+from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
 from contactqp.solving.methods import DEFAULT_METHOD, registered_name
@@ -89,7 +89,7 @@ class ProvenForces:
 class Influence:
     """The influence functions of the contacts and ties of a problem that does not float, at the loaded unknowns."""
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation, loaded: NDArray[np.intp]) -> None:
+    def __init__(self, problem: ContactProblem, condensation: Condensation, loaded: Indices) -> None:
         operator = condensation.delassus
         stiffness = SlicedStiffness(problem.stiffness_rows, condensation.unknown_scale)
         self._scale, self._contacts = operator.row_scale, problem.contacts
@@ -210,7 +210,7 @@ class Influence:
 class _System:
     """W_CC of a set of closed contacts and ties, factorised."""
 
-    def __init__(self, members: NDArray[np.intp], W: Array, factor: Array, of_row: Vector, of_column: Vector) -> None:
+    def __init__(self, members: Indices, W: Array, factor: Array, of_row: Vector, of_column: Vector) -> None:
         self.members, self._W, self._factor = members, W, factor
         self._of_row, self._of_column = of_row, of_column
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.energy_norm import (
     CONTRACTION,
@@ -30,7 +29,7 @@ from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -108,7 +107,7 @@ class AdmissiblePair:
     dual_radius: float  # >= |w - u*|_K
     force: Extended  # (m,) l
     tie_force: Extended  # (k,) nu
-    open_gap: NDArray[np.float64]  # (m,) g - E v
+    open_gap: Array  # (m,) g - E v
     saddle: SaddlePoint  # of the contacts that were closed for v
     exact: bool  # v and l are the solution, to rounding
     cleared: float  # the part of the forces that K's rounding along rigid motions would have made
@@ -159,7 +158,7 @@ def admissible_pair(
 def _holding(
     problem: ContactProblem,
     condensation: Condensation,
-    closed: NDArray[np.intp],
+    closed: Indices,
     corrections: int,
     answer: Answer | None = None,
     left: Residuals | None = None,
@@ -176,7 +175,7 @@ def _holding(
     return on_set if holds else None
 
 
-def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[NDArray[np.intp], ...]:
+def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[Indices, ...]:
     """Return the contacts closed by gap or by force alone, should these disagree; `compliance` (m,) is W_ii."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
@@ -187,7 +186,7 @@ def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) 
     return touching, pushing, acting
 
 
-def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArray[np.intp] | None:
+def _searched_set(problem: ContactProblem, condensation: Condensation) -> Indices | None:
     """Find the closed contacts by a finite method, where corrections of sets cycle; None if bodies float."""
     if condensation.rigid.count:
         return None
@@ -249,9 +248,7 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
     return changed, tie_change + change[len(acting) :]
 
 
-def rows_on_motions(
-    problem: ContactProblem, condensation: Condensation, active: NDArray[np.intp]
-) -> tuple[Array, Vector]:
+def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
     """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
 
     Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
@@ -344,8 +341,8 @@ def _by_retreat(
     condensation: Condensation,
     on_set: OnSet,
     retreat: Vector,
-    closed: NDArray[np.intp],
-    exactly: NDArray[np.bool_],
+    closed: Indices,
+    exactly: Mask,
 ) -> float:
     """Return the smaller of two bounds by a displacement w with E w <= -d, E w = -d on the contacts of `exactly`.
 
@@ -367,7 +364,7 @@ def _by_retreat(
 
 
 def _from_repair(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices
 ) -> AdmissiblePair:
     """Return the pair of v, the candidate with its contacts closed, and l, its forces without tension, balanced."""
     rows = extended_rows(problem)
@@ -401,7 +398,7 @@ def _from_repair(
 
 
 def _close(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices
 ) -> tuple[Extended, SaddlePoint]:
     """Return the displacement nearest in energy that closes a set, which grows by the contacts it penetrates."""
     rows = extended_rows(problem)

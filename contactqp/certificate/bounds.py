@@ -44,7 +44,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair, rows_on_motions
 from contactqp.certificate.energy_norm import (
@@ -79,7 +78,7 @@ from contactqp.linalg.measures import (
     own_forces,
     parts,
 )
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
@@ -168,7 +167,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, operator: C
     return _condensed(problem, answer, left, operator)
 
 
-def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
+def _in_elastic_parts(problem: ContactProblem) -> Mask:
     """Return whether each unknown belongs to a part with stiffness (n,); parts are joined by contacts and ties."""
     stiff = problem.diagonal > 0
     if stiff.all() or not stiff.any():
@@ -177,7 +176,7 @@ def _in_elastic_parts(problem: ContactProblem) -> NDArray[np.bool_]:
     return np.asarray(np.isin(part, part[stiff]))
 
 
-def _apart(problem: ContactProblem, answer: Answer, elastic: NDArray[np.bool_]) -> Bounds:
+def _apart(problem: ContactProblem, answer: Answer, elastic: Mask) -> Bounds:
     """Return the bounds of elastic parts, and those on single contact forces in the other parts.
 
     In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
@@ -213,9 +212,7 @@ def _apart(problem: ContactProblem, answer: Answer, elastic: NDArray[np.bool_]) 
     )
 
 
-def _part(
-    problem: ContactProblem, unknowns: NDArray[np.intp], contacts: NDArray[np.intp], ties: NDArray[np.intp]
-) -> ContactProblem:
+def _part(problem: ContactProblem, unknowns: Indices, contacts: Indices, ties: Indices) -> ContactProblem:
     """Return the problem of these unknowns alone, with the contacts and ties that act there."""
     K = sp.csr_array(problem.stiffness_rows)[unknowns][:, unknowns]
     return ContactProblem(
@@ -423,7 +420,7 @@ def _force_bound(
 
 
 def _out_of_balance(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: NDArray[np.intp]
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: Indices
 ) -> Vector:
     """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import (
@@ -36,7 +36,7 @@ from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.sliced import plain_residuals
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
@@ -85,14 +85,11 @@ def compute_certificate(
     normal_force : (m,) array [force], positive in compression
     friction_force : (m, d-1) or flat array [force], needed where the problem has tangential rows and friction
     tie_force : (k,) array [force], needed where the problem has ties
-    tolerance : float
-        Largest figure that passes.
-    error_tolerance : float
-        Largest bound on the relative error that passes.
+    tolerance : largest figure that passes
+    error_tolerance : largest bound on the relative error that passes
     factorization : Condensation, optional
         Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
-    prove_friction : bool
-        Whether bounds are looked for with friction, too, which costs about a tenth of a solve.
+    prove_friction : whether bounds are looked for with friction, too, which costs about a tenth of a solve
 
     Raises
     ------
@@ -131,8 +128,7 @@ def certificate_of(
     Parameters
     ----------
     problem : ContactProblem
-    answer : Answer
-        Displacement, forces of contacts, friction and ties.
+    answer : displacement, forces of contacts, friction and ties
     tolerance, error_tolerance, factorization, prove_friction
         As in `compute_certificate`.
     """
@@ -163,8 +159,8 @@ class _Measured:
     known: Bounds
     errors: tuple[str, ...]  # what is said of the bounds on the whole answer
     fails_force_bound: bool
-    grazing: NDArray[np.bool_]
-    dependent: tuple[tuple[int, NDArray[np.intp]], ...]
+    grazing: Mask
+    dependent: tuple[tuple[int, Indices], ...]
     others: Uniqueness
     state: StateVerdict
 
@@ -241,7 +237,7 @@ def _measured(
         any(failed_errors(known, error_tolerance, nothing)) or fails_force_bound(known, error_tolerance, nothing)
     ):
         known = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
-    dependent: tuple[tuple[int, NDArray[np.intp]], ...] = ()
+    dependent: tuple[tuple[int, Indices], ...] = ()
     if condensation is not None and problem.ties > 1:
         dependent = dependent_ties(problem, condensation)
     elif known.redundant and problem.ties > 1:
@@ -323,7 +319,7 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
         yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
 
 
-def _notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
+def _notes(problem: ContactProblem, grazing: Mask, known: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate besides its verdict."""
     notes: list[str] = []
     if grazing.any():
@@ -357,7 +353,7 @@ def _residuals_and_bounds(
     answer: Answer,
     systems: Systems,
     factorization: Condensation | None,
-    candidates: NDArray[np.intp] | None,
+    candidates: Indices | None,
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
     """Return residuals, bounds, the rigid motions of the bodies and their condensation.
 
@@ -399,7 +395,7 @@ def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
     return 0 < motions <= MOTIONS_OF_A_BODY * len(np.unique(bodies(problem)[stiff]))
 
 
-def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
+def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> Mask:
     """Return the contacts whose gap and force both vanish (m,).
 
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
@@ -454,14 +450,10 @@ def not_finite(
 
     Parameters
     ----------
-    frictional : bool
-        Whether the problem has friction.
-    failures : list of str
-        Messages of what is not finite.
-    tolerance, error_tolerance : float
-        As in `compute_certificate`.
-    reason : str
-        Why there are no bounds.
+    frictional : whether the problem has friction
+    failures : list of str, messages of what is not finite
+    tolerance, error_tolerance : as in `compute_certificate`
+    reason : why there are no bounds
     """
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(

@@ -21,10 +21,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing, Violations
@@ -34,13 +33,13 @@ from contactqp.model.solution import Answer, Nothing, Violations
 class ContactEntries:
     """The entries of the w rows of every contact, at every unknown that one of them touches."""
 
-    contact: NDArray[np.intp]  # (z,)
-    unknown: NDArray[np.intp]  # (z,)
-    values: NDArray[np.float64]  # (w, z)
+    contact: Indices  # (z,)
+    unknown: Indices  # (z,)
+    values: Array  # (w, z)
     contacts: int
     last: list[Any] = field(default_factory=list)  # forces that met, and `tangential_force` of them
 
-    def over(self, meeting: Vector) -> NDArray[np.float64]:
+    def over(self, meeting: Vector) -> Array:
         """Return E_ij / F_j (w, z); where no force meets, an entry counts as much as the contact's largest."""
         F = meeting[self.unknown]
         scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
@@ -50,21 +49,21 @@ class ContactEntries:
             scaled = np.where(F > 0, scaled, idle)
         return scaled
 
-    def meets(self, meeting: Vector) -> NDArray[np.bool_]:
+    def meets(self, meeting: Vector) -> Mask:
         """Return whether any force meets at an unknown of each contact (m,)."""
         return self.sums((meeting[self.unknown] > 0).astype(float)) > 0
 
-    def largest(self, values: NDArray[np.float64]) -> Vector:
+    def largest(self, values: Array) -> Vector:
         """Return the largest absolute value of (w, z) at each contact (m,)."""
         found = np.zeros(self.contacts)
         np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
         return found
 
-    def sums(self, values: NDArray[np.float64]) -> Vector:
+    def sums(self, values: Array) -> Vector:
         """Return the sum of values (z,) at each contact (m,)."""
         return np.asarray(np.bincount(self.contact, weights=values, minlength=self.contacts), dtype=float)
 
-    def forces(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def forces(self, force: Array) -> Array:
         """Return E_i'v (z,) of one vector v for each contact, (m, w)."""
         return np.asarray(np.sum(self.values * force.T[:, self.contact], axis=0))
 
@@ -92,7 +91,7 @@ def entries_of(rows: Any, contacts: int) -> ContactEntries:
 WEAK = 1e-16
 
 
-def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
+def hardly_felt(normal: Vector, tangent: Array) -> Mask:
     """Return which contacts have a tangential row that is rounding beside the normal one, or zero (m,).
 
     `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; rows on
@@ -101,7 +100,7 @@ def hardly_felt(normal: Vector, tangent: Array) -> NDArray[np.bool_]:
     return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
 
 
-def slips_that_are_nothing(none: Nothing, hardly: NDArray[np.bool_]) -> Nothing:
+def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
     """Return `none` with the length of the normal row in place of the slip's where a contact is `hardly` felt (m,)."""
     if not hardly.any():
         return none
@@ -137,7 +136,7 @@ class Felt:
         return vector_measure(self.entries, force, self.meeting, self.nothing)
 
 
-def friction_measure(across: Felt, along: Felt, hardly: NDArray[np.bool_]) -> Callable[[Array], Vector]:
+def friction_measure(across: Felt, along: Felt, hardly: Mask) -> Callable[[Array], Vector]:
     """Return the function that measures tangential forces (m, d-1) by the forces that meet at their unknowns, (m,).
 
     Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
@@ -168,9 +167,7 @@ class CoulombData:
     measure: Callable[[Array], Vector]  # `friction_measure`
 
 
-def coulomb_data(
-    problem: ContactProblem, answer: Answer, F: Vector, none: Vector, hardly: NDArray[np.bool_]
-) -> CoulombData | None:
+def coulomb_data(problem: ContactProblem, answer: Answer, F: Vector, none: Vector, hardly: Mask) -> CoulombData | None:
     """Return the data that judge Coulomb's law, None without tangential rows.
 
     Parameters
@@ -274,7 +271,7 @@ def law_residual(
     answer: Any,
     found: Violations,
     sliding: tuple[Vectors, Vector],
-    unit: tuple[Vector, Vector, NDArray[np.bool_]],
+    unit: tuple[Vector, Vector, Mask],
     nothing: Vector,
 ) -> Vector:
     """Return `coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
@@ -315,7 +312,7 @@ def least_force(entries: ContactEntries, none: Vector) -> Vector:
     return reciprocal(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
 
 
-def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, Mask]:
     """Return an upper bound of the |l_T| whose measure is one (m,), and whether the unknowns feel all its directions.
 
     It follows from max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a
@@ -325,11 +322,11 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     if last is None or last[0] is not meeting:
         last = meeting, _tangential_force(entries, meeting)
         entries.last[:] = [last]  # as one, whoever else asks meanwhile
-    found: tuple[Vector, NDArray[np.bool_]] = last[1]
+    found: tuple[Vector, Mask] = last[1]
     return found
 
 
-def _tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+def _tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, Mask]:
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
     unit = reciprocal(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, counted
@@ -25,7 +24,7 @@ from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import ratio
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, computes, own_floating_point
+from contactqp.model.arrays import Array, Indices, Mask, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -60,7 +59,7 @@ class CriticalFriction(ReadOnly):
     examined: str  # how that was found out
 
     @property
-    def above(self) -> NDArray[np.intp]:
+    def above(self) -> Indices:
         """Contacts whose coefficient is at least their own critical one, for which some load has several answers."""
         return read_only(np.flatnonzero(self.ratio >= 1.0))
 
@@ -258,7 +257,7 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
     return matrices.reshape(len(status), 2 * m, 2 * m)
 
 
-def regular(matrices: Array) -> NDArray[np.bool_]:
+def regular(matrices: Array) -> Mask:
     """Return which of the matrices (c, q, q) have a determinant that exceeds the rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)

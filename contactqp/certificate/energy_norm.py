@@ -72,10 +72,8 @@ def energy_norms(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem, with its rigid motions.
-    displacement : Extended (n,)
-        v.
+    condensation : that of the problem, with its rigid motions
+    displacement : Extended (n,), v
     counted : two floats, optional
         `energy_norm` of v, where it has been formed already.
     """
@@ -100,12 +98,9 @@ def force_norm(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    force : Extended (m,)
-        d, of any sign.
-    tied : bool
-        Whether the ties hold.
+    condensation : that of the problem
+    force : Extended (m,), d, of any sign
+    tied : whether the ties hold
     tie_force : Extended (k,), optional
         Forces of ties that act beside d, on untied bodies; none by default.
     """
@@ -135,11 +130,9 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
+    condensation : that of the problem
     load : Extended (n,)
-    tied : bool
-        Whether the ties hold, at the value zero.
+    tied : whether the ties hold, at the value zero
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
@@ -260,12 +253,9 @@ def strain_of(
     Parameters
     ----------
     problem : ContactProblem
-    solution : Extended (n,)
-        The displacement.
-    condensation : Condensation
-        That of the problem.
-    forces : Extended (m,) and Extended (k,), or None
-        Those of contacts and ties, if they are known.
+    solution : Extended (n,), the displacement
+    condensation : that of the problem
+    forces : Extended (m,) and Extended (k,), or None, those of contacts and ties, if they are known
     """
     norm, uncertain = energy_norm(problem, solution)
     if forces is None or uncertain <= FEW_DIGITS * norm:
@@ -284,14 +274,10 @@ def free_distance(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    saddle : SaddlePoint
-        The factorised system of the closed contacts, which leaves the motions free.
-    apart : Extended (n,)
-        The distance.
-    energy_scale : float
-        |u*|_K of the solution.
+    condensation : that of the problem
+    saddle : the factorised system of the closed contacts, which leaves the motions free
+    apart : Extended (n,), the distance
+    energy_scale : |u*|_K of the solution
     """
     motions = free_motions(condensation, saddle)
     if not motions.shape[1]:
@@ -319,12 +305,9 @@ def shared_by_rounding(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    saddle : SaddlePoint
-        The factorised system of the closed contacts.
-    displacement : (n,) array [length]
-        Whose rigid part makes the forces.
+    condensation : that of the problem
+    saddle : the factorised system of the closed contacts
+    displacement : (n,) array [length], whose rigid part makes the forces
     """
     forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
     spread = problem.diagonal[:, None] * motions

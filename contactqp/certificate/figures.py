@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import (
     CoulombData,
@@ -52,7 +51,7 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.linalg.sliced import plain_residuals
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations
 
@@ -143,7 +142,7 @@ class Resultants:
         """Return whether the rounding of K hides a resultant that is notable; `forces` (p,) are the sums of |w_j|."""
         return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
 
-    def seen(self, forces: Vector) -> NDArray[np.bool_]:
+    def seen(self, forces: Vector) -> Mask:
         """Return along which motions forces act by more than the rounding of K."""
         return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
 
@@ -166,12 +165,9 @@ def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Res
     ----------
     values : (r,) array, descending
         Singular values of w (n, r): the motions of each unknown, times the forces that meet there.
-    right : (r, r) array
-        Right singular vectors of w, a row each.
-    work : (r,) array
-        The work of the residual on each motion.
-    stray : (r,) array
-        How uncertain that work is.
+    right : (r, r) array, right singular vectors of w, a row each
+    work : (r,) array, the work of the residual on each motion
+    stray : (r,) array, how uncertain that work is
     """
     kept = values > SAME_MOTION * values[0]
     weight = right[kept] / values[kept, None]
@@ -235,12 +231,9 @@ def violations(
     ----------
     problem : ContactProblem
     answer : Answer
-    left : Residuals
-        Those of the answer.
-    rounding : float
-        The fraction of the intrinsic size that counts as none.
-    rigid : RigidMotions, optional
-        The null space of K; none where no body floats.
+    left : those of the answer
+    rounding : the fraction of the intrinsic size that counts as none
+    rigid : the null space of K; none where no body floats
     """
     elastic, size, F = _kept(problem, answer, "sizes", partial(_meeting, problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
@@ -291,9 +284,7 @@ def _kept(
     return found
 
 
-def _forces_that_count(
-    problem: ContactProblem, acting: Vector, meeting: Vector, hidden: NDArray[np.bool_], size: Vector
-) -> Vector:
+def _forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, hidden: Mask, size: Vector) -> Vector:
     """Return the forces F (n,) by which residuals are measured where some of those that meet hide the load [force].
 
     Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
@@ -304,12 +295,9 @@ def _forces_that_count(
     Parameters
     ----------
     problem : ContactProblem
-    acting, meeting : (n,) arrays
-        |f| + |K||u|, and the same with the forces of contacts and ties [force].
-    hidden : (n,) array of bool
-        Where the second hides the first.
-    size : (n,) array
-        The intrinsic size [square root of energy].
+    acting, meeting : (n,) arrays, |f| + |K||u|, and the same with the forces of contacts and ties [force]
+    hidden : (n,) array of bool, where the second hides the first
+    size : (n,) array, the intrinsic size [square root of energy]
     """
     D, part = scale_through_rows(problem), parts(problem)
     shown = np.bincount(part, weights=(acting > 0) & ~hidden)[part] > 0
@@ -404,11 +392,9 @@ def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answ
     Parameters
     ----------
     problem : ContactProblem
-    rigid : RigidMotions
-        The null space of K.
+    rigid : the null space of K
     answer : Answer
-    tolerance : float
-        Largest figure that passes.
+    tolerance : largest figure that passes
     """
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")
@@ -428,7 +414,7 @@ def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     return status_words(certificate, problem.friction, grazing)
 
 
-def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
+def status_words(certificate: Certificate, friction: Vector | None, grazing: Mask) -> Any:
     """Return the words of `contact_status` for the contacts of a certificate's violations."""
     found = certificate.violations
     if found is None:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import contact_entries, vector_measure
 from contactqp.certificate.energy_norm import energy_norm, response
@@ -27,7 +26,7 @@ from contactqp.linalg.extended import extend
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
 from contactqp.linalg.measures import force_measure, forces_that_meet
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Nothing, Violations
 
@@ -55,8 +54,8 @@ class ActingRows:
     """The contacts and ties whose rows are not zero, and the problem with these alone."""
 
     whole: ContactProblem
-    contacts: NDArray[np.intp]
-    ties: NDArray[np.intp]
+    contacts: Indices
+    ties: Indices
     problem: ContactProblem
 
     @property
@@ -314,11 +313,11 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
     return ActingRows(problem, contacts, ties, acting)
 
 
-def _others(count: int, members: NDArray[np.intp]) -> NDArray[np.intp]:
+def _others(count: int, members: Indices) -> Indices:
     return np.setdiff1d(np.arange(count), members)
 
 
-def _spread(count: int, members: NDArray[np.intp], values: Any, others: Vector | None = None) -> Any:
+def _spread(count: int, members: Indices, values: Any, others: Vector | None = None) -> Any:
     everywhere = np.zeros((*np.shape(values)[:-1], count)) if others is None else np.array(others, dtype=float)
     everywhere[..., members] = values
     return everywhere
@@ -342,7 +341,7 @@ NO_PART = 1e-9
 VERIFIED, MOST_VERIFIED = 1e-10, 100
 
 
-def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, Indices], ...]:
     """Return the ties that depend on others, and on which; they are found once for the rows of a problem.
 
     They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
@@ -355,11 +354,11 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
         shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
         taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
         problem._computed.dependent_ties = tuple(zip(others.tolist(), taking_part, strict=True))
-    found: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
+    found: tuple[tuple[int, Indices], ...] = problem._computed.dependent_ties
     return found
 
 
-def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, Indices], ...]:
     """Return `dependent_ties` where ties are many, by sparse factors of their Gram matrix; at most MOST_VERIFIED."""
     if problem._computed.dependent_ties is None:
         length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
@@ -372,5 +371,5 @@ def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, NDArray[n
             if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
                 found.append((i, np.flatnonzero(abs(share) > NO_PART)))
         problem._computed.dependent_ties = tuple(found)
-    known: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
+    known: tuple[tuple[int, Indices], ...] = problem._computed.dependent_ties
     return known

@@ -29,7 +29,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
@@ -37,7 +37,7 @@ from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBL
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, directions, lengths, natural_map
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -50,9 +50,7 @@ ROUNDING = 1e-9
 _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
 
 
-def _local_uniqueness(
-    problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array
-) -> Uniqueness:
+def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Uniqueness:
     """Say whether the forces are the only ones; `along` (m, d) are the force directions of contacts that slip."""
     if not problem.contacts or not np.any(problem.friction > 0):
         return Uniqueness()
@@ -96,7 +94,7 @@ def _reason(problem: LocalProblem, known: CriticalFriction) -> str:
     return f"are not excluded ({LARGEST_RATIO}: {known.contraction:.3g})"
 
 
-def _dependent(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array) -> bool:
+def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> bool:
     d, columns = problem.dimension, list[Vector]()
     for i in np.flatnonzero(closed).tolist():
         own = np.eye(d) if stuck[i] else along[i : i + 1]
@@ -236,9 +234,7 @@ def _scaled(error: Any, *scales: Any) -> float:
     return size / scale if scale > LEAST_GLOBAL_SCALE else size
 
 
-def _local(
-    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
-) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+def _local(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, float, Array]:
     """Return r, |n| and u of the local form."""
     r = _shaped("force", force, (problem.contacts, problem.dimension))
     velocity = velocity_of(problem, r, _joints(problem, joint_force))
@@ -249,7 +245,7 @@ def _joints(problem: LocalProblem, joint_force: ArrayLike | None) -> Vector:
     return _shaped("joint_force", [] if joint_force is None else joint_force, (problem.joints,))
 
 
-def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = read_array(name, value)
     if array.shape not in (shape, (int(np.prod(shape)),)):
         raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
@@ -310,7 +306,7 @@ def certify_local(
     )
 
 
-def _status(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array) -> Status:
+def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Status:
     """Return the states (m,) of contacts; in the plane the sign of the slip, against which they push."""
     slides = np.where(along[:, 1] > 0, SLIP_BACK, SLIP_ON) if problem.dimension == 2 else SLIP_ON
     sliding = np.where(problem.friction > 0, slides, SLIP_ON)
@@ -360,7 +356,7 @@ def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayL
     return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
 
 
-def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> float:
+def scaled_natural_map(problem: LocalProblem, force: Array, joint_force: Vector) -> float:
     """Return the largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
     Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own
@@ -374,7 +370,7 @@ def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_
     return float(np.max(lengths(residual / size), initial=0.0))
 
 
-def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
+def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:
     """Return the velocities that meet, |W||r| + |V||l| + |q| (d m,)."""
     pushed = abs(problem.delassus) @ abs(force).ravel()
     if problem.joints:
@@ -382,7 +378,7 @@ def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vec
     return np.asarray(pushed + abs(problem.offset))
 
 
-def _size(problem: LocalProblem, met: NDArray[np.float64]) -> float:
+def _size(problem: LocalProblem, met: Array) -> float:
     """Return the largest scaled velocity: of the problem's `drive`, and of the response to the forces."""
     answers = np.maximum(met - abs(problem.offset).reshape(met.shape), 0.0) * problem.contact_scale[:, None]
     return max(problem.drive, float(np.max(answers, initial=0.0)))
@@ -391,7 +387,7 @@ def _size(problem: LocalProblem, met: NDArray[np.float64]) -> float:
 class _Measured:
     """Every figure for every contact or joint."""
 
-    def __init__(self, problem: LocalProblem, r: NDArray[np.float64], joint: Vector) -> None:
+    def __init__(self, problem: LocalProblem, r: Array, joint: Vector) -> None:
         self._problem = problem
         shape = (problem.contacts, problem.dimension)
         u = velocity_of(problem, r, joint)
@@ -431,7 +427,7 @@ class _Measured:
         heard = own > NOTHING * any_own
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
-    def state(self, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
+    def state(self, tolerance: float) -> tuple[Mask, Mask, Array]:
         """Return which contacts are closed and which stick, (m,) each, and along what the slipping ones push (m, d)."""
         closed = (self.push > tolerance) | (self.gap <= tolerance)
         stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
@@ -450,7 +446,7 @@ def _part(size: Vector, whole: Vector) -> Vector:
     return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
-def _own_blocks(problem: LocalProblem) -> NDArray[np.float64]:
+def _own_blocks(problem: LocalProblem) -> Array:
     """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
     entries, d = problem.delassus.tocoo(), problem.dimension
     kind = np.minimum(entries.row % d, 1)
@@ -460,7 +456,7 @@ def _own_blocks(problem: LocalProblem) -> NDArray[np.float64]:
     return largest
 
 
-def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[NDArray[np.float64], Vector]:
+def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, Vector]:
     shape = (problem.contacts, problem.dimension)
     r = read_array("force", force)
     joint = read_array("joint_force", [] if joint_force is None else joint_force)

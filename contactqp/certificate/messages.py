@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, Answer, Violations
 
@@ -40,7 +39,7 @@ def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
             yield of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))
 
 
-def of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+def of_part(problem: Named, name: str, values: Array, i: int) -> str:
     """Return the message that entry i of a part of an answer is not finite.
 
     Parameters
@@ -55,7 +54,7 @@ def of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> s
     return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
-def of_absurd_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+def of_absurd_part(problem: Named, name: str, values: Array, i: int) -> str:
     """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause.
 
     Parameters
@@ -198,7 +197,7 @@ def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
     )
 
 
-def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]) -> tuple[str, ...]:
+def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, Indices]]) -> tuple[str, ...]:
     """Return a message for each dependent tie: `dependent` has its number and those of the ties it depends on."""
     said = []
     for i, others in dependent[:MOST_NAMED]:

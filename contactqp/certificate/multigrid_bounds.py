@@ -33,10 +33,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Vector
 
 # Refinement that contracts less than this proves nothing, as in `energy_norm`.
 CONTRACTION = 0.5
@@ -244,9 +243,7 @@ def _repaired(
     return v - u, open_gap, float(rounding)
 
 
-def _closed_onto(
-    iteration: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector
-) -> tuple[Vector, Vector]:
+def _closed_onto(iteration: ContactIteration, rows: Indices, limit: Vector, u: Vector) -> tuple[Vector, Vector]:
     """Return u moved onto the limits of some rows, and the gaps of all rows there."""
     held = iteration.held(rows, limit[rows])
     v = u.copy()

@@ -232,10 +232,8 @@ def _with_friction_held(
 
     Parameters
     ----------
-    tolerance, nothing : float
-        The largest relative error that passes; the error that counts as none [square root of energy].
-    reason : str
-        Why there is no combination to compare with.
+    tolerance, nothing : the largest relative error that passes; the error that counts as none [square root of energy]
+    reason : why there is no combination to compare with
     """
     if problem.tangent is None or answer.friction_force is None:
         return figures_alone(reason)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
 from contactqp.certificate.figures import violations
@@ -23,7 +22,7 @@ from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -39,7 +38,7 @@ WIDENINGS = 5
 TOO_WIDE = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
 
 
-def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
+def first_candidates(problem: ContactProblem) -> Indices | None:
     """Return the contacts nearest to closing in energy, or those of the last load; None where all are few enough."""
     if not contacts_are_many(problem):
         return None
@@ -51,13 +50,13 @@ def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
     return np.sort(np.argsort(nearness, kind="stable")[:count])
 
 
-def candidates_around(problem: ContactProblem, closed: NDArray[np.intp]) -> NDArray[np.intp]:
+def candidates_around(problem: ContactProblem, closed: Indices) -> Indices:
     """Return the closed contacts, or the nearest ones, with their neighbours and the candidates of before."""
     closed = closed if closed.size else _nearest(problem)
     return _with_former(problem, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION)))
 
 
-def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+def believed_candidates(problem: ContactProblem, answer: Answer) -> Indices:
     """Return the contacts that an answer closes, or the nearest ones, and the candidates of before."""
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
@@ -65,17 +64,17 @@ def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.i
     return _with_former(problem, closed if closed.size else _nearest(problem))
 
 
-def _with_former(problem: ContactProblem, contacts: NDArray[np.intp]) -> NDArray[np.intp]:
+def _with_former(problem: ContactProblem, contacts: Indices) -> Indices:
     """Return contacts together with those that the problem was condensed onto before."""
     before = contacts if problem._computed.subset is None else problem._computed.subset[0]
     return np.union1d(before, contacts).astype(np.intp)
 
 
-def _nearest(problem: ContactProblem) -> NDArray[np.intp]:
+def _nearest(problem: ContactProblem) -> Indices:
     return np.array([np.argmin(problem.gap)], dtype=np.intp)
 
 
-def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
+def candidates_of(problem: ContactProblem) -> Indices | None:
     """Return the contacts that a solved problem was condensed onto; None where these are all."""
     return None if problem._computed.subset is None else np.asarray(problem._computed.subset[0])
 
@@ -85,14 +84,14 @@ def take_all(problem: ContactProblem) -> None:
     problem._computed.subset, problem._computed.all_contacts[problem.frictional] = None, True
 
 
-def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
+def among(problem: ContactProblem, candidates: Indices) -> ContactProblem:
     """Return the problem with some of its contacts; it is kept with its condensation for the loads that follow."""
     computed = problem._computed
     computed.subset = _with_contacts(problem, candidates, computed.subset)
     return _under_its_load(problem, candidates, computed.subset[1])
 
 
-def _judged_among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
+def _judged_among(problem: ContactProblem, candidates: Indices) -> ContactProblem:
     """Return `among` for a certificate, whose candidates are kept apart from those that are solved."""
     computed = problem._computed
     if computed.subset is not None and np.array_equal(computed.subset[0], candidates):
@@ -101,10 +100,10 @@ def _judged_among(problem: ContactProblem, candidates: NDArray[np.intp]) -> Cont
     return _under_its_load(problem, candidates, computed.judged_subset[1])
 
 
-Subset = tuple[NDArray[np.intp], ContactProblem]  # contacts, and the problem with these alone
+Subset = tuple[Indices, ContactProblem]  # contacts, and the problem with these alone
 
 
-def _with_contacts(problem: ContactProblem, candidates: NDArray[np.intp], before: Subset | None) -> Subset:
+def _with_contacts(problem: ContactProblem, candidates: Indices, before: Subset | None) -> Subset:
     """Return the contacts with the problem that has these alone: the one of before where they are the same."""
     if before is not None and np.array_equal(before[0], candidates):
         return before
@@ -115,7 +114,7 @@ def _with_contacts(problem: ContactProblem, candidates: NDArray[np.intp], before
     return candidates, subset
 
 
-def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subset: ContactProblem) -> ContactProblem:
+def _under_its_load(problem: ContactProblem, candidates: Indices, subset: ContactProblem) -> ContactProblem:
     """Return the subset's problem under the load, gaps and tie values of the whole problem."""
     friction, origin = problem.friction, problem.slip_origin
     coulomb: dict[str, Any] = {}
@@ -132,7 +131,7 @@ def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subse
     )
 
 
-def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, u: Vector) -> NDArray[np.intp] | None:
+def widened(problem: ContactProblem, candidates: Indices, gap: Vector, u: Vector) -> Indices | None:
     """Return the candidates with those that a displacement closes and their neighbours; None where it closes no other.
 
     Parameters
@@ -149,7 +148,7 @@ def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, 
     return np.union1d(candidates, np.union1d(closed, _near(problem, closed, LAYERS))).astype(np.intp)
 
 
-def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int) -> NDArray[np.intp]:
+def _near(problem: ContactProblem, contacts: Indices, layers: int) -> Indices:
     """Return the contacts within so many layers of unknowns around some of them."""
     rows, K = abs(problem.normal), problem.stiffness_rows
     near = np.zeros(problem.dimension, dtype=bool)
@@ -160,7 +159,7 @@ def _near(problem: ContactProblem, contacts: NDArray[np.intp], layers: int) -> N
 
 
 def bounds_among(
-    problem: ContactProblem, answer: Answer, left: Residuals, candidates: NDArray[np.intp]
+    problem: ContactProblem, answer: Answer, left: Residuals, candidates: Indices
 ) -> tuple[Bounds, RigidMotions]:
     """Return the bounds of an answer from the problem with its candidates alone, and the bodies' rigid motions.
 
@@ -192,7 +191,7 @@ def bounds_among(
 
 
 def state_among(
-    problem: ContactProblem, answer: Answer, candidates: NDArray[np.intp], tolerances: tuple[float, float]
+    problem: ContactProblem, answer: Answer, candidates: Indices, tolerances: tuple[float, float]
 ) -> tuple[StateVerdict, RigidMotions]:
     """Return the verdict on a frictional answer by its own combination, in which all other contacts are open.
 
@@ -224,7 +223,7 @@ def state_among(
     return figures_alone(TOO_WIDE), condensation.rigid
 
 
-def _of_all(problem: ContactProblem, candidates: NDArray[np.intp], known: Bounds, gap: Vector) -> Bounds:
+def _of_all(problem: ContactProblem, candidates: Indices, known: Bounds, gap: Vector) -> Bounds:
     """Return the bounds with an entry for every contact."""
     if known.force_bound is None or known.energy_error is None:
         return known

@@ -34,7 +34,7 @@ from contactqp.certificate.critical_friction import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Violations
@@ -136,7 +136,7 @@ class _Systems:
         right[:, 2 * m :] = self._held
         return matrices, right
 
-    def holds(self, status: NDArray[np.int8], y: Array) -> NDArray[np.bool_]:
+    def holds(self, status: NDArray[np.int8], y: Array) -> Mask:
         """Return which solutions (c, q) have the signs of their combination (c, m)."""
         m = len(self.mu)
         force = y[:, : 2 * m].reshape(len(y), m, 2)
@@ -159,7 +159,7 @@ class _Systems:
         asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
         return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
 
-    def _by_state(self, status: NDArray[np.int8]) -> Iterator[NDArray[np.intp]]:
+    def _by_state(self, status: NDArray[np.int8]) -> Iterator[Indices]:
         """Yield the open, the closed and the sticking contacts, and those that slide against friction."""
         for mask in (status == OPEN, status != OPEN, status == STICK, (abs(status) == 1) & (self.mu > 0)):
             yield np.flatnonzero(mask)
@@ -358,7 +358,7 @@ def _forces(problem: ContactProblem, state: _State, condensation: Condensation) 
     return FORCES, f"redundant contacts: forces other than these belong to the same displacement at {names}"
 
 
-def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Condensation) -> NDArray[np.intp]:
+def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Condensation) -> Indices:
     """Return the closed contacts whose forces may change without moving anything."""
     if condensation.tangent is None or problem.friction is None or _never_dependent(problem, condensation):
         return np.zeros(0, dtype=np.intp)

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, ContactQPError
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Index, Indices, Vector
 
 RECIPE = (
     "apt-get install python3-petsc4py python3-mpi4py python3-venv && /usr/bin/python3 -m venv --system-site-packages "
@@ -216,7 +216,7 @@ class Ranks:
         """Return the arrays of all ranks, one after the other; they should be small."""
         return np.concatenate(self.comm.allgather(np.asarray(values)))
 
-    def exchanged(self, destination: NDArray[np.intp], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    def exchanged(self, destination: Indices, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Send row i of each array to rank destination[i]; return the rows received, in the order of their senders."""
         order = np.argsort(destination, kind="stable")
         return self.sent(np.bincount(destination, minlength=self.size), *(np.asarray(array)[order] for array in arrays))

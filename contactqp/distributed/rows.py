@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.ranks import block_type, entries_of_rows, petsc
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Indices, Vector
 
 
 class Rows:
@@ -111,7 +111,7 @@ class StoredBlocks:
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
-    values: NDArray[np.float64]  # (stored, rows of a block, columns of a block)
+    values: Array  # (stored, rows of a block, columns of a block)
     columns: int  # the number of columns of blocks
 
     def rows(self, begin: int, end: int) -> sp.bsr_matrix:
@@ -200,7 +200,7 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
         yield StoredRows(size, first // size, own, _stored(stack, kind, beside, size, len(others)), others)
 
 
-def chosen_rows(matrix: Any, chosen: NDArray[np.intp]) -> sp.csr_matrix:
+def chosen_rows(matrix: Any, chosen: Indices) -> sp.csr_matrix:
     """Return a copy of some rows of this rank, numbered from its first, over the unknowns of all ranks."""
     with stored_rows(matrix) as stored:
         blocks = np.unique(chosen // stored.size)

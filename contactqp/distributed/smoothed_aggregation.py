@@ -301,7 +301,7 @@ def _rows_of_entries(matrix: sp.bsr_matrix) -> NDArray[Any]:
     return np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
 
 
-def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], shape: tuple[int, int]) -> sp.bsr_matrix:
+def _bsr(row: NDArray[Any], column: NDArray[Any], values: Array, shape: tuple[int, int]) -> sp.bsr_matrix:
     """Return blocks at rows and columns of blocks as a matrix; blocks at one place are added."""
     order = np.argsort(row, kind="stable")
     indptr = np.append(0, np.cumsum(np.bincount(row, minlength=shape[0] // values.shape[1])))

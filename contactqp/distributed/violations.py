@@ -7,7 +7,6 @@ to a few dozen roundings, about 1e-14, and a smaller one is only known to be sma
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.coulomb_law import (
     CoulombData,
@@ -39,7 +38,7 @@ from contactqp.linalg.measures import (
     rows_and_limits,
     sizes_of,
 )
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
 
@@ -49,12 +48,9 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
 
     Parameters
     ----------
-    problem : DistributedProblem
-        The problem.
-    answer : Answer
-        The part of this rank.
-    bodies : Bodies
-        The bodies of the problem.
+    problem : the problem
+    answer : the part of this rank
+    bodies : the bodies of the problem
     rounding : float
         The part of the intrinsic size below which forces and lengths are nothing, as in
         `contactqp.certificate.figures.violations`.
@@ -193,7 +189,7 @@ def _tangential_lengths(problem: DistributedProblem, displacement: Vector) -> Ve
 
 
 def _friction_data(
-    problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: NDArray[np.bool_]
+    problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: Mask
 ) -> CoulombData | None:
     """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective.
 

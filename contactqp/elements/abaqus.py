@@ -12,12 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import KINDS, REFERENCES, Block
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index
 
 LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
 MOST_GENERATED = 10**7
@@ -46,7 +45,7 @@ class Cells:
     node_sets : mapping of name to node numbers
     """
 
-    points: NDArray[np.float64]
+    points: Array
     cells: Sequence[tuple[str, Index]]
     groups: Mapping[str, Sequence[Index]] = field(default_factory=dict)
     node_sets: Mapping[str, Index] = field(default_factory=dict)
@@ -132,7 +131,7 @@ def _side(mesh: Mesh, name: str, cells: Sequence[tuple[str, Index]], *, whole: b
     return side
 
 
-def _flat(points: NDArray[np.float64], dimension: int) -> NDArray[np.float64]:
+def _flat(points: Array, dimension: int) -> Array:
     if points.shape[1] == dimension:
         return points
     z = points[:, 2]
@@ -146,7 +145,7 @@ class _Reading:
     """The parts of a file read so far; names are in upper case, as Abaqus does not distinguish."""
 
     labels: list[Index] = field(default_factory=list)
-    points: list[NDArray[np.float64]] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
     elements: list[tuple[str, Index, Index]] = field(default_factory=list)  # kind, labels, labels of the nodes
     node_sets: dict[str, Index] = field(default_factory=dict)
     element_sets: dict[str, Index] = field(default_factory=dict)
@@ -201,7 +200,7 @@ def _option(keyword: str, options: dict[str, str], name: str) -> str:
     return options[name]
 
 
-def _numbers(keyword: str, lines: list[str], kind: type) -> NDArray[np.float64] | Index:
+def _numbers(keyword: str, lines: list[str], kind: type) -> Array | Index:
     words = [word.strip() for line in lines for word in line.rstrip(",").split(",")]
     try:
         return np.array(words, dtype=kind)

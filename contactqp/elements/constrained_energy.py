@@ -15,11 +15,11 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Vector, computes, own_floating_point
+from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_stiffness, read_vector
 from contactqp.model.solution import Certificate, Solution
@@ -361,7 +361,7 @@ def _parts_table(parts: Mapping[str, PartState], units: Units) -> Table:
     return Table(f"{counted('part', len(states))}{few}", columns, tuple(rows[i] for i in shown))
 
 
-def _by_name(names: Iterable[str], values: NDArray[np.float64]) -> dict[str, float]:
+def _by_name(names: Iterable[str], values: Array) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 

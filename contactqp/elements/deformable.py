@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.obstacle import RELATIVE_STEP, Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import paired
@@ -397,7 +397,7 @@ class ContactGroup:
         pairs = zip(self.parts, self._split("anchor", anchor), strict=True)
         return np.concatenate([part.slip_since(displacement, where) for part, where in pairs])
 
-    def positions(self, displacement: Vector) -> NDArray[np.float64]:
+    def positions(self, displacement: Vector) -> Array:
         """Return the positions (m, d) of all geometries."""
         return np.concatenate([part.positions(displacement) for part in self.parts])
 

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.constrained_energy import (
     Condition,
@@ -41,6 +40,7 @@ from contactqp.elements.constrained_energy import (
 )
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
+from contactqp.model.arrays import Array
 from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 
@@ -416,7 +416,7 @@ class Obstacle(ReadOnly):
             raise InvalidProblem(f"{self.name}: expected a lower or an upper bound, got neither")
         object.__setattr__(self, "_conditions", (*below, *above))
 
-    def _side(self, which: str, none: float) -> NDArray[np.float64]:
+    def _side(self, which: str, none: float) -> Array:
         given = getattr(self, which)
         count = len(self.unknowns)
         bounds = read_array(f"{self.name}: {which}", none if given is None else given)

@@ -21,9 +21,9 @@ from contactqp.elements.scalars import Number, Numbers, real_array, square_root,
 from contactqp.elements.solid import Body, Membrane, assemble, pattern
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Vector
 
-Field = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
+Field = ArrayLike | Callable[[Array], ArrayLike]
 
 
 class Load(Protocol):
@@ -209,7 +209,7 @@ class PointLoad:
         return total.ravel()
 
 
-def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
+def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> Index:
     """Return the nodes that a name, a number or numbers stand for, each once.
 
     Raises InvalidProblem: no such set; numbers that are none or out of range.
@@ -309,7 +309,7 @@ def solid_mass(body: Body, lumped: bool = False) -> Any:
     return sp.csc_array(sp.kron(scalar, sp.identity(body.dimension)))
 
 
-def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:
+def _element_masses(body: Body, block: Block) -> Array:
     """Return the integrals of rho N_i N_j over each element, (E, n, n), symmetric to the last digit."""
     geometry, weights = body.integration(block, block.kind.fine_rule)
     weighted = weights[:, :, None] * (body.material.density * geometry.shape)

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.reference_elements import Geometry
 from contactqp.elements.scalars import positive_number, real_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
+from contactqp.model.arrays import Array
 
 Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
 MODELS: tuple[str, ...] = get_args(Model)
@@ -98,7 +98,7 @@ class Material:
         """Return mu = E / (2 (1 + nu)), the shear modulus [force / length^2]."""
         return self.modulus / (2 * (1 + self.poisson))
 
-    def constitutive(self, model: Model) -> NDArray[np.float64]:
+    def constitutive(self, model: Model) -> Array:
         """Return D in sigma = D eps for the strains of the model: (3, 3), (4, 4) or (6, 6) [force / length^2].
 
         >>> Material(modulus=2.0, poisson=0.0).constitutive("plane-stress").tolist()
@@ -106,7 +106,7 @@ class Material:
         """
         return self.stress_matrix(model)[list(STRAINS[model])]
 
-    def stress_matrix(self, model: Model) -> NDArray[np.float64]:
+    def stress_matrix(self, model: Model) -> Array:
         """Return the matrix of all six stresses from the strains of the model, (6, number of strains): D, and
         sigma_zz.
         """
@@ -120,7 +120,7 @@ class Material:
         return matrix
 
 
-def strain_matrix(geometry: Geometry, model: Model) -> NDArray[np.float64]:
+def strain_matrix(geometry: Geometry, model: Model) -> Array:
     """Return B of E elements at q points, unknowns node by node: (E, q, strains, n d) [1/length].
 
     eps_aa = du_a/dx_a, gamma_ab = du_a/dx_b + du_b/dx_a; in axial symmetry also eps_hoop = u_r / r.
@@ -135,7 +135,7 @@ def strain_matrix(geometry: Geometry, model: Model) -> NDArray[np.float64]:
     return B.reshape(E, q, -1, n * d)
 
 
-def strains(geometry: Geometry, model: Model, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+def strains(geometry: Geometry, model: Model, displacement: Array) -> Array:
     """Return B u of E elements at q points from the displacements (E, n, d) of their nodes, without forming B: (E,
     q, strains) [-].
     """
@@ -148,7 +148,7 @@ def strains(geometry: Geometry, model: Model, displacement: NDArray[np.float64])
     return eps
 
 
-def measure(positions: NDArray[np.float64], model: Model, thickness: float) -> NDArray[np.float64]:
+def measure(positions: Array, model: Model, thickness: float) -> Array:
     """Return the factor of an integral over the plane, (E, q): the thickness, 1 in 3D, 2 pi r in axial symmetry.
 
     Axisymmetric forces are thus those of the full circle.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.reference_elements import (
     KINDS,
@@ -25,10 +25,10 @@ from contactqp.elements.reference_elements import (
 from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index
 from contactqp.model.problem_data import ReadOnly, read_only
 
-Points = NDArray[np.float64]
+Points = Array
 # An element whose Jacobian falls below this part of its largest at a checked point is checked at more points.
 UNEVEN = 0.5
 # Points along each direction of such an element, ends included.
@@ -56,7 +56,7 @@ class Mesh(ReadOnly):
         The mesh is no good: see mesh_checks.
     """
 
-    points: NDArray[np.float64]
+    points: Array
     blocks: tuple[Block, ...]
     node_sets: Mapping[str, Index] = field(default_factory=dict)
     sides: Mapping[str, Index] = field(default_factory=dict)
@@ -167,7 +167,7 @@ class Mesh(ReadOnly):
             total += float((at_rule(block, self.points, rule).determinant @ rule.weights).sum())
         return total
 
-    def mapped(self, map_points: Callable[[NDArray[np.float64]], ArrayLike]) -> Mesh:
+    def mapped(self, map_points: Callable[[Array], ArrayLike]) -> Mesh:
         """Return the same mesh with other coordinates, checked again; `map_points` maps (N, d) to (N, d).
 
         >>> from contactqp.elements.shapes import rectangle

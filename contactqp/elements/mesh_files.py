@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.abaqus import Cells, mesh_from_cells, read_abaqus
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import KINDS, REFERENCES, Block, Reference, at_rule
 from contactqp.errors import BackendMissing, InvalidProblem, shown
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +99,9 @@ class Lattice:
 
     patches: Sequence[Patch]
     kind: str
-    position: Callable[[Index], NDArray[np.float64]]
-    sides: Mapping[str, Callable[[Index], NDArray[np.bool_]]]
-    nearest: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    position: Callable[[Index], Array]
+    sides: Mapping[str, Callable[[Index], Mask]]
+    nearest: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         dimension = len(self.patches[0].axes)
@@ -141,7 +140,7 @@ class Lattice:
                 found.append(_cells(piece, codes, self.reference))
         return np.concatenate(found)
 
-    def on_side(self, name: str, codes: Index) -> NDArray[np.bool_]:
+    def on_side(self, name: str, codes: Index) -> Mask:
         """Return which of these nodes lie on a side."""
         return self.sides[name](self.keys(codes))
 
@@ -344,12 +343,12 @@ def _is_flag(values: Any) -> bool:
     return bool(whole and array.any() and np.isin(array, (0, 1)).all())
 
 
-def _unit(kind: Reference) -> NDArray[np.float64]:
+def _unit(kind: Reference) -> Array:
     """Return the nodes with the square and the cube on [0, 1]^d, as scikit-fem has them."""
     return (kind.nodes + 1) / 2 if kind.linear.startswith(("quad", "hex")) else kind.nodes
 
 
-def _match(kind: Reference, points: NDArray[np.float64]) -> list[int]:
+def _match(kind: Reference, points: Array) -> list[int]:
     """Return, for each node of the kind, its place among the points; shorter where a node is not among them."""
     if points.shape[1] != kind.dimension:
         return []

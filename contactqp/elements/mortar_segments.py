@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 import scipy
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.surface import (
@@ -30,7 +29,7 @@ from contactqp.elements.surface import (
     triangle_quadrature,
 )
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array, Index
+from contactqp.model.arrays import Array, Index, Mask
 
 # Facets face each other when their normals are within 60 degrees of opposite: -cos 60.
 FACING = -0.5
@@ -175,7 +174,7 @@ class Integrals:
     gap: Array  # (s, k) int N_i gap dA, gap along n from slave to master, positive when open
     least_gap: Array  # (s,) the smallest gap at a Gauss point [length]
 
-    def only(self, keep: NDArray[np.bool_]) -> Integrals:
+    def only(self, keep: Mask) -> Integrals:
         """Return the integrals over some of the segments."""
         return Integrals(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 

@@ -45,12 +45,12 @@ from typing import Any
 import numpy as np
 import scipy
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import KINDS, FacetKind, Surface, diameters, kind_of, normal_vectors, tangent_vectors
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import ReadOnly
 
 # Per direction: exact for the shape functions on facets with straight edges, 1e-6 or better on curved ones.
@@ -67,7 +67,7 @@ MATCHING = 0.05
 FLAT = 1e-9
 
 
-def tributary_areas(surface: Surface) -> NDArray[np.float64]:
+def tributary_areas(surface: Surface) -> Array:
     """Return a_i, the integral of N_i over the facets, one for each of `surface.nodes`, positive [area].
 
     In 2D the integral is over the thickness, a_i = t integral of N_i ds, so that with t = 1 areas and forces are both
@@ -98,18 +98,18 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
     return areas
 
 
-def nodal_moments(surface: Surface) -> NDArray[np.float64]:
+def nodal_moments(surface: Surface) -> Array:
     """Return int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d): first the nodal forces of a unit pressure
     [area].
     """
     shape, elements = _surface_elements(surface)
     x = np.einsum("qk,pkd->pqd", shape, surface.points[surface.facets])
     functions = np.concatenate([np.ones_like(x[:, :, :1]), x, x[:, :, :1] ** 2], axis=2)
-    moments: NDArray[np.float64] = np.einsum("pq,qk,pqc->pkc", elements, shape, functions, optimize=True)
+    moments: Array = np.einsum("pq,qk,pqc->pkc", elements, shape, functions, optimize=True)
     return moments
 
 
-def node_normals(surface: Surface) -> NDArray[np.float64]:
+def node_normals(surface: Surface) -> Array:
     """Return the unit vectors along the sum of the normals of the facets at each of `surface.nodes`, (nodes, d).
 
     Facets count by their surface element at the node. Where the sum vanishes (both sides of a sheet) it is zero.
@@ -122,14 +122,14 @@ def node_normals(surface: Surface) -> NDArray[np.float64]:
     return total / np.where(length > 0, length, 1.0)
 
 
-def facet_normals(surface: Surface) -> NDArray[np.float64]:
+def facet_normals(surface: Surface) -> Array:
     """Return the outward unit normal of each facet at each of its nodes, (p, k, d)."""
     normals = _normals_at(surface, kind_of(surface).nodes)
-    unit: NDArray[np.float64] = normals / np.linalg.norm(normals, axis=2, keepdims=True)
+    unit: Array = normals / np.linalg.norm(normals, axis=2, keepdims=True)
     return unit
 
 
-def _surface_elements(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _surface_elements(surface: Surface) -> tuple[Array, Array]:
     """Return N_i at the Gauss points, (q, k), and dA of each facet there with its thickness or circle, (p, q)
     [area].
     """
@@ -142,13 +142,13 @@ def _surface_elements(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np
     return shape, elements
 
 
-def _summed(surface: Surface, parts: NDArray[np.float64]) -> NDArray[np.float64]:
+def _summed(surface: Surface, parts: Array) -> Array:
     """Return the parts of facets (p, k) added up at each of `surface.nodes`."""
     total = np.bincount(surface.facets.ravel(), parts.ravel(), minlength=len(surface.points))
     return total[surface.nodes].astype(np.float64)
 
 
-def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals_at(surface: Surface, xi: Array) -> Array:
     """Return the normal vectors of all facets at the reference points, as long as the surface element, (p, q, d)."""
     kind = kind_of(surface)
     positions = surface.points[surface.facets]
@@ -232,7 +232,7 @@ def same_facets(slave: Surface, master: Surface) -> bool:
     return len(np.unique(both, axis=0)) == len(master.facets)
 
 
-def nodes_over(slave: Surface, master: Surface) -> NDArray[np.int64] | None:
+def nodes_over(slave: Surface, master: Surface) -> Index | None:
     """Return the master node that faces each of `slave.nodes`, where each has one: offsets along the side vanish."""
     points, others, normals = slave.points[slave.nodes], master.points[master.nodes], node_normals(slave)
     _, nearest = scipy.spatial.cKDTree(others).query(points)
@@ -345,7 +345,7 @@ def nodal_pressure(
     return NodalPressure(collected[at][:, used], moments[at, 0], near[at][:, used], far[at][:, used])
 
 
-def _handed(part: Vector, mine: NDArray[np.bool_]) -> Vector:
+def _handed(part: Vector, mine: Mask) -> Vector:
     """Return the parts (f, k, c) of a facet's nodes without contact, in equal shares to those that have one, `mine`
     (f, k).
     """
@@ -442,7 +442,7 @@ def _without_axis(surface: Surface, facets: Index, size: int) -> Any:
     return _sparse(np.r_[single, axis], np.r_[single, nearest], np.ones(len(single) + len(axis)), size)
 
 
-def _on_axis(surface: Surface) -> NDArray[np.bool_]:
+def _on_axis(surface: Surface) -> Mask:
     """Return which of `surface.nodes` lie on the axis of a revolved surface."""
     if not surface.revolved:
         return np.zeros(len(surface.nodes), dtype=bool)

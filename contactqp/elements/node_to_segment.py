@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from contactqp.elements.nodal_pressure import (
     faceting_notes,
@@ -41,7 +40,7 @@ from contactqp.elements.surface import (
 )
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Index, own_floating_point
+from contactqp.model.arrays import Array, Index, Mask, own_floating_point
 
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.
 FACING = 1e-6
@@ -72,10 +71,10 @@ class Partners:
     xi: Array  # (p, d-1)
     gap: Array  # (p,) signed distance, positive outside the facets' body [length]
     normal: Array  # (p, d) unit vectors, out of the facets' body
-    beyond: NDArray[np.bool_]  # (p,) the point stands over the end of the surface
+    beyond: Mask  # (p,) the point stands over the end of the surface
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def found(self) -> Mask:
         return self.facet >= 0
 
 
@@ -112,7 +111,7 @@ class _Found:
     j: Index
     foot: Foot
 
-    def only(self, keep: NDArray[np.bool_]) -> _Found:
+    def only(self, keep: Mask) -> _Found:
         foot = Foot(self.foot.xi[keep], self.foot.position[keep], self.foot.distance[keep])
         return _Found(self.i[keep], self.j[keep], foot)
 
@@ -201,7 +200,7 @@ def _over_the_end(
     normals: Array,
     apart: Array,
     flush: Array,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Say whether each point stands outside an edge that belongs to one facet only, (q,)."""
     corners = np.sort(surface.facets[:, kind.edges], axis=2).reshape(-1, kind.edges.shape[1])
     _, inverse, count = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
@@ -279,7 +278,7 @@ def _minimise(
 ) -> Array:
     """Return the minimiser of |x - X(start + s along)| over low <= s <= high, along (a, d-1): its xi, (q, d-1)."""
 
-    def distance(s: Array, which: NDArray[np.int64]) -> Array:
+    def distance(s: Array, which: Index) -> Array:
         return _foot(kind, positions[which], points[which], start + s @ along).distance
 
     everyone = np.arange(len(points))
@@ -425,7 +424,7 @@ def pair_node_to_segment(
     )
 
 
-def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: float | None) -> NDArray[np.float64]:
+def _covered(slave: Surface, master: Surface, paired: Index, reach: float | None) -> Array:
     """Return the part of each slave facet that stands over the master, for facets only some of whose nodes are
     paired.
 
@@ -451,9 +450,9 @@ def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: 
 def _refuse_overlap(
     slave: Surface,
     master: Surface,
-    nodes: NDArray[np.int64],
+    nodes: Index,
     partners: Partners,
-    paired: NDArray[np.int64],
+    paired: Index,
     overlap: float | None,
 ) -> None:
     facet = partners.facet[paired]

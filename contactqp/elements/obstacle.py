@@ -8,12 +8,11 @@ from numbers import Rational
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.scalars import Number, Numbers, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import computes
+from contactqp.model.arrays import Array, computes
 from contactqp.model.problem_data import is_whole
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
@@ -114,7 +113,7 @@ def tangents(normal: Numbers) -> Numbers:
     return np.array([first, [b * z - c * y, c * x - a * z, a * y - b * x]])
 
 
-def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def tangent_frames(normals: Array) -> Array:
     """Return `tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
     p, d = normals.shape
     if d == 1:
@@ -173,12 +172,12 @@ class SignedDistance:
             positive_number("signed distance: step", self.step, "step")
         positive_number("signed distance: tolerance", self.tolerance, "number")
 
-    def distance(self, points: Any) -> NDArray[np.float64]:
+    def distance(self, points: Any) -> Array:
         """Return function(points), (p,) [length]."""
         x = points_near(self, points)
         return _values("function", self.function(x), x, (len(x),))
 
-    def normals(self, points: Any) -> NDArray[np.float64]:
+    def normals(self, points: Any) -> Array:
         """Return gradient / |gradient|, (p, dimension)."""
         x = points_near(self, points)
         if self.gradient is not None:
@@ -193,10 +192,10 @@ class SignedDistance:
                 f"signed distance: at point {i}, {x[i].tolist()}, the gradient has the length {length[i]:.9g}; "
                 f"expected 1 within {self.tolerance:g}: the function is no distance there, or has a kink"
             )
-        normals: NDArray[np.float64] = gradients / length[:, np.newaxis]
+        normals: Array = gradients / length[:, np.newaxis]
         return normals
 
-    def _differences(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _differences(self, x: Array) -> Array:
         h = RELATIVE_STEP * np.abs(x).max(initial=0.0) if self.step is None else float(self.step)
         if h == 0 and len(x):
             raise InvalidProblem(
@@ -206,7 +205,7 @@ class SignedDistance:
         return np.stack(columns, axis=1)
 
 
-def _values(what: str, values: Any, x: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _values(what: str, values: Any, x: Array, shape: tuple[int, ...]) -> Array:
     got = real_array(f"signed distance: {what}", values)
     if got.shape != shape:
         raise InvalidProblem(

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tributary_areas
 from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
@@ -112,13 +112,13 @@ class Pairing(ReadOnly):
     """
 
     normal: Any
-    gap: NDArray[np.float64]
+    gap: Array
     tangent: Any
-    nodes: NDArray[np.int64]
-    points: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    unpaired: NDArray[np.int64]
-    area: NDArray[np.float64] | None = None
+    nodes: Index
+    points: Array
+    direction: Array
+    unpaired: Index
+    area: Array | None = None
     projection: NodalPressure | None = None
     notes: tuple[str, ...] = ()
 
@@ -132,7 +132,7 @@ class Pairing(ReadOnly):
         unknowns = counted("unknown", self.normal.shape[1])
         return f"Pairing({counted('contact', len(self.gap))} on {unknowns}{gaps}{left}{noted})"
 
-    def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
+    def pressure(self, normal_force: ArrayLike) -> Array:
         """Return the contact pressure at each node, positive in compression, (p,) [force / area].
 
         It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), and of a
@@ -147,7 +147,7 @@ class Pairing(ReadOnly):
         pressure = self.per_area(force)
         return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
 
-    def per_area(self, force: ArrayLike) -> NDArray[np.float64]:
+    def per_area(self, force: ArrayLike) -> Array:
         """Return the same projection of one component of nodal forces, of either sign, such as friction, (p,) [force
         / area].
 
@@ -239,7 +239,7 @@ def paired(
 
 def _numbers_of_unknowns(
     unknowns: ArrayLike | None, shape: tuple[int, ...], dimension: int | None
-) -> tuple[NDArray[np.int64], int]:
+) -> tuple[Index, int]:
     """Return the numbers of the points' unknowns in this shape, by default in order, and the count of all unknowns."""
     numbers = np.arange(np.prod(shape)).reshape(shape) if unknowns is None else read_whole("unknowns", unknowns)
     if numbers.shape != shape:
@@ -261,11 +261,11 @@ def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | No
 
 
 def _pair_points(
-    x: NDArray[np.float64],
-    columns: NDArray[np.int64],
+    x: Array,
+    columns: Index,
     obstacle: Obstacle,
     n: int,
-    nodes: NDArray[np.int64],
+    nodes: Index,
 ) -> Pairing:
     outward = real_array("obstacle: normals", obstacle.normals(x))
     contact = np.arange(len(x))
@@ -274,7 +274,7 @@ def _pair_points(
     return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64))
 
 
-def _points(points: ArrayLike, obstacle: Obstacle) -> NDArray[np.float64]:
+def _points(points: ArrayLike, obstacle: Obstacle) -> Array:
     x = points_near(obstacle, points).astype(float)
     if not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers, got {x[~np.isfinite(x)][0]}")
@@ -285,7 +285,7 @@ def _points(points: ArrayLike, obstacle: Obstacle) -> NDArray[np.float64]:
 @own_floating_point
 def pair_scalar(
     points: ArrayLike,
-    obstacle_height: ArrayLike | Callable[[NDArray[np.float64]], Any],
+    obstacle_height: ArrayLike | Callable[[Array], Any],
     *,
     side: Side = "above",
     unknowns: ArrayLike | None = None,

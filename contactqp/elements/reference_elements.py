@@ -23,10 +23,9 @@ from functools import cached_property
 from math import acos, cos, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index, Mask
 from contactqp.model.problem_data import ReadOnly
 
 
@@ -34,8 +33,8 @@ from contactqp.model.problem_data import ReadOnly
 class Quadrature(ReadOnly):
     """Points (q, d) and weights (q,) of a rule: the integral over the reference shape is the sum of w_q f(x_q)."""
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    points: Array
+    weights: Array
 
 
 def gauss(order: int, dimension: int) -> Quadrature:
@@ -139,8 +138,8 @@ class Reference(ReadOnly):
     """
 
     name: str
-    nodes: NDArray[np.float64]
-    exponents: NDArray[np.int64]
+    nodes: Array
+    exponents: Index
     corners: int
     facets: tuple[Nodes, ...]
     facet: str
@@ -153,11 +152,11 @@ class Reference(ReadOnly):
         """Return the dimension d of the element's reference coordinates."""
         return int(self.nodes.shape[1])
 
-    def shape(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shape(self, points: Array) -> Array:
         """Return N_i at the (q, d) points: (q, n) [-]."""
         return self._monomials(points) @ self._coefficients()
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Return dN_i/dxi_a at the (q, d) points: (q, n, d) [-]."""
         columns = []
         for axis in range(self.dimension):
@@ -167,10 +166,10 @@ class Reference(ReadOnly):
             columns.append((_powers(points, lowered) * factor) @ self._coefficients())
         return np.stack(columns, axis=-1)
 
-    def _monomials(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _monomials(self, points: Array) -> Array:
         return _powers(points, self.exponents)
 
-    def _coefficients(self) -> NDArray[np.float64]:
+    def _coefficients(self) -> Array:
         """Return the matrix whose column i holds the coefficients of N_i: multiples of 1/8 for every kind, so
         rounding makes them exact.
         """
@@ -178,8 +177,8 @@ class Reference(ReadOnly):
         return np.asarray(np.round(8 * inverse) / 8, dtype=np.float64)
 
 
-def _powers(points: NDArray[np.float64], exponents: NDArray[np.int64]) -> NDArray[np.float64]:
-    product: NDArray[np.float64] = np.prod(points[:, None, :] ** exponents, axis=2)
+def _powers(points: Array, exponents: Index) -> Array:
+    product: Array = np.prod(points[:, None, :] ** exponents, axis=2)
     return product
 
 
@@ -240,7 +239,7 @@ def _facet(corners: Nodes, place: dict[frozenset[int], int]) -> Nodes:
     return (*corners, *dict.fromkeys(extra))
 
 
-def _exponents(dimension: int, degree: int, simplex: bool, serendipity: bool) -> NDArray[np.int64]:
+def _exponents(dimension: int, degree: int, simplex: bool, serendipity: bool) -> Index:
     def kept(powers: Sequence[int]) -> bool:
         if simplex:
             return sum(powers) <= degree
@@ -281,7 +280,7 @@ class Block(ReadOnly):
     """The elements of one kind: their reference element, and nodes (E, n) of int in its order."""
 
     kind: Reference
-    nodes: NDArray[np.int64]
+    nodes: Index
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -306,21 +305,21 @@ class Geometry:
     """
 
     kind: Reference
-    corners: NDArray[np.float64]
-    points: NDArray[np.float64]
+    corners: Array
+    points: Array
 
     @cached_property
-    def shape(self) -> NDArray[np.float64]:
+    def shape(self) -> Array:
         """Return N_i, (q, n)."""
         return self.kind.shape(self.points)
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """Return x = N_i x_i, (E, q, d) [length]."""
         return np.asarray(np.matmul(self.shape, self.corners))
 
     @cached_property
-    def jacobian(self) -> NDArray[np.float64]:
+    def jacobian(self) -> Array:
         """Return J_ab = dx_a / dxi_b, (E, q, d, dimension of the kind) [length]."""
         gradient = self.kind.gradient(self.points)
         q, n, k = gradient.shape
@@ -328,18 +327,18 @@ class Geometry:
         return np.swapaxes(flat.reshape(len(self.corners), q, k, -1), 2, 3)
 
     @cached_property
-    def determinant(self) -> NDArray[np.float64]:
+    def determinant(self) -> Array:
         """Return det J, (E, q); negative where an element is turned inside out."""
         return np.asarray((self.jacobian[..., 0] * _cofactors(self.jacobian)[..., 0]).sum(axis=-1))
 
     @property
-    def gradient(self) -> NDArray[np.float64]:
+    def gradient(self) -> Array:
         """Return dN_i/dx_a = dN_i/dxi_b (J^-1)_ba, (E, q, n, d) [1/length]."""
         inverse_transposed = _cofactors(self.jacobian) / self.determinant[..., None, None]
         return np.asarray(np.matmul(self.kind.gradient(self.points), np.swapaxes(inverse_transposed, 2, 3)))
 
     @property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Array:
         """Return the normals of facets, as long as the facet is large: n dA = normal dxi, (E, q, d). They point out
         of the body (Surface).
         """
@@ -349,12 +348,12 @@ class Geometry:
         return np.cross(self.jacobian[..., 0], self.jacobian[..., 1])
 
 
-def at_rule(block: Block, points: NDArray[np.float64], rule: Quadrature) -> Geometry:
+def at_rule(block: Block, points: Array, rule: Quadrature) -> Geometry:
     """Return the block's elements at the points of a quadrature rule; `points` are the coordinates of all nodes."""
     return Geometry(block.kind, points[block.nodes], rule.points)
 
 
-def sum_at_nodes(block: Block, values: NDArray[np.float64], nodes: int) -> NDArray[np.float64]:
+def sum_at_nodes(block: Block, values: Array, nodes: int) -> Array:
     """Sum at each of the nodes what the elements (E, n, c) bring to it: (nodes, c)."""
     at = block.nodes.ravel()
     columns = [
@@ -363,7 +362,7 @@ def sum_at_nodes(block: Block, values: NDArray[np.float64], nodes: int) -> NDArr
     return np.stack(columns, axis=1).astype(np.float64)
 
 
-def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cofactors(J: Array) -> Array:
     """Return det(J) J^-T of (..., d, d) matrices, d = 2 or 3, column by column from the other columns."""
     if J.shape[-1] == 2:
         (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
@@ -416,7 +415,7 @@ def find(facets: Index, among: Index) -> Index:
     return place[group[len(among) :]]
 
 
-def groups(keys: Index) -> tuple[Index, NDArray[np.bool_]]:
+def groups(keys: Index) -> tuple[Index, Mask]:
     """Return an order that puts equal rows side by side, and where in it a new row begins."""
     base = int(keys.max(initial=0)) + 1
     if keys.min(initial=0) >= 0 and base ** keys.shape[1] <= np.iinfo(np.int64).max:

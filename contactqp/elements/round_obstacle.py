@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import points_near
 from contactqp.elements.scalars import lengths, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import computes
+from contactqp.model.arrays import Array, computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9
@@ -48,16 +47,16 @@ class _Ball(ABC):
     def _name(self) -> str:
         return type(self).__name__.lower()
 
-    def distance(self, points: Any) -> NDArray[np.float64]:
+    def distance(self, points: Any) -> Array:
         """Return the signed distance of the (p, dimension) points, positive when open, (p,) [length]."""
         return _distance(self._radial(points), float(self.radius), self.inside)
 
-    def normals(self, points: Any) -> NDArray[np.float64]:
+    def normals(self, points: Any) -> Array:
         """Return the unit normals out of the obstacle, (p, dimension); InvalidProblem for a point at the centre."""
         return _normals(self._name, points, self._radial(points), float(self.radius), self.inside)
 
-    def _radial(self, points: Any) -> NDArray[np.float64]:
-        apart: NDArray[np.float64] = points_near(self, points).astype(float) - np.asarray(self.centre, dtype=float)
+    def _radial(self, points: Any) -> Array:
+        apart: Array = points_near(self, points).astype(float) - np.asarray(self.centre, dtype=float)
         return apart
 
 
@@ -135,19 +134,19 @@ class Cylinder:
         """The dimension of space, 2 or 3."""
         return 3
 
-    def distance(self, points: Any) -> NDArray[np.float64]:
+    def distance(self, points: Any) -> Array:
         """Return the signed distance of the (p, 3) points, positive when open, (p,) [length]."""
         return _distance(self._radial(points), float(self.radius), self.inside)
 
-    def normals(self, points: Any) -> NDArray[np.float64]:
+    def normals(self, points: Any) -> Array:
         """Return the unit normals out of the obstacle, (p, 3); InvalidProblem for a point on the axis."""
         return _normals("cylinder", points, self._radial(points), float(self.radius), self.inside)
 
-    def _radial(self, points: Any) -> NDArray[np.float64]:
+    def _radial(self, points: Any) -> Array:
         """Return the vectors from the axis to the points."""
         a = unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
         apart = points_near(self, points).astype(float) - np.asarray(self.point, dtype=float)
-        radial: NDArray[np.float64] = apart - np.outer(apart @ a, a)
+        radial: Array = apart - np.outer(apart @ a, a)
         return radial
 
 
@@ -157,12 +156,12 @@ def _check(name: str, what: str, vector: Any, dimension: int) -> None:
         raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {shown(vector)}")
 
 
-def _distance(radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:
-    outside: NDArray[np.float64] = lengths(radial) - radius
+def _distance(radial: Array, radius: float, inside: bool) -> Array:
+    outside: Array = lengths(radial) - radius
     return -outside if inside else outside
 
 
-def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:
+def _normals(name: str, points: Any, radial: Array, radius: float, inside: bool) -> Array:
     length = lengths(radial)
     central = np.flatnonzero(length <= CENTRE * radius)
     if central.size:
@@ -171,7 +170,7 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
             f"{name}: point {i}, {np.asarray(points)[i].tolist()}, lies at the centre, where every direction is as "
             f"near: expected it at least {CENTRE:g} radii away"
         )
-    normals: NDArray[np.float64] = radial / length[:, np.newaxis]
+    normals: Array = radial / length[:, np.newaxis]
     return -normals if inside else normals
 
 
@@ -221,18 +220,18 @@ class Paraboloid:
         """The dimension of space, 2 or 3."""
         return len(self.apex)
 
-    def distance(self, points: Any) -> NDArray[np.float64]:
+    def distance(self, points: Any) -> Array:
         """Return the gaps of the (p, dimension) points by the chosen measure, positive when open, (p,) [length]."""
         z, radial = self._coordinates(points)
         if self.measure == "axis":
-            along: NDArray[np.float64] = z + self._sign * (radial * (radial / (2 * self.radius))).sum(axis=1)
+            along: Array = z + self._sign * (radial * (radial / (2 * self.radius))).sum(axis=1)
             return along
         foot, normals = self._foot(z, radial)
         apart = np.outer(z, self._along) + radial - foot
-        distances: NDArray[np.float64] = (apart * normals).sum(axis=1)
+        distances: Array = (apart * normals).sum(axis=1)
         return distances
 
-    def normals(self, points: Any) -> NDArray[np.float64]:
+    def normals(self, points: Any) -> Array:
         """Return the unit vectors that the gaps are measured along, (p, dimension).
 
         Raises
@@ -244,7 +243,7 @@ class Paraboloid:
         return np.tile(self._along, (len(z), 1)) if self.measure == "axis" else self._foot(z, radial)[1]
 
     @property
-    def _along(self) -> NDArray[np.float64]:
+    def _along(self) -> Array:
         return unit_vector(np.asarray(self.axis, dtype=float), "paraboloid axis")
 
     @property
@@ -252,15 +251,13 @@ class Paraboloid:
         """Return the sign of the curvature: the surface is z = -sign r^2 / (2 R)."""
         return -1.0 if self.inside else 1.0
 
-    def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _coordinates(self, points: Any) -> tuple[Array, Array]:
         """Return z, (p,), and the vectors from the axis to the points, (p, dimension)."""
         apart = points_near(self, points).astype(float) - np.asarray(self.apex, dtype=float)
         z = apart @ self._along
         return z, apart - np.outer(z, self._along)
 
-    def _foot(
-        self, z: NDArray[np.float64], radial: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _foot(self, z: Array, radial: Array) -> tuple[Array, Array]:
         """Return the nearest points on the surface, from the apex, and the unit normals there.
 
         In units of R the foot at the distance rho from the axis satisfies rho^3 + p rho = q, p = 2 (1 + s z), q = 2 r,
@@ -282,7 +279,7 @@ class Paraboloid:
         return foot, normals / lengths(normals)[:, np.newaxis]
 
 
-def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+def _largest_root(p: Array, q: Array) -> Array:
     """Return the largest root of x^3 + p x = q >= 0, by Newton's method from above, monotone as the cubic is convex.
 
     It is found in units of x itself, in which no power leaves the floats.
@@ -290,7 +287,7 @@ def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.
     size = np.maximum(np.cbrt(q), np.sqrt(np.abs(p)))
     size = np.ldexp(1.0, np.frexp(np.where(size > 0, size, 1.0))[1])
     p, q = p / size / size, q / size / size / size
-    x: NDArray[np.float64] = np.cbrt(q) + np.sqrt(np.maximum(-p, 0.0))
+    x: Array = np.cbrt(q) + np.sqrt(np.maximum(-p, 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         x = np.where(p > 0, np.minimum(x, q / p), x)
     for _ in range(NEWTON_STEPS):

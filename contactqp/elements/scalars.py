@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.problem_data import read_array
 
 
-def real_array(what: str, value: Any) -> NDArray[np.float64]:
+def real_array(what: str, value: Any) -> Array:
     """Return a copy of real numbers as an array of floats; fractions become floats.
 
     Raises
@@ -31,7 +32,7 @@ def real_array(what: str, value: Any) -> NDArray[np.float64]:
     return read_array(what, value)
 
 
-def real_vector(what: str, value: Any, size: int) -> NDArray[np.float64]:
+def real_vector(what: str, value: Any, size: int) -> Array:
     """Return a copy of `size` real numbers, NaN included.
 
     Raises InvalidProblem: another shape, or no real numbers; `what` is what they belong to.
@@ -142,18 +143,18 @@ def unit_vector(vector: Any, what: str) -> Numbers:
     return n
 
 
-def _near_one(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def _near_one(vector: Array) -> Array:
     """Return a vector of floats times the power of two that brings it near one, so that no square leaves the floats."""
     _, power = np.frexp(np.max(np.abs(vector), initial=0.0))
-    scaled: NDArray[np.float64] = np.ldexp(vector, -power)
+    scaled: Array = np.ldexp(vector, -power)
     return scaled
 
 
-def lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def lengths(vectors: Array) -> Array:
     """Return the Euclidean lengths of the rows, whose squares may be beyond the floats.
 
     >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
     ['5e+200', '5e-200']
     """
-    together: NDArray[np.float64] = np.hypot.reduce(vectors, axis=-1)
+    together: Array = np.hypot.reduce(vectors, axis=-1)
     return together

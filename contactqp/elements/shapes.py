@@ -27,13 +27,12 @@ from inspect import signature
 from typing import Any, Literal, ParamSpec, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mesh_files import Lattice, Patch
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index, Mask
 from contactqp.model.problem_data import is_whole
 
 P = ParamSpec("P")
@@ -159,7 +158,7 @@ def box(
             f"shape: expected a crown that stays below the top, of a radius above {least:g}, got {radius:g}"
         )
 
-    def crowned(keys: Index) -> NDArray[np.float64]:
+    def crowned(keys: Index) -> Array:
         x, y, z = lattice.position(keys).T
         return np.column_stack([x, y, z + (x**2 + y**2) / (2 * radius) * (1 - (z - bottom) / height)])
 
@@ -306,7 +305,7 @@ def cylinder(
         **{name: _at(axis, 0) for axis, name in enumerate(("left", "front")) if halves[axis] != "full"},
     }
 
-    def position(keys: Index) -> NDArray[np.float64]:
+    def position(keys: Index) -> Array:
         return np.asarray(center) + np.column_stack([R * grid.position(keys), z[keys[:, 2]]])
 
     return Lattice(grid.patches(), kind, position, sides)
@@ -331,11 +330,11 @@ def _box(
         place = _towards(pair, towards, horizontal=axis < len(names) - 1)
         share = spacing(divisions[axis], grading if place else 1.0, place or "low")
         values.append(corner[axis] + _length("length", lengths[axis]) * share)
-    sides: dict[str, Callable[[Index], NDArray[np.bool_]]] = {}
+    sides: dict[str, Callable[[Index], Mask]] = {}
     for axis, (low, high) in enumerate(names):
         sides |= {low: _at(axis, 0), high: _at(axis, 2 * divisions[axis])}
 
-    def position(keys: Index) -> NDArray[np.float64]:
+    def position(keys: Index) -> Array:
         return np.stack([values[axis][keys[:, axis]] for axis in range(len(names))], axis=1)
 
     patch = Patch([np.arange(2 * n + 1) for n in divisions], range(len(names)))
@@ -354,13 +353,13 @@ def _round(grid: OGrid, radius: float, center: Sequence[float], kind: str, cuts:
     curved = "arc" if axes == 2 else "sphere"
     sides = {curved: _at(grid.layer, 2 * grid.layers), **{name: _at(axis, 0) for name, axis in cuts.items()}}
 
-    def position(keys: Index) -> NDArray[np.float64]:
+    def position(keys: Index) -> Array:
         return np.asarray(center) + R * grid.position(keys)
 
     return Lattice(grid.patches(), kind, position, sides, {"pole": np.array([*center[:-1], center[-1] - R])})
 
 
-def _at(component: int, value: int) -> Callable[[Index], NDArray[np.bool_]]:
+def _at(component: int, value: int) -> Callable[[Index], Mask]:
     return lambda keys: keys[:, component] == value
 
 
@@ -421,7 +420,7 @@ class OGrid:
                     found.append(Patch(directions, places, {axis: end}))
         return found
 
-    def position(self, keys: Index) -> NDArray[np.float64]:
+    def position(self, keys: Index) -> Array:
         """Return round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
 
         With q in [-1, 1]^d the place in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
@@ -437,7 +436,7 @@ class OGrid:
         t = spacing(self.layers, self.grading, "high")[keys[:, self.layer]][:, None]
         return np.asarray((1 - t) * core + t * unit)
 
-    def _core(self, axis: int, keys: Index) -> NDArray[np.float64]:
+    def _core(self, axis: int, keys: Index) -> Array:
         """Return q in [-1, 1] along one axis: graded to -1 along the axis of the pole, to 0 along the others."""
         n = self.core
         if axis < len(self.halves) - 1 or self.halves[axis] == "positive" or self.grading == 1:
@@ -446,7 +445,7 @@ class OGrid:
         return np.asarray(spacing(cells, self.grading, "low")[keys + 2 * n] * (cells // n) - 1)
 
 
-def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]:
+def spacing(cells: int, grading: float, towards: Towards) -> Array:
     """Return ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one
     place.
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.material import STRAINS, Material, Model, measure, strain_matrix, strains
 from contactqp.elements.mesh import Mesh
@@ -38,7 +38,7 @@ from contactqp.elements.scalars import positive_number, real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_vector
 
 # Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
@@ -122,7 +122,7 @@ class Body(ReadOnly):
         where = pattern([block.nodes for block in self.mesh.blocks], len(self.mesh.points))
         return read_only(from_blocks(where, self.node_blocks(self.mesh.blocks, where)))
 
-    def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> NDArray[np.float64]:
+    def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> Array:
         """Return what these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""
         d = self.dimension
         entries = np.empty((d, d, len(where.slots)))
@@ -137,7 +137,7 @@ class Body(ReadOnly):
                 at += pairs
         return blocks_of_nodes(where, entries)
 
-    def element_stiffness(self, block: Block) -> NDArray[np.float64]:
+    def element_stiffness(self, block: Block) -> Array:
         """Return the symmetric element matrices (E, n d, n d) of a block, all at once [force / length].
 
         In space, with the gradients G_ia = dN_i/dx_a of the shape functions, K_ia,jb is the integral of
@@ -148,7 +148,7 @@ class Body(ReadOnly):
         K = form(geometry, weights)
         return np.asarray((K + np.swapaxes(K, 1, 2)) / 2)
 
-    def _by_gradients(self, geometry: Geometry, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _by_gradients(self, geometry: Geometry, weights: Array) -> Array:
         gradient = geometry.gradient
         E, q, n, d = gradient.shape
         gradient = gradient.reshape(E, q, n * d)
@@ -161,7 +161,7 @@ class Body(ReadOnly):
             K[:, :, a, :, a] += of_both
         return np.asarray(K.reshape(E, n * d, n * d))
 
-    def _by_strains(self, geometry: Geometry, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _by_strains(self, geometry: Geometry, weights: Array) -> Array:
         B = strain_matrix(geometry, self.model)
         DB = np.matmul(self.material.constitutive(self.model), B) * weights[..., None, None]
         E, q, strains, columns = B.shape
@@ -174,7 +174,7 @@ class Body(ReadOnly):
         """
         return block.kind.fine_rule if self.model == "axisymmetric" else block.kind.rule
 
-    def integration(self, block: Block, rule: Quadrature) -> tuple[Geometry, NDArray[np.float64]]:
+    def integration(self, block: Block, rule: Quadrature) -> tuple[Geometry, Array]:
         """Return the block's elements at a rule's points, and weights (E, q): an integral over the body sums them
         up.
         """
@@ -198,7 +198,7 @@ class Body(ReadOnly):
         where = f"{self.name}.{name}"
         return Surface(self.mesh.points, facets[0].nodes, unknowns, where, self.thickness, self.model == "axisymmetric")
 
-    def rigid_motions(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    def rigid_motions(self, centre: Array | None = None) -> Array:
         """Return the motions without strain as columns: translations, then rotations about `centre` [length].
 
         By default about the mean of the nodes. (N d, 3) in the plane, (N d, 6) in space, (N d, 1), along the axis, in
@@ -219,8 +219,8 @@ class Body(ReadOnly):
 class PointStress(NamedTuple):
     """The stresses at the quadrature points of one block of elements."""
 
-    positions: NDArray[np.float64]  # (E, q, d) [length]
-    stress: NDArray[np.float64]  # (E, q, 6) [force / length^2]
+    positions: Array  # (E, q, d) [length]
+    stress: Array  # (E, q, 6) [force / length^2]
 
 
 def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStress, ...]:
@@ -236,7 +236,7 @@ def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStre
     return tuple(found)
 
 
-def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
+def stress_at_nodes(body: Body, displacement: ArrayLike) -> Array:
     """Return (N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the
     elements.
 
@@ -246,9 +246,7 @@ def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
     return total / count
 
 
-def stress_sums(
-    body: Body, displacement: ArrayLike, blocks: Sequence[Block]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def stress_sums(body: Body, displacement: ArrayLike, blocks: Sequence[Block]) -> tuple[Array, Array]:
     """Return the stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is
     in.
     """
@@ -263,7 +261,7 @@ def stress_sums(
     return total, count
 
 
-def von_mises(stress: ArrayLike) -> NDArray[np.float64]:
+def von_mises(stress: ArrayLike) -> Array:
     """Return sqrt(1/2 ((xx-yy)^2 + (yy-zz)^2 + (zz-xx)^2) + 3 (xy^2 + yz^2 + zx^2)) of (..., 6) stresses.
 
     >>> von_mises([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]]).tolist()
@@ -274,12 +272,12 @@ def von_mises(stress: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(squares))
 
 
-def _stress(body: Body, block: Block, geometry: Geometry, u: NDArray[np.float64]) -> NDArray[np.float64]:
+def _stress(body: Body, block: Block, geometry: Geometry, u: Array) -> Array:
     strain = strains(geometry, body.model, u.reshape(body.mesh.points.shape)[block.nodes])
     return np.asarray(strain @ body.material.stress_matrix(body.model).T)
 
 
-def _continuation(kind: Reference) -> NDArray[np.float64]:
+def _continuation(kind: Reference) -> Array:
     """Return the field of the linear kind through the sample points, at the nodes, (n, samples); constant for one
     sample.
     """
@@ -290,7 +288,7 @@ def _continuation(kind: Reference) -> NDArray[np.float64]:
     return linear.shape(kind.nodes) @ np.linalg.inv(linear.shape(samples))
 
 
-def _displacement(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
+def _displacement(body: Body, displacement: ArrayLike) -> Array:
     u = real_array(f"{body.name}: displacement", displacement)
     if u.shape != (body.size,):
         raise InvalidProblem(f"{body.name}: expected a displacement of shape ({body.size},), got {u.shape}")
@@ -330,12 +328,12 @@ def pattern(connectivities: Sequence[Index], nodes: int) -> Pattern:
     return Pattern(indptr, column[new], slots)
 
 
-def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
+def assemble(where: Pattern, entries: Array) -> Any:
     """Return the (nodes d, nodes d) CSC matrix of symmetric element matrices; as `blocks_of_nodes`."""
     return from_blocks(where, blocks_of_nodes(where, entries))
 
 
-def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.float64]:
+def blocks_of_nodes(where: Pattern, entries: Array) -> Array:
     """Return the blocks (pairs in the pattern, d, d) of symmetric element matrices, summed up.
 
     Parameters
@@ -357,7 +355,7 @@ def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.
     return blocks
 
 
-def from_blocks(where: Pattern, blocks: NDArray[np.float64]) -> Any:
+def from_blocks(where: Pattern, blocks: Array) -> Any:
     """Return the (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
     size = blocks.shape[1] * (len(where.indptr) - 1)
     # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
@@ -416,7 +414,7 @@ class Membrane:
         return len(self.mesh.points)
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Array:
         """Return the nodes in space, (N, 3) with z = 0 [length]."""
         return np.column_stack([self.mesh.points, np.zeros(self.size)])
 
@@ -433,11 +431,11 @@ class Membrane:
             entries.append(((K + np.swapaxes(K, 1, 2)) / 2).ravel())
         return assemble(where, np.concatenate(entries)[np.newaxis, np.newaxis])
 
-    def rigid_motions(self) -> NDArray[np.float64]:
+    def rigid_motions(self) -> Array:
         """Return the one motion that costs no energy, all nodes alike, (N, 1)."""
         return np.ones((self.size, 1))
 
-    def areas(self) -> NDArray[np.float64]:
+    def areas(self) -> Array:
         """Return the area that belongs to each node, (N,) [length^2].
 
         Raises

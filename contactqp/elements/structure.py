@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.loads import Field, Load, field_values, node_numbers, refuse_on_membrane, solid_mass
 from contactqp.elements.pairing import Pairing
@@ -21,7 +21,7 @@ from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_coefficient
 
@@ -129,7 +129,7 @@ class Structure:
         parts = [solid_mass(self.solid(body.name), lumped) for body in self.bodies]
         return sp.csr_array(sp.block_diag(parts, format="csr"))
 
-    def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
+    def displacements(self, name: str, displacement: ArrayLike) -> Array:
         """Return the (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
         body, first = self.body(name), self.first(name)
         u = real_vector("displacement", displacement, self.size)
@@ -144,7 +144,7 @@ class Structure:
             for axis in body.axes
         )
 
-    def rigid_motions(self) -> NDArray[np.float64]:
+    def rigid_motions(self) -> Array:
         """Return the motions of every body that cost it no energy, side by side in the same columns, (n, q)
         [length].
         """

@@ -12,12 +12,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from contactqp.elements.scalars import positive_number
 from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checks, read_whole
-from contactqp.model.arrays import Array, Index
+from contactqp.model.arrays import Array, Index, Mask
 from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 _LINE = np.array([[-1.0], [1.0]])
@@ -59,9 +58,9 @@ class Surface(ReadOnly):
         Arrays that are none of real or of whole numbers, a thickness that is not positive.
     """
 
-    points: NDArray[np.float64]
-    facets: NDArray[np.int64]
-    unknowns: NDArray[np.int64]
+    points: Array
+    facets: Index
+    unknowns: Index
     name: str = "surface"
     thickness: float = 1.0
     revolved: bool = False
@@ -83,7 +82,7 @@ class Surface(ReadOnly):
         return int(self.points.shape[1])
 
     @property
-    def nodes(self) -> NDArray[np.int64]:
+    def nodes(self) -> Index:
         """Return the nodes of the facets, each once, in ascending order."""
         return read_only(np.unique(self.facets))
 
@@ -106,8 +105,8 @@ class FacetKind:
     name: str
     corners: int
     nodes: Array
-    powers: NDArray[np.int64]
-    edges: NDArray[np.int64]
+    powers: Index
+    edges: Index
 
     @property
     def quadratic(self) -> bool:
@@ -134,7 +133,7 @@ class FacetKind:
         for axis, times in enumerate(order):
             for t in range(times):
                 factor *= self.powers[:, axis] - t
-        remaining: NDArray[np.int64] = np.maximum(self.powers - order, 0)
+        remaining: Index = np.maximum(self.powers - order, 0)
         values = np.tile(factor, (len(xi), 1))
         for axis in range(xi.shape[1]):
             x = xi[:, axis]
@@ -163,10 +162,10 @@ class FacetKind:
         rows = [[self._combined(self._monomials(xi, (a, b))) for b in axes] for a in axes]
         return np.moveaxis(np.array(rows), (0, 1), (2, 3))
 
-    def inside(self, xi: Array, tolerance: float) -> NDArray[np.bool_]:
+    def inside(self, xi: Array, tolerance: float) -> Mask:
         """Say whether the points lie in the reference element, or outside it by at most `tolerance`, (q,)."""
         if self.triangular:
-            within: NDArray[np.bool_] = (xi.min(axis=1) >= -tolerance) & (xi.sum(axis=1) <= 1 + tolerance)
+            within: Mask = (xi.min(axis=1) >= -tolerance) & (xi.sum(axis=1) <= 1 + tolerance)
         else:
             within = np.abs(xi).max(axis=1) <= 1 + tolerance
         return within

@@ -22,7 +22,6 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import counted
 from contactqp.exchange import ansys, calculix_results, own_answers
@@ -43,6 +42,7 @@ from contactqp.exchange.files import (
 from contactqp.exchange.numpy_files import NUMPY, read_npy
 from contactqp.exchange.own_answers import load_json
 from contactqp.exchange.problem_writing import ANSWER_FILE
+from contactqp.model.arrays import Array
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
@@ -82,7 +82,7 @@ def _read(path: Path, problem: LocalProblem, ledger: Ledger) -> tuple[StoredAnsw
     return StoredAnswer(_forces(path, values, problem)), "text" if separator is None else "CSV"
 
 
-def _forces(path: Path, values: Any, problem: LocalProblem, place: str = "force") -> NDArray[np.float64]:
+def _forces(path: Path, values: Any, problem: LocalProblem, place: str = "force") -> Array:
     shape = (problem.contacts, problem.dimension)
     array = _numbers(path, values, place)
     if array.shape not in (shape, (shape[0] * shape[1],)):
@@ -90,7 +90,7 @@ def _forces(path: Path, values: Any, problem: LocalProblem, place: str = "force"
     return array.reshape(shape)
 
 
-def _numbers(path: Path, values: Any, place: str) -> NDArray[np.float64]:
+def _numbers(path: Path, values: Any, place: str) -> Array:
     try:
         raw = np.asarray(values)
         if raw.dtype.kind not in "fiu":
@@ -116,7 +116,7 @@ def _from_json(path: Path, problem: LocalProblem) -> StoredAnswer:
     )
 
 
-def _plain(path: Path, text: str) -> NDArray[np.float64]:
+def _plain(path: Path, text: str) -> Array:
     words = [word for line in text.splitlines() for word in line.partition("#")[0].split()]
     return np.array([_number(path, word, "force") for word in words])
 
@@ -128,7 +128,7 @@ def _number(path: Path, word: str, place: str) -> float:
         raise no_number(path, place, word) from None
 
 
-def _table(path: Path, text: str, separator: str, problem: LocalProblem, ledger: Ledger) -> NDArray[np.float64]:
+def _table(path: Path, text: str, separator: str, problem: LocalProblem, ledger: Ledger) -> Array:
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
     except csv.Error as error:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.files import Ledger, Path, one_line, wrong
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.quadratic_program import answer_of_program
 from contactqp.model.unknown_names import other_spellings
@@ -26,7 +26,7 @@ ALIASES = {
     "contact_pressure": "normal_pressure",
 }
 
-Parts = Mapping[str, NDArray[np.float64]]
+Parts = Mapping[str, Array]
 
 
 class AnswerFile(NamedTuple):
@@ -177,7 +177,7 @@ def _as_called_here(path: Path, place: Mapping[str, int], names: Sequence[str], 
     return found
 
 
-def real_array(path: Path, part: str, values: Any) -> NDArray[np.float64]:
+def real_array(path: Path, part: str, values: Any) -> Array:
     """Return real numbers of one or two dimensions as an array; None becomes NaN."""
     try:
         if isinstance(values, list):
@@ -207,7 +207,7 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def vector(path: Path, part: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def vector(path: Path, part: str, values: Array) -> Array:
     """Return a column or a row as a vector; friction forces in space keep their two columns."""
     if values.ndim == 2 and min(values.shape) > 1:
         if part != "friction_force":

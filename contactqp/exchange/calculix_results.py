@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
 from contactqp.exchange.files import Ledger, Path, read_bytes, text_lines, wrong
+from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import ContactProblem
 
 DISPLACEMENT, FORCE, CONTACT = "displacement", "force", "contact"
@@ -33,10 +33,10 @@ class NodalField:
     kind: str
     components: tuple[str, ...]  # CalculiX's own names: D1, D2, D3; COPEN, ..., CPRESS, ...
     time: float
-    nodes: NDArray[np.int64]  # (N,) as printed
-    values: NDArray[np.float64]  # (N, c)
+    nodes: Index  # (N,) as printed
+    values: Array  # (N, c)
 
-    def component(self, name: str) -> NDArray[np.float64] | None:
+    def component(self, name: str) -> Array | None:
         """Return one component (N,), or None where the field has no such one."""
         return self.values[:, self.components.index(name)] if name in self.components else None
 
@@ -304,7 +304,7 @@ def _integer(path: Path, place: str, word: str) -> int:
 UNKNOWN = re.compile(r"(\d+)\.([1-3xyz])", re.ASCII)
 CONTACT_NAME = re.compile(r"(?:node |contact )?(\d+)(?:\.[1-3xyz])?", re.ASCII)
 AXES = {"1": 0, "2": 1, "3": 2, "x": 0, "y": 1, "z": 2}
-Values = NDArray[np.float64]
+Values = Array
 
 
 def read_frd_answer(path: Path, problem: ContactProblem) -> AnswerFile:

@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader, Path, check_finite, one_line, text_lines, wrong
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Vector
 
-Integers = NDArray[np.int64]
+Integers = Index
 # Floats hold every integer up to here.
 EXACT = 2**53
 
 
-def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> NDArray[np.float64]:
+def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> Array:
     """Return the numbers (rows, columns) of a text in which blanks separate them.
 
     Raises InvalidProblem: no number at all, a word that is none, a line of another length.

@@ -39,6 +39,7 @@ from contactqp.exchange.files import (
 )
 from contactqp.exchange.local_form import body_motion, local_form_of
 from contactqp.model.arguments import checked
+from contactqp.model.arrays import Array, Index
 from contactqp.model.local_problem import GlobalProblem, LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
@@ -113,20 +114,20 @@ class Hdf5File:
             raise wrong(self.path, name, "one integer", f"{len(values)}")
         return int(values[0])
 
-    def integers(self, name: str) -> NDArray[np.int64]:
+    def integers(self, name: str) -> Index:
         values = self._values(name)
         if values.dtype.kind not in "iu" or values.ndim > 1:
             raise wrong(self.path, name, "a list of integers", f"{values.dtype} of shape {values.shape}")
         return values.reshape(-1).astype(np.int64)
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
+    def numbers(self, name: str) -> Array:
         """Return a list of numbers of any length, finite or not."""
         values = self._values(name)
         if values.dtype.kind not in "fiu" or values.ndim > 1:
             raise wrong(self.path, name, "a list of numbers", f"{values.dtype} of shape {values.shape}")
         return values.reshape(-1).astype(float)
 
-    def vector(self, name: str, size: int, why: str, *, finite: bool = True) -> NDArray[np.float64]:
+    def vector(self, name: str, size: int, why: str, *, finite: bool = True) -> Array:
         """Return numbers of a dataset.
 
         Parameters
@@ -191,10 +192,10 @@ ROLLING, ROLLING_LOCAL = "fclib_global_rolling", "fclib_local_rolling"
 class StoredAnswer:
     """Forces and velocities as a file holds them. They may be wrong: judge them by `contactqp.certify_local`."""
 
-    force: NDArray[np.float64]  # (m, d) r, on the body, in the order (N, T1, T2)
-    joint_force: NDArray[np.float64] | None = None  # (p,) l
-    velocity: NDArray[np.float64] | None = None  # (m, d) u
-    motion: NDArray[np.float64] | None = None  # (n,) v, in the global form
+    force: Array  # (m, d) r, on the body, in the order (N, T1, T2)
+    joint_force: Array | None = None  # (p,) l
+    velocity: Array | None = None  # (m, d) u
+    motion: Array | None = None  # (n,) v, in the global form
 
     @property
     def finite(self) -> bool:
@@ -286,7 +287,7 @@ def _dimension(file: Hdf5File, form: str) -> int:
     return check_dimension(file.path, f"{form}/spacedim", file.integer(f"{form}/spacedim"))
 
 
-def _friction(file: Hdf5File, form: str) -> NDArray[np.float64]:
+def _friction(file: Hdf5File, form: str) -> Array:
     place = f"{form}/vectors/mu"
     friction = file.numbers(place)
     friction = file.vector(place, len(friction), "")
@@ -423,7 +424,7 @@ def write_fclib(
     write_whole(file, write)
 
 
-def _local_data(problem: LocalProblem) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+def _local_data(problem: LocalProblem) -> tuple[dict[str, Array], dict[str, Any]]:
     vectors = {"q": problem.offset, "mu": problem.friction}
     matrices = {"W": problem.delassus}
     if problem.joints:
@@ -432,7 +433,7 @@ def _local_data(problem: LocalProblem) -> tuple[dict[str, NDArray[np.float64]], 
     return vectors, matrices
 
 
-def _global_data(problem: GlobalProblem) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+def _global_data(problem: GlobalProblem) -> tuple[dict[str, Array], dict[str, Any]]:
     vectors = {"f": problem.load, "w": problem.offset, "mu": problem.friction}
     matrices = {"M": problem.matrix, "H": problem.directions}
     if len(problem.joint_offset):
@@ -441,9 +442,7 @@ def _global_data(problem: GlobalProblem) -> tuple[dict[str, NDArray[np.float64]]
     return vectors, matrices
 
 
-def _answer_data(
-    problem: LocalProblem | GlobalProblem, solution: LocalSolution | Solution
-) -> dict[str, NDArray[np.float64]]:
+def _answer_data(problem: LocalProblem | GlobalProblem, solution: LocalSolution | Solution) -> dict[str, Array]:
     """Return v, u, r and l, as FCLIB names them, of a solution that belongs to this problem."""
     if isinstance(solution, LocalSolution):
         r, u, joint, v = solution.force, solution.velocity, solution.joint_force, None
@@ -478,7 +477,7 @@ def _put_matrix(group: Any, matrix: StoredMatrix) -> None:
     group.create_dataset("x", data=np.asarray(matrix.x, dtype=np.float64))
 
 
-def _put_vectors(group: Any, vectors: dict[str, NDArray[np.float64]]) -> None:
+def _put_vectors(group: Any, vectors: dict[str, Array]) -> None:
     for name, values in vectors.items():
         group.create_dataset(name, data=np.asarray(values, dtype=np.float64))
 

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, shown
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Vector
 
 Path = str | os.PathLike[str]
 
@@ -61,13 +61,13 @@ def check_dimension(path: Path, place: str, dimension: int) -> int:
     return dimension
 
 
-def check_finite(path: Path, place: str, values: NDArray[np.float64]) -> None:
+def check_finite(path: Path, place: str, values: Array) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise wrong(path, place, "finite numbers", f"{values[bad[0]]} at [{bad[0]}]")
 
 
-def check_friction(path: Path, place: str, friction: NDArray[np.float64]) -> None:
+def check_friction(path: Path, place: str, friction: Array) -> None:
     if np.any(friction < 0):
         worst = int(np.argmin(friction))
         raise wrong(path, place, "coefficients of friction >= 0", f"{friction[worst]:.6g} at contact {worst}")
@@ -324,7 +324,7 @@ COLUMNS, ROWS = -1, -2
 MARKS: dict[str, int] = {"csc": COLUMNS, "csr": ROWS}
 LARGEST_INT = int(np.iinfo(np.int32).max)
 
-Integers = NDArray[np.int64]
+Integers = Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +337,7 @@ class StoredMatrix:
     nz: int
     p: Integers
     i: Integers
-    x: NDArray[np.float64]
+    x: Array
 
 
 def matrix_of(stored: StoredMatrix, path: Path, place: str) -> Any:

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
@@ -82,7 +81,7 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
     )
 
 
-def body_motion(problem: GlobalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
+def body_motion(problem: GlobalProblem, force: Array, joint_force: Vector) -> Vector:
     """Return the velocities v = M^-1 (H r + f + G l) (n,) of the bodies.
 
     Raises InvalidProblem: M is singular.
@@ -113,7 +112,7 @@ class _Inverse:
         if not reciprocal > SINGULAR:
             raise self._singular(reciprocal)
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Array) -> Array:
         """Return M^-1 right, (n,) or (n, q)."""
         if not self._size:
             return np.zeros_like(right)

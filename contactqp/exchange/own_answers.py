@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange import matrix_files, numpy_files, text_matrices
@@ -41,6 +40,7 @@ from contactqp.exchange.files import HEAD, Ledger, Path, is_number, one_line, re
 from contactqp.exchange.numpy_files import NUMPY, ZIP
 from contactqp.exchange.tables import Table, begins_with, is_table, read_tables
 from contactqp.exchange.text_matrices import is_matrix_market
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.unknown_names import axis_called
 
@@ -143,7 +143,7 @@ JSON_READER = AnswerReader(JSON, (".json",), read_json_answer, known=is_json_ans
 
 TABLE = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")
-Held = dict[str, NDArray[np.float64]]
+Held = dict[str, Array]
 # Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...; reactions of
 # supports, and coefficients, are none.
 LIKE_FORCES = re.compile(
@@ -261,7 +261,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if of_program is not None:
         return of_program
     ledger = Ledger(str(path))
-    parts: dict[str, NDArray[np.float64]] = {}
+    parts: dict[str, Array] = {}
     for name, values in arrays.items():
         part = part_called(name)
         if part is None:
@@ -329,7 +329,7 @@ def _dense(path: Path, matrix: Any) -> Any:
 def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return the files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
     ledger, named, tie_names = Ledger(str(path)), frozenset[str](), None
-    parts: dict[str, NDArray[np.float64]] = {}
+    parts: dict[str, Array] = {}
     for file in sorted(FilePath(path).iterdir()):
         part = part_called(file.stem)
         if part is None or file.is_dir():

@@ -22,6 +22,7 @@ from contactqp.exchange.files import (
     wrong,
 )
 from contactqp.model.arguments import checked
+from contactqp.model.arrays import Array, Index
 from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
@@ -80,11 +81,11 @@ class Words:
             raise wrong(self.path, what, "a size", value)
         return value
 
-    def integers(self, count: int, what: str) -> NDArray[np.int64]:
+    def integers(self, count: int, what: str) -> Index:
         first = self._next
         return as_integers(self, self.words(count, what), what, first)
 
-    def numbers(self, count: int, what: str) -> NDArray[np.float64]:
+    def numbers(self, count: int, what: str) -> Array:
         """Return the next numbers (count,), which must be finite."""
         first = self._next
         return as_numbers(self, self.words(count, what), what, first)
@@ -115,7 +116,7 @@ class Words:
         return 0
 
 
-def as_integers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.int64]:
+def as_integers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> Index:
     """Return words as integers.
 
     Parameters
@@ -132,7 +133,7 @@ def as_integers(words: Words, taken: list[str], what: str, first: int, step: int
         raise words.unexpected(what, "an integer", first + bad * step) from None
 
 
-def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.float64]:
+def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> Array:
     """Return words as finite numbers.
 
     Parameters
@@ -221,7 +222,7 @@ def _read_blocks(words: Words, name: str, size: tuple[int, int]) -> Any:
     return _placed_blocks(words, name, size, ends, row, column)
 
 
-def _ends(words: Words, what: str, count: int, size: int) -> NDArray[np.int64]:
+def _ends(words: Words, what: str, count: int, size: int) -> Index:
     """Return the ends (count + 1,) of blocks, the first of which is zero."""
     last = words.integers(count, what)
     ends = np.concatenate([[0], last])
@@ -234,9 +235,9 @@ def _placed_blocks(
     words: Words,
     name: str,
     size: tuple[int, int],
-    ends: tuple[NDArray[np.int64], NDArray[np.int64]],
+    ends: tuple[Index, Index],
     row: NDArray[Any],
-    column: NDArray[np.int64],
+    column: Index,
 ) -> Any:
     rows, columns, values = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
     for place, (i, j) in enumerate(zip(row, column, strict=True)):
@@ -296,7 +297,7 @@ def _dump_header(words: Words, name: str, size: tuple[int, int]) -> int:
     return count
 
 
-Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+Entries = tuple[Index, Index, Array]
 
 
 def _dumped_triplets(words: Words, name: str, count: int) -> Entries:

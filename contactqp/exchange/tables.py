@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import counted
 from contactqp.exchange.files import HEAD, Ledger, Path, no_number, number, read_bytes, read_text, wrong
+from contactqp.model.arrays import Array
 from contactqp.model.unknown_names import plain_name
 
 EXPECTED = "a table with named columns"
@@ -205,7 +205,7 @@ def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[
     return parts, names
 
 
-def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np.float64]:
+def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> Array:
     """Return the load (n,), zero at unknowns that the table does not name; raises as `read_contact_rows`."""
     table = _table(path, "dof", ("load",), ())
     places = [unknowns.place(table, line, name) for line, name in zip(table.lines, table.column("dof"), strict=True)]

@@ -32,7 +32,6 @@ from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.files import (
@@ -53,7 +52,7 @@ from contactqp.exchange.files import (
     say_sums,
     wrong,
 )
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Vector
 
 BANNER = b"%%MatrixMarket"
 MATRIX_MARKET_NAME = "Matrix Market"
@@ -135,7 +134,7 @@ def _sizes(path: Path, size: int, form: str, symmetry: str, line: bytes) -> Head
     return Head(form, symmetry, rows, columns, entries)
 
 
-def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
+def _numbers(path: Path, file: BinaryIO, count: int) -> Array:
     """Return the numbers that follow, which must be this many."""
     found = array("d")
     while block := file.read(BLOCK):
@@ -153,7 +152,7 @@ def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
     return np.array(found)
 
 
-def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_array:
+def _coordinates(path: Path, head: Head, values: Array) -> sp.csr_array:
     row, column, x = values.reshape(-1, 3).T
     for what, index, most in (("row", row, head.rows), ("column", column, head.columns)):
         bad = np.flatnonzero(~((index >= 1) & (index <= most) & (index == np.floor(index))))
@@ -169,7 +168,7 @@ def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_
     return sp.csr_array(sp.coo_array((x, (i, j)), shape=(head.rows, head.columns)))
 
 
-def _different(head: Head, values: NDArray[np.float64]) -> int:
+def _different(head: Head, values: Array) -> int:
     """Return how many places of the matrix are in the list."""
     row, column = values.reshape(-1, 3)[:, :2].astype(np.int64).T
     order = np.lexsort((column, row))
@@ -177,7 +176,7 @@ def _different(head: Head, values: NDArray[np.float64]) -> int:
     return int(np.count_nonzero((np.diff(row) != 0) | (np.diff(column) != 0))) + (head.entries > 0)
 
 
-def _array(head: Head, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _array(head: Head, values: Array) -> Array:
     if head.symmetry == "general":
         return values.reshape((head.rows, head.columns), order="F")
     dense = np.zeros((head.rows, head.columns))
@@ -221,7 +220,7 @@ def read_text_matrix(path: Path) -> MatrixFile:
         values.extend(_numbers_of_line(path, line, words))
     if not width:
         raise wrong(path, "content", EXPECTED, "no number")
-    matrix: NDArray[np.float64] = np.frombuffer(values, dtype=float).reshape(-1, width)
+    matrix: Array = np.frombuffer(values, dtype=float).reshape(-1, width)
     ledger.read.append(f"{TEXT_NAME}: {matrix.shape[0]} by {width}")
     labels = None
     if header is not None:
@@ -417,7 +416,7 @@ def _fields(path: Path, lines: list[str], first: int, header: Header, part: int,
     return found
 
 
-def _integers(path: Path, lines: list[str], first: int, header: Header, part: int, count: int) -> NDArray[np.int64]:
+def _integers(path: Path, lines: list[str], first: int, header: Header, part: int, count: int) -> Index:
     form = _format(path, header.formats[part], "i")
     fields = _fields(path, lines, first, header, part, form, count)
     try:

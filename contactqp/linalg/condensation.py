@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.convexity import refuse_indefinite
@@ -40,7 +39,7 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import LARGE, Elimination, LastBlock, NestedBlock, eliminate
-from contactqp.model.arrays import TINY, Array, Vector
+from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 from contactqp.model.solution import Candidate
@@ -113,7 +112,7 @@ class Condensation:
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
-    def _precaution(self, touched: NDArray[np.intp]) -> NDArray[np.intp]:
+    def _precaution(self, touched: Indices) -> Indices:
         """Return unknowns that hold every body should it float, where that costs next to nothing; else none."""
         if FAR_APART * connected_parts(self._sparse)[0] > max(FEW_MORE, PART_MORE * len(touched)):
             return touched[:0]
@@ -121,14 +120,14 @@ class Condensation:
         beside = np.setdiff1d(apart, touched)
         return beside if len(beside) <= max(FEW_MORE, PART_MORE * len(touched)) else touched[:0]
 
-    def _eliminate_if_regular(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
+    def _eliminate_if_regular(self, retained: Indices, of_stiffness: Array) -> None:
         """Eliminate the interior unknowns; where their block is singular some far apart are retained as well."""
         try:
             self._eliminate(retained, of_stiffness, singular=self._sparse.shape[0] <= SMALL)
         except NotPositive:
             self._eliminate(np.union1d(retained, unknowns_far_apart(self._sparse)), of_stiffness)
 
-    def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array, singular: bool = True) -> None:
+    def _eliminate(self, retained: Indices, of_stiffness: Array, singular: bool = True) -> None:
         self._reduced: tuple[Vector, Vector, Vector] | None = None
         self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
         nested = self._nested(retained)
@@ -142,7 +141,7 @@ class Condensation:
         self.scale = self._scale(of_stiffness)
         vars(self).pop("schur_factor", None)
 
-    def _nested(self, retained: NDArray[np.intp]) -> NestedBlock | None:
+    def _nested(self, retained: Indices) -> NestedBlock | None:
         """Return the elimination that starts from a wider condensation, where that retains all of these unknowns."""
         wider, self._wider = self._wider, None
         if wider is None or not np.all(np.isin(retained, wider.retained)):
@@ -171,7 +170,7 @@ class Condensation:
             return True
         return self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, self.lost_digits)
 
-    def _find_rigid_motions(self, problem: ContactProblem, touched: NDArray[np.intp]) -> None:
+    def _find_rigid_motions(self, problem: ContactProblem, touched: Indices) -> None:
         """Find the rigid motions; where the interior floats some nodes far apart are retained, so that S has them all.
 
         If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
@@ -200,7 +199,7 @@ class Condensation:
         return DenseCholesky(anchored, np.ones(len(anchored))).smallest_pivot >= max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     @cached_property
-    def bodies(self) -> NDArray[np.intp]:
+    def bodies(self) -> Indices:
         """The number of the body, a connected part of K, that each retained unknown belongs to (p,)."""
         return np.asarray(connected_parts(self._sparse)[1][self.retained])
 
@@ -291,13 +290,10 @@ class Condensation:
 
         Parameters
         ----------
-        saddle : SaddlePoint
-            That of the condensed system with q closed contacts.
+        saddle : that of the condensed system with q closed contacts
         residual : (n,) array [force]
-        gap : (q,) array [length]
-            Of the closed contacts.
-        open_tie : (k,) array [length]
-            What the ties miss; empty where the saddle point is without ties.
+        gap : (q,) array [length], of the closed contacts
+        open_tie : (k,) array [length], what the ties miss; empty where the saddle point is without ties
 
         Returns
         -------
@@ -434,7 +430,7 @@ def _orthonormal_by_body(motions: Array) -> Array:
     return np.asarray(coordinates)
 
 
-def columns_of(rows: Any, columns: NDArray[np.intp]) -> Array:
+def columns_of(rows: Any, columns: Indices) -> Array:
     """Return some columns of CSR rows as an array; of few rows all are written out first, which costs less."""
     if not rows.shape[0]:
         return np.zeros((0, len(columns)))
@@ -443,7 +439,7 @@ def columns_of(rows: Any, columns: NDArray[np.intp]) -> Array:
     return np.asarray(rows[:, columns].toarray())
 
 
-def _sparse_columns_of(rows: Any, columns: NDArray[np.intp]) -> Any:
+def _sparse_columns_of(rows: Any, columns: Indices) -> Any:
     few = rows.shape[0] * rows.shape[1] <= WRITTEN_OUT
     return csr_rows(columns_of(rows, columns)) if few else rows[:, columns]
 
@@ -484,6 +480,6 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
     return stated_motions(problem.stiffness_rows, problem.stiffness_sizes, problem.near_null_space)
 
 
-def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
+def _touched_unknowns(problem: ContactProblem) -> Indices:
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)

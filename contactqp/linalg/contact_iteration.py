@@ -13,11 +13,10 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 
 # Vectors that GMRES keeps until it starts anew.
 RESTART = 60
@@ -128,7 +127,7 @@ class ContactIteration(ABC):
     # Projections and conjugate gradients.
 
     @abstractmethod
-    def held(self, rows: NDArray[np.intp], limit: Vector) -> ConstrainedRows:
+    def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
         """Return the projections of some rows, held at limits."""
 
     @abstractmethod
@@ -136,7 +135,7 @@ class ContactIteration(ABC):
         """Move x onto the limits of held rows, and the residual with it, both in place."""
 
     @abstractmethod
-    def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
+    def run(self, x: Vector, residual: Vector, rows: Indices, held: ConstrainedRows) -> ConjugateGradients:
         """Return conjugate gradients on the displacements that keep some rows.
 
         Parameters
@@ -167,7 +166,7 @@ class ContactIteration(ABC):
         """Return E (m + k + ..., t) over the unknowns that its rows touch."""
 
     @abstractmethod
-    def of_rows(self, chosen: NDArray[np.intp]) -> ContactIteration:
+    def of_rows(self, chosen: Indices) -> ContactIteration:
         """Return the same stiffness with some of the rows alone, all contacts first."""
 
     @abstractmethod
@@ -201,7 +200,7 @@ class ContactIteration(ABC):
         steps : int
         """
 
-    def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
+    def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
         """Return the function M r for bodies that rows hold and springs on `sprung` E join; here for bodies alone."""
         del rows, sprung
         return self.smooth

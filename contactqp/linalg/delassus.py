@@ -31,13 +31,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
 from contactqp.linalg.extended import Extended, SparseRows, extend
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -63,7 +62,7 @@ class ContactOperators:
         """Whether a body is held by contacts alone."""
         return len(self.J) > 0
 
-    def operator(self, rows: NDArray[np.intp], joints: int) -> Array:
+    def operator(self, rows: Indices, joints: int) -> Array:
         """Return [[W, V], [V', J]] on some contact rows and the first of the joints."""
         V = self.V[rows, :joints]
         return np.block([[self.W[np.ix_(rows, rows)], V], [V.T, self.J[:joints, :joints]]])
@@ -153,7 +152,7 @@ def _diagonal(rows: Array, factor: DenseCholesky | None) -> Vector:
     return np.asarray(np.einsum("ij,ji->i", rows, rows.T if factor is None else factor.solve(rows.T)))
 
 
-def _lengths(rows: Array) -> NDArray[np.float64]:
+def _lengths(rows: Array) -> Array:
     length = np.linalg.norm(rows, axis=1)
     return np.where(length > 0, length, 1.0)
 

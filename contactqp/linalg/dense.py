@@ -31,11 +31,10 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import RUNNING, lapack
-from contactqp.model.arrays import TINY, Array, Vector, inverse_root
+from contactqp.model.arrays import TINY, Array, Indices, Mask, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
@@ -138,7 +137,7 @@ class BackSubstitution:
 
     solver = "superlu"
 
-    def __init__(self, stiffness: Any, retained: NDArray[np.intp], factorise: Callable[[Any], Factorization]) -> None:
+    def __init__(self, stiffness: Any, retained: Indices, factorise: Callable[[Any], Factorization]) -> None:
         self._retained = retained
         eliminated = np.ones(stiffness.shape[0], dtype=bool)
         eliminated[retained] = False
@@ -188,7 +187,7 @@ class BackSubstitution:
         return u
 
 
-def _block(stiffness: Any, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
+def _block(stiffness: Any, rows: Indices, columns: Indices) -> Any:
     """Return the entries of K in these rows and columns, of an array or a CSR matrix."""
     return stiffness[rows[:, None], columns] if isinstance(stiffness, np.ndarray) else stiffness[rows][:, columns]
 
@@ -204,12 +203,12 @@ class Condensed(Protocol):
     scale: Array  # (p,) 1/sqrt(S_jj)
     normal: Array  # (m, p) E of the retained unknowns
     tie: Array  # (k, p) A likewise
-    retained: NDArray[np.intp]  # (p,)
+    retained: Indices  # (p,)
     rigid: Any  # the RigidMotions of K
     saddles: dict[Any, Any]  # the last saddle points
 
     @property
-    def bodies(self) -> NDArray[np.intp]:
+    def bodies(self) -> Indices:
         """Return the number of the body of each retained unknown (p,)."""
 
     @property
@@ -270,7 +269,7 @@ class Delassus:
         """Return the scaled displacement without contact forces, its rigid motions those of the scaled `anchor`."""
         return self.solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
-    def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, NDArray[np.bool_], Vector]:
+    def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, Mask, Vector]:
         """Return W, the excess of each row in the scaled displacement `free`, which rows are ties, and the rounding."""
         limit = np.concatenate([problem.gap, problem.tie_value])
         tolerance = OPERATOR_ROUNDING * self.row_scale * (abs(self.rows) @ abs(free) + abs(limit))
@@ -287,7 +286,7 @@ class _RangeSpace:
 
     redundant = False
 
-    def __init__(self, condensation: Condensed, operator: Delassus, closed: NDArray[np.intp], tied: bool) -> None:
+    def __init__(self, condensation: Condensed, operator: Delassus, closed: Indices, tied: bool) -> None:
         self.closed = closed
         self.contraction: float | None = None
         self.corrected_motions: Array | None = None
@@ -338,9 +337,9 @@ IDLE = 256 * np.finfo(float).eps
 class SaddlePoint(Protocol):
     """The factorised saddle-point system of one set of closed contacts, by either of the two methods below."""
 
-    closed: NDArray[np.intp]
+    closed: Indices
     redundant: bool  # whether rows depend on others
-    independent: NDArray[np.intp]  # places among the closed contacts and ties, as many contacts as can be
+    independent: Indices  # places among the closed contacts and ties, as many contacts as can be
     free: Array  # (p, q) orthonormal scaled motions that nothing resists
     free_coordinates: Array  # (r, q) of such in the rigid motions
     contraction: float | None  # what refinement leaves of a correction, once it has been measured
@@ -362,7 +361,7 @@ class SaddlePoint(Protocol):
 class NullSpace:
     """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
 
-    def __init__(self, condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> None:
+    def __init__(self, condensation: Condensed, closed: Indices, tied: bool = True) -> None:
         from scipy.linalg import qr
 
         self.closed = np.asarray(closed, dtype=np.intp)
@@ -451,7 +450,7 @@ class NullSpace:
         return motion if float(push @ push) > rounding else np.zeros(len(load))
 
 
-def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
+def saddle_point(condensation: Condensed, closed: Indices, tied: bool = True) -> SaddlePoint:
     """Factorise the saddle point of a set of closed contacts.
 
     The last few factorisations are kept: refinement and certificate ask for the same sets.
@@ -465,7 +464,7 @@ def saddle_point(condensation: Condensed, closed: NDArray[np.intp], tied: bool =
     return kept[key]
 
 
-def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
+def _factorised(condensation: Condensed, closed: Indices, tied: bool) -> SaddlePoint:
     if not condensation.rigid.count and (operator := condensation.delassus).smallest_pivot >= REGULAR:
         found = _RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
         if found.regular:
@@ -473,7 +472,7 @@ def _factorised(condensation: Condensed, closed: NDArray[np.intp], tied: bool) -
     return NullSpace(condensation, closed, tied)
 
 
-def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:
+def _independent_first(rows: Array, first: Indices) -> Indices:
     """Return the indices of independent unit rows that span all of them, with as many of `first` as possible."""
     chosen = first[independent_rows(rows[first])]
     others = np.setdiff1d(np.arange(len(rows)), first)
@@ -482,7 +481,7 @@ def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]
     return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
 
 
-def independent_rows(rows: Array) -> NDArray[np.intp]:
+def independent_rows(rows: Array) -> Indices:
     """Return the indices of independent rows among unit rows, as many as their rank."""
     if not rows.size:
         return np.zeros(0, dtype=np.intp)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
@@ -220,9 +219,7 @@ def mostly_bare(problem: ContactProblem) -> bool:
     return int(np.sum(bare & acting)) > MOST_BARE
 
 
-def nothing_in_rows(
-    problem: ContactProblem, answer: Answer, part: float, connected: NDArray[np.intp], beside: float
-) -> Nothing:
+def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float) -> Nothing:
     """Return what counts as none where K gives no scale: a fraction of the largest force and length, equilibrated.
 
     Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest.
@@ -252,7 +249,7 @@ def nothing_in_rows(
     return Nothing(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
 
 
-def balancing_factors(sizes: Array, group: NDArray[np.intp]) -> tuple[Vector, Vector]:
+def balancing_factors(sizes: Array, group: Indices) -> tuple[Vector, Vector]:
     """Return factors s (k,) of rows and t (r,) of columns, equal within a group, for which s_i sizes_ij t_j is near 1.
 
     s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are more than rounding beside the
@@ -337,7 +334,7 @@ def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) 
     ]
 
 
-def _apart(D: Vector, bare: NDArray[np.bool_], largest: Vector) -> float:
+def _apart(D: Vector, bare: Mask, largest: Vector) -> float:
     """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
 
     A typical D, so that units of force and length change it as they change those of the stiff unknowns.

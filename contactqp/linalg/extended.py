@@ -17,9 +17,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -220,12 +219,12 @@ def _added(terms: Array, errors: Array) -> tuple[Array, Array]:
 class _Block(NamedTuple):
     """Rows of a matrix, slot by slot, each slot contiguous in memory; short rows are filled with zeros."""
 
-    members: NDArray[np.intp]  # (q,) which rows
+    members: Indices  # (q,) which rows
     values: Array  # (width, q)
-    columns: NDArray[np.intp]  # (width, q)
+    columns: Indices  # (width, q)
 
 
-def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
+def _block(rows: Any, members: Indices) -> _Block:
     start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
     width = int(lengths.max())
     slots = np.arange(width, dtype=start.dtype)[:, None] + start
@@ -372,7 +371,7 @@ class ExtendedRows:
         """Return E_N'l_N + A'nu (n,) [force]."""
         return self.outward @ (joined(normal_force, tie_force) if len(tie_force) else normal_force)
 
-    def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
+    def friction_force(self, force: Extended | Array | None) -> Extended:
         """Return E_T'l_T (n,) of friction forces (m, d-1), or of a flat vector in extended precision [force]."""
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.ends[0]))
@@ -423,7 +422,7 @@ class ExtendedAnswer:
         """Return the displacement of zero without forces."""
         return cls(*(Extended(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties)))
 
-    def corrected(self, du: Vector, closed: NDArray[np.intp], dl: Vector, dn: Vector) -> ExtendedAnswer:
+    def corrected(self, du: Vector, closed: Indices, dl: Vector, dn: Vector) -> ExtendedAnswer:
         """Return the answer with a correction in doubles.
 
         Parameters
@@ -435,7 +434,7 @@ class ExtendedAnswer:
         tie = self.tie_force + dn if dn.size else self.tie_force
         return ExtendedAnswer(self.displacement + du, force, tie, self.friction_force)
 
-    def rounded(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
+    def rounded(self, closed: Indices) -> tuple[Vector, Vector, Vector]:
         """Return displacement, forces of the closed contacts and of ties in double precision."""
         force = self.normal_force.hi[closed] + self.normal_force.lo[closed]
         return self.displacement.double(), force, self.tie_force.double()
@@ -460,7 +459,7 @@ class Residuals:
         """Return the residuals of zero displacement without forces, which are the data of the problem."""
         return cls(Extended(problem.load), Extended(problem.gap), Extended(problem.tie_value))
 
-    def double(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
+    def double(self, closed: Indices) -> tuple[Vector, Vector, Vector]:
         """Return the residuals of equilibrium, of the closed contacts' gaps and of the ties in double precision."""
         return self.force.double(), self.gap.hi[closed] + self.gap.lo[closed], self.tie.double()
 

@@ -25,7 +25,7 @@ from contactqp.linalg.dense import (
     refuse_negative,
 )
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.model.arrays import Array, inverse_root
+from contactqp.model.arrays import Array, Indices, Mask, inverse_root
 
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
@@ -80,7 +80,7 @@ class SuperLU:
         return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
 
 
-def fill_reducing_order(matrix: Any) -> NDArray[np.intp]:
+def fill_reducing_order(matrix: Any) -> Indices:
     """Return the order of elimination (n,) that minimum degree finds for the pattern of a symmetric matrix.
 
     SciPy has no function for it. But SuperLU orders before it factorises, and where every entry beside the diagonal is
@@ -118,10 +118,7 @@ def with_added_diagonal(matrix: Any, added: Array) -> Any:
 def factorise(matrix: Any) -> Factorization:
     """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` says how near to singular it is.
 
-    Raises
-    ------
-    InvalidProblem
-        A pivot is negative beyond rounding: the matrix is indefinite.
+    Raises InvalidProblem: a pivot is negative beyond rounding: the matrix is indefinite.
     """
     if matrix.shape[0] <= DENSE_SIZE:
         return dense_factor(matrix)
@@ -187,7 +184,7 @@ def exact_images(matrix: Any, columns: Array) -> Array:
     return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
 
 
-def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
+def is_rigid(matrix: Any, motions: Array) -> Mask:
     """Return which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
 
     |K z|_j <= RIGID_FORCE (|K||z|)_j at every unknown j, and z'Kz <= RIGID_ENERGY |z|'|K||z|: a soft spring at one end
@@ -197,7 +194,7 @@ def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
     return _is_rigid(motions, images(matrix, motions), abs(matrix) @ abs(motions))
 
 
-def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
+def _is_rigid(motions: Array, forces: Array, size: Array) -> Mask:
     """Return which motions (n, q) are rigid to the rounding of K, by their forces K z and the sizes |K||z| of these."""
     largest = np.max(abs(motions), axis=0, initial=0.0)
     still = np.all(abs(forces) <= RIGID_FORCE * np.maximum(size, largest), axis=0)
@@ -307,7 +304,7 @@ def null_space(matrix: Any) -> RigidMotions:
     return RigidMotions(np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray()), softest)
 
 
-def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: Any, scale: Array) -> RigidMotions:
+def condensed_null_space(matrix: Any, retained: Indices, elimination: Any, scale: Array) -> RigidMotions:
     """Return the null space of K where the interior is regular: that of S, expanded to all unknowns.
 
     Where S has soft motions that are not rigid, K itself is asked.
@@ -316,10 +313,8 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
     ----------
     matrix : (n, n) sparse array, K
     retained : (p,) array of int
-    elimination : contactqp.linalg.schur.Elimination
-        Of the interior.
-    scale : (p,) array
-        What gives S a unit diagonal.
+    elimination : contactqp.linalg.schur.Elimination, of the interior
+    scale : (p,) array, what gives S a unit diagonal
     """
     label = connected_parts(matrix)[1][retained]
     S = elimination.schur * np.outer(scale, scale)
@@ -374,7 +369,7 @@ def _spread(matrix: Any, root: Array, motions: Array, gathered: Array, size: Arr
 class _SoftPart:
     """The soft motions of one body's part of S, scaled to a unit diagonal."""
 
-    def __init__(self, members: NDArray[np.intp], S: Array) -> None:
+    def __init__(self, members: Indices, S: Array) -> None:
         self.members = members
         block = S[np.ix_(members, members)]
         shifted = DenseCholesky(block + SOFT * np.eye(len(members)), np.ones(len(members)))
@@ -440,7 +435,7 @@ def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
     return np.asarray(block @ rotation[:, soft]), float(np.min(values[~soft], initial=1.0))
 
 
-def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
+def unknowns_far_apart(stiffness: Any) -> Indices:
     """Return the unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K allows.
 
     Unknowns that K couples with the same others are those of one node.
@@ -448,7 +443,7 @@ def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
     graph = sp.csr_matrix(stiffness)
     _, label = connected_parts(graph)
     starts = np.unique(label, return_index=True)[1]
-    chosen: list[NDArray[np.intp]] = [starts]
+    chosen: list[Indices] = [starts]
     for _ in range(FAR_APART - 1):
         order = np.lexsort((_hops_away(graph, np.concatenate(chosen)), label))
         chosen.append(order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)])
@@ -456,7 +451,7 @@ def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
     return np.unique(np.concatenate([_of_same_node(graph, int(j)) for j in nodes])).astype(np.intp)
 
 
-def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
+def _hops_away(graph: Any, starts: Indices) -> Indices:
     """Return the distance of each unknown from the nearest start (n,), in entries of K; every body has a start."""
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -472,14 +467,14 @@ def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.asarray(hops[:size] - 1)
 
 
-def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
+def _of_same_node(graph: Any, j: int) -> Indices:
     near = np.sort(graph.indices[graph.indptr[j] : graph.indptr[j + 1]])
     return np.array(
         [k for k in near if np.array_equal(np.sort(graph.indices[graph.indptr[k] : graph.indptr[k + 1]]), near)]
     )
 
 
-def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
+def fixing_unknowns(motions: Array, retained: Indices, diagonal: Array) -> Indices:
     """Return stiff unknowns that, held together with the retained ones, leave no rigid motion to the interior."""
     from scipy.linalg import qr
 

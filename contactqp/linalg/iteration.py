@@ -14,7 +14,6 @@ from enum import Enum
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso, schur
@@ -28,7 +27,7 @@ from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.v_cycle import HeldHierarchy
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
@@ -313,7 +312,7 @@ class Iteration(ContactIteration):
     def entries(self) -> sp.csr_matrix:
         return self.rows
 
-    def of_rows(self, chosen: NDArray[np.intp]) -> Iteration:
+    def of_rows(self, chosen: Indices) -> Iteration:
         other = copy(self)
         other._hierarchy = self._hierarchy.of_rows(chosen)
         other.rows, other._row_sizes = self.rows[chosen], self._row_sizes[chosen]
@@ -359,7 +358,7 @@ class Iteration(ContactIteration):
         )
         return np.asarray(found), steps[0]
 
-    def smoother(self, rows: NDArray[np.intp], sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
+    def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
         """Return the function M r for bodies that some rows hold and springs on sums of rows, `sprung` E, join."""
         return self._hierarchy.cycle(rows, sprung)
 
@@ -394,7 +393,7 @@ class Iteration(ContactIteration):
         sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
         return force_measure(self.rows, force, sizes)
 
-    def held(self, rows: NDArray[np.intp], limit: Vector) -> ConstrainedRows:
+    def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
         closed = np.isin(np.arange(self.floating.contacts), rows)
         return self.at_rest(self.constrained(self.rows[rows], limit), closed)
 
@@ -403,7 +402,7 @@ class Iteration(ContactIteration):
         held.close(x)
         residual -= self._near.T @ (x[self.touched] - away)
 
-    def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: ConstrainedRows) -> ConjugateGradients:
+    def run(self, x: Vector, residual: Vector, rows: Indices, held: ConstrainedRows) -> ConjugateGradients:
         """Return conjugate gradients on the displacements that keep some rows; see `ContactIteration.run`.
 
         Parameters

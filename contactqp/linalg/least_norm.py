@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import shift_within_gaps
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -21,7 +20,7 @@ SHIFT_CORRECTIONS = 3
 
 
 def shift_to_least_norm(
-    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp]
+    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: Indices
 ) -> tuple[Vector, Array]:
     """Find the free motion that takes an answer to its least norm within the gaps.
 
@@ -57,9 +56,7 @@ def shift_to_least_norm(
     return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
 
 
-def _out_of_contacts(
-    problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: NDArray[np.intp]
-) -> Vector:
+def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: Indices) -> Vector:
     """Correct a shift along free motions where its rounding leaves some contacts penetrated.
 
     The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it

@@ -33,12 +33,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
@@ -49,11 +48,11 @@ class RowSizes:
     """What rows E (r, n) are apart from their signs, entry by entry."""
 
     rows: Any  # E, CSR
-    row: NDArray[np.intp]  # (z,) the row of each entry
+    row: Indices  # (z,) the row of each entry
     entries: Vector  # (z,) the sizes of the entries
     compliance: Vector  # (r,) |E_i D|^2, D = 1/sqrt(K_jj) [length / force]
-    touching: NDArray[np.intp]  # the rows that touch an unknown
-    first: NDArray[np.intp]  # the first unknown of each of these
+    touching: Indices  # the rows that touch an unknown
+    first: Indices  # the first unknown of each of these
 
     def resultant(self, force: Vector) -> Vector:
         """Return E'l (n,) of forces l (r,) [force]."""
@@ -68,7 +67,7 @@ class RowSizes:
         return self._sums(self.rows.indices, self.entries * size[self.row], self.rows.shape[1])
 
     @staticmethod
-    def _sums(at: NDArray[np.intp], terms: Vector, count: int) -> Vector:
+    def _sums(at: Indices, terms: Vector, count: int) -> Vector:
         return np.asarray(np.bincount(at, weights=terms, minlength=count), dtype=float)
 
 
@@ -151,7 +150,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     return np.asarray(np.where(_driven(problem, part), np.maximum(size, BESIDE_OTHERS * whole), whole)[part])
 
 
-def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _driven(problem: ContactProblem, part: Indices) -> Mask:
     """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
@@ -211,7 +210,7 @@ def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector,
     return np.where(cut, np.minimum(size, OF_ALL_LENGTHS * longest[part]), size)
 
 
-def _raise_to(largest: Vector, part: NDArray[np.intp], of_row: RowSizes, length: Vector) -> None:
+def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) -> None:
     """Raise the largest length of each part to those of rows (r,), in the root of energy."""
     np.maximum.at(largest, part[of_row.first], in_energy(length, of_row.compliance)[of_row.touching])
 
@@ -229,7 +228,7 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     return np.asarray(beside * felt)
 
 
-def bodies(problem: ContactProblem) -> NDArray[np.intp]:
+def bodies(problem: ContactProblem) -> Indices:
     """Return the number of the body, a connected part of K, that each unknown belongs to (n,)."""
     of_stiffness = problem._computed.of_stiffness
     if of_stiffness.bodies is None:
@@ -237,9 +236,9 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
     return of_stiffness.bodies
 
 
-def parts(problem: ContactProblem) -> NDArray[np.intp]:
+def parts(problem: ContactProblem) -> Indices:
     """Return the number of the part that each unknown belongs to (n,): bodies joined by contacts and ties."""
-    found: NDArray[np.intp] | None = problem._computed.parts
+    found: Indices | None = problem._computed.parts
     if found is None:
         found = bodies(problem)
         count = int(found.max(initial=-1)) + 1
@@ -256,7 +255,7 @@ def parts(problem: ContactProblem) -> NDArray[np.intp]:
     return found
 
 
-def _joined(rows: Any, body: NDArray[np.intp]) -> NDArray[np.intp]:
+def _joined(rows: Any, body: Indices) -> Indices:
     """Return the body of each of z entries of CSR rows, and the body of the first entry of its row, (2, z)."""
     counts = rows.indptr[1:] - rows.indptr[:-1]
     first = rows.indices[rows.indptr[:-1][counts > 0]]
@@ -276,10 +275,8 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
 
     Parameters
     ----------
-    limit, moved, whole, elastic : (r,) arrays
-        g, E u, |E||u| and |E||u_e| of the rows [length].
-    compliance : (r,) array
-        |E_i D|^2 [length / force].
+    limit, moved, whole, elastic : (r,) arrays, g, E u, |E||u| and |E||u_e| of the rows [length]
+    compliance : (r,) array, |E_i D|^2 [length / force]
     """
     finite = np.isfinite(limit)
     if not finite.all():
@@ -290,21 +287,17 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
     return in_energy(np.where(closes, length, reached), compliance)
 
 
-def beside_yielding(length: Vector, moved: Vector, may_yield: NDArray[np.bool_], compliance: Vector) -> Vector:
+def beside_yielding(length: Vector, moved: Vector, may_yield: Mask, compliance: Vector) -> Vector:
     """Return the lengths (r,) that rows impose, where unknowns without stiffness may take them up [root of energy].
 
     A row that touches such an unknown imposes at most ten times what its stiff unknowns move.
 
     Parameters
     ----------
-    length : (r,) array
-        The lengths as `imposed` returns them [square root of energy].
-    moved : (r,) array
-        |E||u| over the stiff unknowns alone [length].
-    may_yield : (r,) array of bool
-        Whether the row touches an unknown without stiffness.
-    compliance : (r,) array
-        |E_i D|^2 [length / force].
+    length : (r,) array, the lengths as `imposed` returns them [square root of energy]
+    moved : (r,) array, |E||u| over the stiff unknowns alone [length]
+    may_yield : (r,) array of bool, whether the row touches an unknown without stiffness
+    compliance : (r,) array, |E_i D|^2 [length / force]
     """
     return np.where(may_yield, np.minimum(length, in_energy(WITHIN_REACH * moved, compliance)), length)
 
@@ -407,12 +400,9 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     Parameters
     ----------
     problem : ContactProblem
-    rows : (r, n) CSR matrix
-        E, rows of the problem.
-    limit : (r,) array
-        g of these rows [length].
-    displacement : (n,) array
-        u, which may be without its rigid part.
+    rows : (r, n) CSR matrix, E, rows of the problem
+    limit : (r,) array, g of these rows [length]
+    displacement : (n,) array, u, which may be without its rigid part
     """
     sizes = row_sizes(problem, rows)
     length = sizes.lengths(abs(displacement)) + abs(limit)
@@ -443,12 +433,9 @@ def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) 
     Parameters
     ----------
     rows : (r, n) CSR matrix
-    length : (r,) array
-        |E||u| + |g| of each row [length].
-    least : (r,) array
-        The fraction of the largest displacement up to which the length is rounding.
-    largest : (n,) array
-        The largest displacement of the body that each unknown belongs to.
+    length : (r,) array, |E||u| + |g| of each row [length]
+    least : (r,) array, the fraction of the largest displacement up to which the length is rounding
+    largest : (n,) array, the largest displacement of the body that each unknown belongs to
     """
     touched = np.zeros(rows.shape[0])
     np.maximum.at(touched, _row_of_entries(rows), largest[rows.indices])
@@ -489,10 +476,8 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
     Parameters
     ----------
     rows : (r, n) CSR matrix
-    force : (r,) array
-        The multipliers l [force].
-    meeting : (n,) array
-        F, the forces that meet at each unknown [force].
+    force : (r,) array, the multipliers l [force]
+    meeting : (n,) array, F, the forces that meet at each unknown [force]
     none : (n,) array, optional
         Forces up to which there is none at an unknown.
     sizes : RowSizes, optional
@@ -507,6 +492,6 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
     return measure
 
 
-def _row_of_entries(rows: Any) -> NDArray[np.intp]:
+def _row_of_entries(rows: Any) -> Indices:
     """Return the row of every entry of CSR rows."""
     return np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])

@@ -24,10 +24,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, Unsupported
-from contactqp.model.arrays import Array, Mask
+from contactqp.model.arrays import Array, Indices, Mask
 
 # Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
 # every set of rows, and beyond some hundred that costs more than another level does.
@@ -118,7 +117,7 @@ class Hierarchy:
             size = B.shape[1]
             matrix, B = (prolong.T @ (blocks @ prolong)).tobsr((size, size)), coarse_B
 
-    def _least_energies(self, B: Array, forces: Array, diagonal: Array) -> tuple[Array, NDArray[np.intp]]:
+    def _least_energies(self, B: Array, forces: Array, diagonal: Array) -> tuple[Array, Indices]:
         """Return min over a of a'(B'KB)a / a'(B'DB)a for each body, and how many are FLOATING; `forces` is K B."""
         q, count = B.shape[1], int(self.bodies.max()) + 1
         energy, size = np.empty((2, count, q, q))
@@ -191,7 +190,7 @@ def constants(count: int, size: int) -> Array:
     return np.tile(np.eye(size), (count // size, 1))
 
 
-def _bodies(matrix: Any) -> NDArray[np.intp]:
+def _bodies(matrix: Any) -> Indices:
     from scipy.sparse.csgraph import connected_components
 
     # The graph is symmetric: its strong components are its components, and are found without transposing it.
@@ -264,7 +263,7 @@ class CoarsestLevel:
         The unknowns of bodies that float, on which K is singular: their diagonal is lifted.
     """
 
-    def __init__(self, matrix: Any, touched: NDArray[np.intp], afloat: Mask | None = None) -> None:
+    def __init__(self, matrix: Any, touched: Indices, afloat: Mask | None = None) -> None:
         dense = matrix.toarray()
         empty = np.flatnonzero(np.diag(dense) <= 0)
         dense[empty, empty] = 1.0

@@ -9,9 +9,8 @@ instead of joining them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11
@@ -27,9 +26,7 @@ class Infeasible(Exception):
         self.rows = np.array(sorted(rows), dtype=np.intp)
 
 
-def dual_active_set(
-    W: Array, h: Vector, free: NDArray[np.bool_], tolerance: Vector, max_steps: int
-) -> tuple[Vector, int, bool]:
+def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_steps: int) -> tuple[Vector, int, bool]:
     """Find forces l with l >= 0 off `free` and h - W l <= tolerance; return them, the steps, and whether it ended.
 
     Raises Infeasible: no forces exist: the rows conflict.
@@ -56,7 +53,7 @@ def dual_active_set(
     return force, max_steps, False
 
 
-def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: NDArray[np.bool_]) -> None:
+def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: Mask) -> None:
     """Raise the force of row i until its excess is gone, dropping rows whose force reaches zero on the way."""
     while True:
         drag = np.linalg.solve(W[np.ix_(active, active)], W[active, i]) if active else np.zeros(0)
@@ -78,7 +75,7 @@ def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: 
         force[dropped] = 0.0
 
 
-def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
+def _independent(W: Array, rows: Indices) -> list[int]:
     """Return the rows that do not depend on rows before them."""
     chosen: list[int] = []
     for i in rows:
@@ -89,7 +86,7 @@ def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
     return chosen
 
 
-def forces_without_tension(rows: Array, resultant: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, float]:
+def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -> tuple[Vector, float]:
     """Return forces l (q,), not negative on `pushing_only`, for which |rows'l - resultant| is least, and this residual.
 
     The residual is NaN where the least squares of Lawson and Hanson (1974) ended without an answer.

@@ -132,7 +132,7 @@ class Pardiso:
     def __init__(
         self,
         matrix: Any,
-        retained: NDArray[np.intp],
+        retained: Indices,
         kind: int = POSITIVE_DEFINITE,
         order: Indices | None = None,
         most_entries: float = np.inf,

@@ -12,9 +12,9 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing
+from contactqp.model.arrays import Array
 
 try:
     from flint import fmpq, fmpq_mat, nmod_mat
@@ -70,7 +70,7 @@ def number(x: fmpq) -> float:
     return int(x.p) / int(x.q)
 
 
-def floats(column_: fmpq_mat) -> NDArray[np.float64]:
+def floats(column_: fmpq_mat) -> Array:
     """Return the nearest floats of a column."""
     return np.array([number(x) for x in column_.entries()], dtype=float)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
@@ -20,7 +19,7 @@ from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import force_measure, forces_that_meet, lengths_that_meet, row_sizes, without_rigid_part
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -70,7 +69,7 @@ class OnSet(ExtendedAnswer):
 def answer_on(
     problem: ContactProblem,
     condensation: Condensation,
-    closed: NDArray[np.intp],
+    closed: Indices,
     start: Answer | None = None,
     left: Residuals | None = None,
     caution: float = 1.0,
@@ -84,18 +83,12 @@ def answer_on(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    closed : (q,) array of int
-        B.
-    start : Answer, optional
-        Where refinement begins; free motions stay as they are there.
-    left : Residuals, optional
-        Those of the start, where they are known; of use where it has no force but on the closed contacts.
-    caution : float
-        Refinement goes on until this many times what it still has to do is negligible.
-    at_rest : bool
-        Whether, without a start, free motions take the displacement to its least norm within the gaps.
+    condensation : that of the problem
+    closed : (q,) array of int, B
+    start : where refinement begins; free motions stay as they are there
+    left : those of the start, where they are known; of use where it has no force but on the closed contacts
+    caution : refinement goes on until this many times what it still has to do is negligible
+    at_rest : whether, without a start, free motions take the displacement to its least norm within the gaps
     """
     found = _refined(problem, condensation, closed, start, left, caution, at_rest)
     missed = _imbalance(problem, condensation, found) if condensation.rigid.count else 0.0
@@ -130,7 +123,7 @@ def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vect
 def _refined(
     problem: ContactProblem,
     condensation: Condensation,
-    closed: NDArray[np.intp],
+    closed: Indices,
     start: Answer | None,
     left: Residuals | None,
     caution: float,
@@ -184,7 +177,7 @@ def _refined(
 
 
 def _start(
-    problem: ContactProblem, closed: NDArray[np.intp], start: Answer | None, left: Residuals | None
+    problem: ContactProblem, closed: Indices, start: Answer | None, left: Residuals | None
 ) -> tuple[ExtendedAnswer, Residuals | None]:
     """Return a start without forces on open contacts, at rest where none is given, and its residuals if known."""
     if start is None:
@@ -199,7 +192,7 @@ def _start(
 class _CorrectionSize:
     """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: Indices) -> None:
         self.row_sizes = np.sqrt(condensation.delassus.compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
         self._row = self.row_sizes[closed]
@@ -229,7 +222,7 @@ class _CorrectionSize:
         return not self._rigid.count or size <= NEGLIGIBLE * self(elastic, force, tie)
 
 
-def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> NDArray[np.intp]:
+def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> Indices:
     """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths.
 
     Parameters
@@ -246,7 +239,7 @@ def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, forc
 def polish(
     problem: ContactProblem,
     condensation: Condensation,
-    closed: NDArray[np.intp],
+    closed: Indices,
     max_corrections: int,
     start: Answer | None = None,
     left: Residuals | None = None,
@@ -319,7 +312,7 @@ def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
     return bool(np.all(missing <= np.maximum(rounding, answer.nothing[problem.contacts :])))
 
 
-def _exchanged(answer: OnSet) -> NDArray[np.intp] | None:
+def _exchanged(answer: OnSet) -> Indices | None:
     """Return the redundant set in which the most penetrated dependent contact replaces the one that must open for it.
 
     None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
@@ -333,7 +326,7 @@ def _exchanged(answer: OnSet) -> NDArray[np.intp] | None:
     return closed if leaving is None else np.delete(closed, leaving)
 
 
-def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[Indices, Indices]:
     """Return the contacts that must open, in tension or apart though they push, and those that penetrate.
 
     Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
@@ -354,9 +347,7 @@ def _regular(answer: OnSet) -> bool:
     return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
 
 
-def _decided(
-    problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]
-) -> NDArray[np.intp] | None:
+def _decided(problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: Indices) -> Indices | None:
     """Return the set that signs in extended precision ask for, of gaps and forces that doubles cannot tell from zero.
 
     None where a set is redundant or nearly so, or where bodies float: there the rounding of the data decides.
@@ -380,9 +371,7 @@ def _decided(
     return np.asarray(np.where(is_closed, push * compliance >= -noise, gap < -noise).nonzero()[0])
 
 
-def _reached_by_drive(
-    problem: ContactProblem, condensation: Condensation, answer: OnSet
-) -> tuple[NDArray[np.intp], bool]:
+def _reached_by_drive(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Indices, bool]:
     """Return the contacts first reached by a free motion that the load drives, and whether there is such a motion."""
     if not answer.saddle.free.shape[1]:
         return np.zeros(0, dtype=np.intp), False
@@ -410,7 +399,7 @@ def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) ->
     return np.asarray(load - condensation.normal.T @ push - condensation.tie.T @ tie)
 
 
-def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
+def _without_tension(condensation: Condensation, answer: OnSet) -> Indices:
     """Return the members of a redundant set that carry its resultant without tension, or all where none can.
 
     Those that the answer leaves apart are not asked.
@@ -478,7 +467,7 @@ def least_displacement(
     return answer_on(problem, condensation, pushing, moved, caution=caution), free
 
 
-def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+def pushing_contacts(problem: ContactProblem, answer: Answer) -> Indices:
     """Return the contacts with a force beyond rounding."""
     return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
 

@@ -30,14 +30,13 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.linalg.dense import DENSE_SIZE, LIFT, SUSPICIOUS_PIVOT, BackSubstitution, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, factorise, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
 from contactqp.linalg.runtime import RUNNING
-from contactqp.model.arrays import Array, Vector, inverse_root
+from contactqp.model.arrays import Array, Indices, Vector, inverse_root
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
 # 1e12: S is as accurate as without springs, up to 30 times more than with T = 1; f_S is as accurate as with T = 1, up
@@ -55,7 +54,7 @@ class TrailingBlock:
 
     solver = "superlu"
 
-    def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
+    def __init__(self, stiffness: Any, retained: Indices) -> None:
         self._retained = retained
         # Powers of two scale without rounding: the rigid motions of K stay what they are.
         self._scale = 2.0 ** np.round(np.log2(inverse_root(stiffness.diagonal())))
@@ -180,7 +179,7 @@ class LastBlock:
 
     solver = "pardiso"
 
-    def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
+    def __init__(self, stiffness: Any, retained: Indices) -> None:
         self._retained = retained
         self._factor = Pardiso(stiffness, retained)
         self.smallest_pivot = self._factor.smallest_pivot
@@ -225,7 +224,7 @@ class NestedBlock:
     Raises NotPositive: S_rr is singular, as far as its pivots tell.
     """
 
-    def __init__(self, outer: Elimination, outer_retained: NDArray[np.intp], retained: NDArray[np.intp]) -> None:
+    def __init__(self, outer: Elimination, outer_retained: Indices, retained: Indices) -> None:
         self._outer, self._before, self.solver = outer, outer.half_substitutions, outer.solver
         kept = np.isin(outer_retained, retained)
         self._kept, self._gone = np.flatnonzero(kept), np.flatnonzero(~kept)
@@ -261,7 +260,7 @@ class NestedBlock:
         return both
 
 
-def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True) -> Elimination:
+def eliminate(stiffness: Any, retained: Indices, singular: bool = True) -> Elimination:
     """Return the fastest available elimination for a stiffness (n, n) in CSR and unknowns (p,) to retain.
 
     Raises
@@ -287,7 +286,7 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True)
         ) from None
 
 
-def _eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool) -> Elimination:
+def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination:
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in CHOICES:
         raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")

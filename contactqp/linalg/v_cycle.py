@@ -22,10 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Hierarchy, Level, largest_eigenvalue
-from contactqp.model.arrays import Array, Mask
+from contactqp.model.arrays import Array, Indices, Mask
 
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the
 # spectrum of D^-1 K, from its end, that it damps.
@@ -100,7 +99,7 @@ class LevelRows(NamedTuple):
     """Rows on one level."""
 
     entries: Any  # (a, unknowns it touches) CSR
-    columns: NDArray[np.intp]  # which unknowns these are
+    columns: Indices  # which unknowns these are
 
 
 class HeldHierarchy:
@@ -121,13 +120,13 @@ class HeldHierarchy:
                     afloat = abs(level.restrict) @ afloat > 0
         self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns, afloat)
 
-    def of_rows(self, chosen: NDArray[np.intp]) -> HeldHierarchy:
+    def of_rows(self, chosen: Indices) -> HeldHierarchy:
         """Return the same hierarchy with some of the rows alone."""
         other = copy(self)
         other.rows = [LevelRows(row.entries[chosen], row.columns) for row in self.rows]
         return other
 
-    def cycle(self, held: NDArray[np.intp], sprung: sp.csr_matrix | None = None) -> VCycle:
+    def cycle(self, held: Indices, sprung: sp.csr_matrix | None = None) -> VCycle:
         """Return the preconditioner M of K + E'CE, E being the rows `held` (h,).
 
         With `sprung` (s, a) the springs F'F are added to the stiffness, F being `sprung` times all rows.
@@ -140,7 +139,7 @@ class HeldHierarchy:
         return VCycle(levels, HeldCoarsestLevel(self.coarsest, (on_coarsest.T @ on_coarsest).toarray()).solve)
 
 
-def _springs(rows: Any, held: NDArray[np.intp], strength: Array, sprung: sp.csr_matrix | None) -> Any:
+def _springs(rows: Any, held: Indices, strength: Array, sprung: sp.csr_matrix | None) -> Any:
     """Return the held ones of rows (a, unknowns) times the roots of their stiffness, and `sprung` times all rows."""
     some = rows[held]
     entries = some.data * np.repeat(strength, np.diff(some.indptr))

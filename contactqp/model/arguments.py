@@ -20,10 +20,9 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, WrongCall, cure_of, shown
-from contactqp.model.arrays import COLLECTING, misfit
+from contactqp.model.arrays import COLLECTING, Index, Indices, misfit
 from contactqp.model.problem_data import is_masked, is_whole, refuse_masked
 
 P = ParamSpec("P")
@@ -246,7 +245,7 @@ def _words(stated: Any) -> str:
     return "an array" if kind in (Any, np.ndarray) else f"a {getattr(kind, '__name__', kind)}"
 
 
-def read_whole(name: str, value: Any) -> NDArray[np.int64]:
+def read_whole(name: str, value: Any) -> Index:
     """Return a copy of whole numbers of any shape.
 
     Raises InvalidProblem: rows of different lengths, masked arrays, or entries that are no whole numbers.
@@ -261,7 +260,7 @@ def read_whole(name: str, value: Any) -> NDArray[np.int64]:
     return whole.astype(np.int64)
 
 
-def read_places(name: str, value: Any, count: int) -> NDArray[np.intp]:
+def read_places(name: str, value: Any, count: int) -> Indices:
     """Return places among `count`, given as whole numbers or as one truth value for each.
 
     Raises InvalidProblem: neither, or a place that is none.

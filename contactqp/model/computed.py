@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 
 
 @dataclass(eq=False)
@@ -19,7 +16,7 @@ class OfStiffness:
     own_scale: Vector | None = None  # 1/sqrt(K_jj)
     rows: Any = None  # K as a CSR matrix
     sizes: Any = None  # |K|
-    bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
+    bodies: Indices | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
     elimination_order: Any = None  # linalg.pardiso: that of the unknowns, found with the first sparse factorisation
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
@@ -39,9 +36,9 @@ class Computed:
 
     of_stiffness: OfStiffness = field(default_factory=OfStiffness)
     assembly: Any = None  # elements.structure, analysis.large: bodies and contacts that the problem was made of
-    contact_points: NDArray[np.float64] | None = None  # likewise: (m, d), where the contacts of that problem are
+    contact_points: Array | None = None  # likewise: (m, d), where the contacts of that problem are
     locks: dict[int, Any] = field(default_factory=dict)  # by process
-    idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
+    idle_rows: tuple[Mask, Mask] | None = None  # contacts and ties with rows of zeros
     acting: Any = None  # certificate.idle_rows: the problem without them
     parallel_rows: Any = None  # solving.presolve
     presolved: Any = None  # solving.presolve: the problem without rows that it can do without
@@ -62,9 +59,9 @@ class Computed:
     frictional_rows: Any = None  # linalg.friction_states: with the coefficients and the condensation that they are of
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # certificate.coulomb_law: likewise
-    parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
+    parts: Indices | None = None  # linalg.measures: bodies connected by contacts and ties
     scale_through_rows: Vector | None = None  # linalg.measures
-    untouched: NDArray[np.bool_] | None = None  # linalg.measures
+    untouched: Mask | None = None  # linalg.measures
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
     several_answers: Any = None  # certificate.uniqueness: what was found of the last load, with what it was of

@@ -57,7 +57,7 @@ def status_names(status: Status) -> NDArray[np.str_]:
     return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")
 
 
-Vectors = NDArray[np.float64]  # (m, d)
+Vectors = Array  # (m, d)
 
 
 def lengths(vectors: Vectors) -> Vector:

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, counted, counts, shown
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, computes, own_floating_point, refuses_misfits
+from contactqp.model.arrays import Array, Vector, computes, own_floating_point, refuses_misfits
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
     SYMMETRY_TOLERANCE,
@@ -261,7 +261,7 @@ class LocalProblem(ReadOnly):
         return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
 
     @property
-    def _scaled_offset(self) -> NDArray[np.float64]:
+    def _scaled_offset(self) -> Array:
         return self.contact_scale[:, None] * self.offset.reshape(self.contacts, self.dimension)
 
     def contact_name(self, i: int) -> str:
@@ -273,7 +273,7 @@ class LocalProblem(ReadOnly):
         return f"LocalProblem({counted('contact', self.contacts)} in {self.dimension}D{joints})"
 
 
-def _mean_size(parts: NDArray[np.float64]) -> float:
+def _mean_size(parts: Array) -> float:
     """Return the root mean square of sizes whose squares may exceed doubles."""
     size = float(np.max(abs(parts), initial=0.0))
     return size * float(np.sqrt(np.mean((parts / size) ** 2))) if size > 0 else 0.0
@@ -292,8 +292,8 @@ class LocalSolution(ReadOnly, Printed):
     """Forces and velocities of one LocalProblem, with the certificate that judged them."""
 
     problem: LocalProblem = field(repr=False)
-    force: NDArray[np.float64]  # (m, d) r, on the body, in the order (N, T1, T2)
-    velocity: NDArray[np.float64]  # (m, d) u = W r + q + V l
+    force: Array  # (m, d) r, on the body, in the order (N, T1, T2)
+    velocity: Array  # (m, d) u = W r + q + V l
     joint_force: Vector  # (p,) l
     contact_status: NDArray[np.str_]  # (m,) of open, stick, slip, and closed without friction
     certificate: LocalCertificate

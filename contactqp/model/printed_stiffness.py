@@ -23,9 +23,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Indices
 
 EPS = float(np.finfo(float).eps)
 # Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.
@@ -133,7 +132,7 @@ def _noisy(stiffness: Any, motions: Array) -> bool:
     return bool(np.mean(np.any(felt, axis=1)) >= WIDESPREAD / 4)
 
 
-def _bodies(stiffness: Any) -> Iterator[NDArray[np.intp]]:
+def _bodies(stiffness: Any) -> Iterator[Indices]:
     """Yield the unknowns of each connected part of K that has more than one."""
     from scipy.sparse.csgraph import connected_components
 
@@ -144,7 +143,7 @@ def _bodies(stiffness: Any) -> Iterator[NDArray[np.intp]]:
             yield members
 
 
-def _scaled(matrix: Any, members: NDArray[np.intp], scale: Array) -> Any:
+def _scaled(matrix: Any, members: Indices, scale: Array) -> Any:
     part = sp.diags(scale[members])
     whole = len(members) == matrix.shape[0]
     return sp.csr_matrix(part @ (matrix if whole else matrix[members][:, members]) @ part)

@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, Unsupported, counts
 from contactqp.model.arguments import read_places
+from contactqp.model.arrays import Array, Indices, Mask, inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.arrays import Vector as Vector
-from contactqp.model.arrays import inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.computed import Computed
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import Units as Units
@@ -105,14 +105,14 @@ class ContactProblem:
     gap: Vector
     tangent: Matrix | None
     friction: Vector | None
-    slip_origin: NDArray[np.float64] | None
+    slip_origin: Array | None
     tie: Matrix
     tie_value: Vector
     dof_names: tuple[str, ...] | None
     contact_names: tuple[str, ...] | None
     tie_names: tuple[str, ...] | None
     units: Units
-    near_null_space: NDArray[np.float64] | None
+    near_null_space: Array | None
     asymmetry: float
     rigid_change: float
     load_sum: Vector | None  # (n,) sizes of the forces that add up to `load`, where these are not |load|
@@ -405,7 +405,7 @@ class ContactProblem:
         """Return the problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
-    def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
+    def with_contacts(self, contacts: Indices) -> ContactProblem:
         """Return the problem with some of its contacts only; what depends on K alone is not computed again."""
         kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
@@ -421,7 +421,7 @@ class ContactProblem:
         """Return whether a contact or a tie constrains nothing: its row is zero, or its gap infinite."""
         return any(bool(which.any()) for which in self.idle_rows())
 
-    def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def idle_rows(self) -> tuple[Mask, Mask]:
         """Return which contacts (m,) and ties (k,) constrain nothing: their rows are zero, or their gaps infinite."""
         if self._computed.idle_rows is None:
             zero = [one.indptr[1:] == one.indptr[:-1] for one in (self.normal, self.tie)]
@@ -444,7 +444,7 @@ class ContactProblem:
             raise Unsupported(f"{self.contact_name(i)} never closes: infinity is no rational number, leave it out")
         return self.gap
 
-    def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
+    def with_ties(self, ties: Indices) -> ContactProblem:
         """Return the problem with some of its ties only, which keep their names."""
         ties = read_places("ties", ties, self.ties)
         names = tuple(map(self.tie_name, ties.tolist()))

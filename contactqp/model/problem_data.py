@@ -16,10 +16,10 @@ from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import WORTHWHILE, Vector, on_one_thread, refuse_places_outside
+from contactqp.model.arrays import WORTHWHILE, Array, Vector, on_one_thread, refuse_places_outside
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
@@ -78,7 +78,7 @@ class ReadOnly:
             object.__setattr__(self, name, read_only(value))
 
 
-def read_array(name: str, value: Any) -> NDArray[np.float64]:
+def read_array(name: str, value: Any) -> Array:
     """Return a copy of real numbers of any shape, NaN included.
 
     Raises InvalidProblem: words, complex numbers, dates, objects that are no real numbers, masked arrays.
@@ -156,7 +156,7 @@ def refuse_masked(name: str, value: Any) -> None:
                 refuse_masked(name, part)
 
 
-def _finite(name: str, values: NDArray[np.float64]) -> None:
+def _finite(name: str, values: Array) -> None:
     if not np.isfinite(values).all():
         at = np.argwhere(~np.isfinite(values))[0]
         raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(at)]} at {at.tolist()}")
@@ -166,7 +166,7 @@ def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
     return _finite_vector(name, read_array(name, value), size)
 
 
-def _finite_vector(name: str, vector: NDArray[np.float64], size: int) -> Vector:
+def _finite_vector(name: str, vector: Array, size: int) -> Vector:
     vector = vector[None] if vector.ndim == 0 and size == 1 else vector
     if vector.shape != (size,):
         raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
@@ -205,7 +205,7 @@ def csr_rows(matrix: Any) -> Any:
     return sp.csr_array(matrix) if sp.issparse(matrix) else rows_of_dense(np.asarray(matrix), sp.csr_array)
 
 
-def rows_of_dense(dense: NDArray[np.float64], kind: Any) -> Any:
+def rows_of_dense(dense: Array, kind: Any) -> Any:
     """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
     row, column = dense.nonzero()
     rows = copy(_without_entries(kind, dense.shape))  # whose making, with all its checks, takes longer than the rest
@@ -297,7 +297,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, change
 
 
-def _definite(value: Any) -> NDArray[np.float64] | None:
+def _definite(value: Any) -> Array | None:
     """Return a small array that is symmetric to the last digit and resists every motion; None for all others."""
     if isinstance(value, np.ndarray) and value.size > DEFINITENESS_CHECK_SIZE**2:
         return None
@@ -318,7 +318,7 @@ def _symmetric(K: Any) -> bool:
     return all(np.array_equal(a, b) for a, b in pairs)
 
 
-def _resists_every_motion(K: NDArray[np.float64]) -> bool:
+def _resists_every_motion(K: Array) -> bool:
     """Return whether K is definite and resists every motion by more than lost digits could.
 
     `clear_of_printing` scales by the powers of two nearest to 1/sqrt(K_jj): its eigenvalues are at least half of these.
@@ -330,13 +330,13 @@ def _resists_every_motion(K: NDArray[np.float64]) -> bool:
     return bool(eigenvalues_of(K / (root[:, None] * root))[0] > 2 * SOFT)
 
 
-def eigenvalues_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def eigenvalues_of(matrix: Array) -> Array:
     """Return the eigenvalues of a small symmetric matrix, the lowest first, on one thread of BLAS."""
     with on_one_thread() if len(matrix) >= WORTHWHILE else nullcontext():
         return np.asarray(np.linalg.eigvalsh(matrix), dtype=float)
 
 
-def _refuse_indefinite(K: NDArray[np.float64]) -> None:
+def _refuse_indefinite(K: Array) -> None:
     scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
     scaled = K / np.outer(scale, scale)
     eigenvalues = eigenvalues_of(scaled)
@@ -350,7 +350,7 @@ def _refuse_indefinite(K: NDArray[np.float64]) -> None:
         )
 
 
-def _curved(K: NDArray[np.float64], direction: NDArray[np.float64]) -> str:
+def _curved(K: Array, direction: Array) -> str:
     """Return a direction of negative curvature in words, if its curvature is negative in rational numbers."""
     z = direction / np.max(abs(direction))
     parts = [(int(j), Fraction(float(z[j]))) for j in np.flatnonzero(z)]
@@ -370,7 +370,7 @@ def _of_lost_digits(eigenvalue: float) -> str:
 
 def read_friction(
     tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int, known: bool = False
-) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
+) -> tuple[Matrix | None, Vector | None, Array | None]:
     """Return tangential rows, coefficients (m,) and slip origins (m, d-1); None for each without tangential rows.
 
     Parameters
@@ -420,7 +420,7 @@ def read_matrix(name: str, value: Any) -> Any:
     return _sparse(name, value)
 
 
-def read_motions(value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
+def read_motions(value: ArrayLike | None, n: int) -> Array | None:
     if value is None:
         return None
     motions = read_array("near_null_space", value)

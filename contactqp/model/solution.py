@@ -54,7 +54,7 @@ class Answer(ReadOnly):
 
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,)
-    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    friction_force: Array | None  # (m, d-1)
     tie_force: Vector  # (k,)
 
     def finite(self) -> bool:
@@ -258,7 +258,7 @@ class Candidate:
     claimed: bool = True  # does the method itself call this solved?
     status: str = ""  # the backend's own words
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
-    friction_force: NDArray[np.float64] | None = None  # (m, d-1) l_T, of a method that enforces friction itself
+    friction_force: Array | None = None  # (m, d-1) l_T, of a method that enforces friction itself
     contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, likewise
 
     @property
@@ -295,7 +295,7 @@ class Raw(ReadOnly):
     problem: ContactProblem = field(repr=False)
     displacement: Vector
     normal_force: Vector
-    friction_force: NDArray[np.float64] | None  # (m, d-1), zeros: there is a raw answer without friction alone
+    friction_force: Array | None  # (m, d-1), zeros: there is a raw answer without friction alone
     tie_force: Vector
     claimed: bool
     status: str
@@ -328,7 +328,7 @@ class Final:
     free_motions: tuple[FreeMotion, ...] = ()
     corrections: int = 0  # of the contact set
     polished: bool = False
-    friction_force: NDArray[np.float64] | None = None  # (m, d-1); None without friction
+    friction_force: Array | None = None  # (m, d-1); None without friction
     contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
 
 
@@ -344,7 +344,7 @@ class Solution(ReadOnly):
     problem: ContactProblem = field(repr=False)
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,)
-    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    friction_force: Array | None  # (m, d-1)
     tie_force: Vector  # (k,)
     contact_status: NDArray[np.str_]  # (m,) of open, closed, grazing, stick, slip
     free_motions: tuple[FreeMotion, ...]
@@ -362,7 +362,7 @@ class Solution(ReadOnly):
         return read_only(np.asarray(self.problem.gap - self.problem.normal @ self.displacement))
 
     @property
-    def slip(self) -> NDArray[np.float64] | None:
+    def slip(self) -> Array | None:
         """E_T u - slip_origin, (m, d-1) [length], or None without tangential rows."""
         problem = self.problem
         if problem.tangent is None or problem.slip_origin is None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
@@ -33,10 +33,10 @@ class Reference:
     name: str
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,)
-    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    friction_force: Array | None  # (m, d-1)
     tie_force: Vector  # (k,)
-    open: NDArray[np.bool_]  # (m,)
-    slip: NDArray[np.float64]  # (m, d-1) zero where it sticks, (m, 0) without friction
+    open: Mask  # (m,)
+    slip: Array  # (m, d-1) zero where it sticks, (m, 0) without friction
     one_displacement: bool
     one_force: bool
 
@@ -152,7 +152,7 @@ def displacement_deviations(reference: Reference, displacement: Vector, rtol: fl
 def force_deviations(
     reference: Reference,
     normal_force: Vector,
-    friction_force: NDArray[np.float64] | None,
+    friction_force: Array | None,
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:
@@ -189,7 +189,7 @@ def force_deviations(
 def resultant_deviations(
     reference: Reference,
     normal_force: Vector,
-    friction_force: NDArray[np.float64] | None,
+    friction_force: Array | None,
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:

@@ -23,7 +23,7 @@ from contactqp.elements.reference_elements import Block, Reference, facet_keys
 from contactqp.elements.solid import Body, stress_at_nodes, von_mises
 from contactqp.elements.structure import Structure, System
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.arrays import Array, Index, Indices, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 
@@ -157,13 +157,13 @@ class BodyFields:
     """
 
     body: Body
-    displacement: NDArray[np.float64]
-    stress: NDArray[np.float64]
-    contact_force: NDArray[np.float64]
-    load: NDArray[np.float64]
+    displacement: Array
+    stress: Array
+    contact_force: Array
+    load: Array
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Array:
         """The initial positions of the nodes, (N, d) [length]."""
         return self.body.mesh.points
 
@@ -212,13 +212,13 @@ class PairingFields:
     name: str
     body: Index
     node: Index
-    position: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    position: Array
+    displacement: Array
+    direction: Array
     force: Vector
     pressure: Vector | None
-    friction: NDArray[np.float64] | None
-    shear: NDArray[np.float64] | None
+    friction: Array | None
+    shear: Array | None
     gap: Vector
     initial_gap: Vector
     status: NDArray[np.str_]
@@ -251,7 +251,7 @@ def contact_facets(fields: ContactFields, pairing: PairingFields) -> Iterator[tu
             yield block.kind, here[(here >= 0).all(axis=1)]
 
 
-def contacts_of(solution: Solution, system: System, pairings: Sequence[Pairing]) -> NDArray[np.intp]:
+def contacts_of(solution: Solution, system: System, pairings: Sequence[Pairing]) -> Indices:
     """Return the places of the contacts of a solution among the rows of the pairings that its problem is made of.
 
     Raises InvalidProblem: the solution is not one of this system and these pairings.

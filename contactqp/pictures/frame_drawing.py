@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import tangents
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 from contactqp.model.summary import verdict_of
@@ -98,7 +97,7 @@ class FrameFields:
     nodes: tuple[str, ...]
     position: Array
     displacement: Array
-    held: NDArray[np.bool_]
+    held: Mask
     load: Array
     members: tuple[Member, ...]
     contacts: tuple[FrameContact, ...]

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import Event, History
 from contactqp.model.arguments import checked
@@ -119,7 +118,7 @@ def draw_labels(panel: Any, found: Sequence[Label]) -> None:
         )
 
 
-def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def draw_points(panel: Any, events: Sequence[Event], x: Array, y: Array) -> None:
     """Draw a marker on a curve at each event.
 
     Parameters
@@ -149,7 +148,7 @@ def event_handles(events: Sequence[Event], points: bool) -> list[Any]:
     return found
 
 
-def _apart(times: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+def _apart(times: Array, least: float) -> Array:
     """Return the times without those that lie within `least` of another one."""
     times = np.unique(times)
     if least <= 0:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.motion.motion_history import MotionHistory
@@ -74,7 +73,7 @@ class HistoryFields:
         off = np.max(abs(self.load - np.outer(self.times, whole)))
         return bool(off <= ROUNDING * np.max(abs(self.load)))
 
-    def instants(self, events: tuple[Event, ...]) -> NDArray[np.int64]:
+    def instants(self, events: tuple[Event, ...]) -> Index:
         """Return the instant of each event: the nearest in time, or the next such one where times repeat."""
         found, here = np.empty(len(events), dtype=np.int64), 0
         for i, event in enumerate(events):
@@ -363,7 +362,7 @@ def load_parts(load: Array) -> tuple[Part, ...]:
     return tuple(Part(amount, pattern) for amount, pattern in zip(amounts, patterns, strict=True))
 
 
-def _loads_of_unknowns(fields: HistoryFields, unknowns: NDArray[np.int64], factor: Vector | None) -> Panel | None:
+def _loads_of_unknowns(fields: HistoryFields, unknowns: Index, factor: Vector | None) -> Panel | None:
     """Return a curve for each loaded unknown."""
     if fields.load is None or not len(unknowns):
         return None

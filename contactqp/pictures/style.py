@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import PICTURES, check_file, check_installed, write_whole
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import Units
 
 if TYPE_CHECKING:
@@ -130,7 +129,7 @@ def count_label(status: str, number: int) -> str:
     return f"{status} ({number})"
 
 
-def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64]:
+def arrows_to_draw(position: Array, value: Array, most: int) -> Index:
     """Return the contacts that get an arrow: all that push, or about `most` of them with the largest.
 
     `position` (p, d) and `value` (p,) are those of the contacts, which are counted along the longest side of the box

@@ -13,13 +13,13 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis import is_motion
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
+from contactqp.model.arrays import Array
 from contactqp.model.solution import Solution
 from contactqp.scene import building
 from contactqp.scene.building import ExactProblem, NodeModel
@@ -83,7 +83,7 @@ class Instant:
     def _of_one(self, contacts: Sequence[int]) -> list[Event]:
         return [event for event in self.events if event.contact in contacts]
 
-    def impulses(self) -> NDArray[np.float64]:
+    def impulses(self) -> Array:
         """Return what each normal force has given since the start of the motion, (m,) [force time]."""
         motion = self.motion
         force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
@@ -157,7 +157,7 @@ class Answer:
         return DeformableModel(self.model).bar_force(name, self.solution.displacement)
 
 
-def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:
+def friction_along_axes(model: NodeModel, solution: Solution) -> Array:
     """Return lambda_T of each contact along the axes, (m, d) [force].
 
     At large deformations the tangents are those of the displaced node.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis import is_moving
 from contactqp.elements.solid import von_mises
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.model.arrays import Array, Mask
 from contactqp.scene.answers import OF_BOTH, Instant
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.claims import COMPONENTS, Claim
@@ -44,7 +44,7 @@ class BodyAnswer:
         """Return the entry of the scene's contacts that the claim names."""
         return self.model.contacts[self.model.place(str(claim.at))]
 
-    def near(self, claim: Claim) -> NDArray[np.float64]:
+    def near(self, claim: Claim) -> Array:
         """Return the point of the claim, in the scene's unit of length."""
         return np.array(vector(self.scene.system, claim.near or ()))
 
@@ -89,12 +89,12 @@ def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
     return float(forces[axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
 
 
-def _half_width(claim: Claim, answer: BodyAnswer, nodes: NDArray[np.bool_]) -> float:
+def _half_width(claim: Claim, answer: BodyAnswer, nodes: Mask) -> float:
     apart = np.linalg.norm(answer.contact(claim).pairing.points - answer.near(claim), axis=1)
     return float(apart[nodes].max()) if nodes.any() else float("nan")
 
 
-def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
+def _friction(claim: Claim, answer: BodyAnswer) -> Array:
     """Return lambda_T of each paired node along the claim's axis, (p,) [force]."""
     vectors = answer.model.friction_vectors(str(claim.at), answer.solution)
     return np.asarray(vectors[:, answer.scene.axes.index(str(claim.along))])
@@ -115,7 +115,7 @@ def _support_force(claim: Claim, answer: BodyAnswer) -> float:
     return answer.model.support_force(i, answer.solution, answer.instant.time)
 
 
-def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
+def _pressures(claim: Claim, answer: BodyAnswer) -> Array:
     return answer.model.pressures(str(claim.at), answer.solution)
 
 
@@ -196,7 +196,7 @@ def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
     return [_motion_in_words(model, motion) for motion in _reduced(model, model.free_motions(solution))]
 
 
-def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduced(model: BodyModel, rows: Array) -> Array:
     """Return the reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
     rows = rows.copy()
     places = []
@@ -206,11 +206,11 @@ def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]
         others = np.arange(len(rows)) != i
         rows[others] -= np.outer(column[others], rows[i])
         places.append(at)
-    reduced: NDArray[np.float64] = rows[np.argsort(places)]
+    reduced: Array = rows[np.argsort(places)]
     return reduced
 
 
-def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
+def _motion_in_words(model: BodyModel, motion: Array) -> str:
     parts = []
     for body in model.structure.bodies:
         low, high = model.ranges(body.name, motion).T

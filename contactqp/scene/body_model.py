@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements import loads, solid
 from contactqp.elements.material import Material
@@ -31,7 +31,7 @@ from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface, diameters
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.linalg.runtime import BUILD, stage
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle, warn_of_start
@@ -51,7 +51,7 @@ class ContactAnswer(Protocol):
         """Return lambda_N, (m,) [force]."""
 
     @property
-    def friction_force(self) -> NDArray[np.float64] | None:
+    def friction_force(self) -> Array | None:
         """Return lambda_T, (m, d-1) [force]."""
 
     @property
@@ -90,7 +90,7 @@ class ContactEntries(ABC):
 
     @property
     @abstractmethod
-    def kept(self) -> NDArray[np.int64]:
+    def kept(self) -> Index:
         """Return which rows of all pairings are contacts of the problem: those that a free unknown moves."""
 
     @property
@@ -152,15 +152,15 @@ class ContactEntries(ABC):
         frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
         return np.asarray(np.einsum("pk,pkd->pd", along, frames))
 
-    def closed(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
+    def closed(self, name: str, solution: ContactAnswer) -> Mask:
         """Return which paired nodes of one entry press, (p,)."""
         return self._has_status(name, solution, "closed", "stick", "slip")
 
-    def stuck(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
+    def stuck(self, name: str, solution: ContactAnswer) -> Mask:
         """Return which paired nodes of one entry press and stick, (p,)."""
         return self._has_status(name, solution, "stick")
 
-    def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> NDArray[np.bool_]:
+    def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> Mask:
         return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: ContactAnswer) -> Vector:
@@ -215,7 +215,7 @@ class BodyModel(ContactEntries):
             )
 
     @property
-    def kept(self) -> NDArray[np.int64]:
+    def kept(self) -> Index:
         """Return which rows of all pairings are contacts of the problem."""
         return self.system.free_contacts([contact.pairing for contact in self.contacts])
 
@@ -262,11 +262,11 @@ class BodyModel(ContactEntries):
         values = self.structure.displacements(body, field)
         return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
 
-    def free_motions(self, solution: Solution) -> NDArray[np.float64]:
+    def free_motions(self, solution: Solution) -> Array:
         """Return the directions of the solution's free motions, (q, all unknowns); supports stand still."""
         return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
 
-    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
+    def largest(self, rows: Array, i: int) -> tuple[Vector, int]:
         """Return the column of some fields (q, all unknowns) where field i is largest, and its place."""
         at = int(np.argmax(np.abs(rows[i])))
         return rows[:, at].copy(), at
@@ -296,7 +296,7 @@ class BodyModel(ContactEntries):
                 pressed = pressed + contact.pairing.tangent.T @ along.ravel()
         return self.system.support_forces(self.displacement(solution), pressed)
 
-    def held_by(self, support: int) -> NDArray[np.int64]:
+    def held_by(self, support: int) -> Index:
         """Return the places in u of the unknowns that an entry of the scene's supports holds."""
         entry = self.supports[support]
         body = self.structure.body(entry.body)

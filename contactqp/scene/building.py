@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.elements.members import weight
 from contactqp.elements.obstacle import ContactRows, Plane, against_plane, against_surface, between_nodes
@@ -29,6 +28,7 @@ from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
 from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle, warn_of_nodes
 from contactqp.scene.schema import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
@@ -230,7 +230,7 @@ class NodeModel:
         with stage(BUILD):
             return _rounded(self.scene, self.exact)
 
-    def along_axes(self, tangential: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    def along_axes(self, tangential: Array | None) -> Array:
         """Return sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
         axes = self.scene.axes
         vectors = np.zeros((len(self.exact.contacts), len(axes)))
@@ -244,7 +244,7 @@ class NodeModel:
         """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
         return sum_of(self.exact.loads, factors_at(self.scene, time))
 
-    def load_at(self, time: Fraction) -> NDArray[np.float64]:
+    def load_at(self, time: Fraction) -> Array:
         """Return the same on the free unknowns, rounded, (n,) [force]."""
         load = self.exact_load_at(time)
         return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])

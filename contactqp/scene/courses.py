@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
+from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel
 from contactqp.scene.judging import Judgement
 from contactqp.scene.schema import SceneData, has_corners
@@ -42,7 +43,7 @@ class Course:
     what: str
     unit: str
     over: str  # along or over what, and from where to where
-    values: NDArray[np.float64]
+    values: Array
 
     @property
     def cells(self) -> list[str]:
@@ -80,7 +81,7 @@ def _pressures(judgement: Judgement) -> Iterator[Course]:
         yield Course(contact.name, "pressure", unit, over, largest[near])
 
 
-def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _across(place: Array, values: Array) -> tuple[Array, Array]:
     """Return the places in their order, each once, and the largest value at each."""
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
@@ -104,14 +105,14 @@ def _histories(judgement: Judgement) -> Iterator[Course]:
         yield Course(contact, "normal force", scene.units.force, over, _even(times, force))
 
 
-def _even(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _even(times: Array, values: Array) -> Array:
     """Return the values at even times, where the history has only the uneven times of a path's events."""
     if len(times) >= EVEN or not np.all(np.diff(times) > 0):
         return values
     return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
 
 
-def of_contacts(judgement: Judgement, history: History) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def of_contacts(judgement: Judgement, history: History) -> Iterator[tuple[str, Array]]:
     forces = np.asarray(history.normal_forces).reshape(len(history), -1)
     model = judgement.model
     if not isinstance(model, NodeModel):

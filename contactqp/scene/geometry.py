@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.obstacle import Obstacle, Plane
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
@@ -146,7 +146,7 @@ def obstacle(scene: SceneData, name: str) -> Obstacle:
     return Paraboloid(where["apex"], axis, radius, inside, item.measure or "axis")
 
 
-def height_of(item: Obstacle, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def height_of(item: Obstacle, name: str, points: Array) -> Array:
     """Return the z of the obstacle's upper surface over (p, 2) points, -inf where there is none [length].
 
     Raises
@@ -168,9 +168,9 @@ def height_of(item: Obstacle, name: str, points: NDArray[np.float64]) -> NDArray
     )
 
 
-def _squares(points: NDArray[np.float64], centre: Any) -> NDArray[np.float64]:
+def _squares(points: Array, centre: Any) -> Array:
     """Return r^2 of the points from the vertical through the centre."""
-    squares: NDArray[np.float64] = ((points - np.asarray(centre, dtype=float)[:2]) ** 2).sum(axis=1)
+    squares: Array = ((points - np.asarray(centre, dtype=float)[:2]) ** 2).sum(axis=1)
     return squares
 
 

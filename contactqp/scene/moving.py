@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.analysis.impact import OWN_ARGUMENTS, impact
 from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.elements.scalars import Number
 from contactqp.errors import InvalidProblem, NotConverged, SceneError, Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
 from contactqp.scene.schema import start_values
@@ -203,7 +202,7 @@ def mass_on_all(model: Model) -> Any:
     return matrix.tocsr()
 
 
-def free_places(model: Model) -> NDArray[np.int64]:
+def free_places(model: Model) -> Index:
     """Return the places of the free unknowns among all."""
     if not isinstance(model, NodeModel):
         return model.system.free
@@ -312,7 +311,7 @@ def _along(model: Model, axis: str, part: str | None) -> list[str]:
     return [f"{node}.{axis}" for node in nodes]
 
 
-def _places(model: Model) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _places(model: Model) -> Iterator[tuple[str, Index]]:
     """Yield the names of starts, unknowns or ``body.axis``, and their places among all unknowns."""
     if isinstance(model, NodeModel):
         for name, place in model.exact.unknowns.place.items():

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
@@ -17,6 +17,7 @@ from rich.text import Text
 from contactqp.analysis import is_moving
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
+from contactqp.model.arrays import Array
 from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate, Solution
 from contactqp.model.summary import FEW_EVENTS, MOST_EVENTS, events_together, without_rounding
 from contactqp.scene.answers import friction_along_axes
@@ -149,8 +150,8 @@ def _print_largest(
     console: Console,
     header: list[str],
     rows: Sequence[Sequence[str]],
-    size: NDArray[np.float64],
-    pictures: Sequence[tuple[int, NDArray[np.float64]]],
+    size: Array,
+    pictures: Sequence[tuple[int, Array]],
     most: int,
 ) -> None:
     """Print at most so many rows of a table, those of the largest sizes, in their order; and how many there are."""
@@ -171,7 +172,7 @@ def _print_unpushed(console: Console, judgement: Judgement) -> None:
             console.print(f"[yellow]{where} and ends outside without a force: is the normal turned round?[/yellow]")
 
 
-def _gaps(solution: Solution) -> NDArray[np.float64]:
+def _gaps(solution: Solution) -> Array:
     """Return the gaps without what rounding leaves of closed ones."""
     size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
     return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.number_range import near_one
@@ -19,7 +18,7 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
@@ -105,7 +104,7 @@ class AssociatedDifference(ReadOnly):
     associated: Solution
     displacement: Vector  # (n,) [length]
     normal_force: Vector  # (m,) [force]
-    friction_force: NDArray[np.float64]  # (m, d-1) [force]
+    friction_force: Array  # (m, d-1) [force]
     opening: Vector  # (m,) mu |s| where the relaxation slides under load: the gap that it opens [length]
     displacement_part: float  # |du|_K / |u|_K, absolute where Coulomb's answer has no energy
     force_part: float  # largest change of a contact force, of the largest contact force
@@ -185,7 +184,7 @@ def _energy_norm(problem: ContactProblem, u: Vector) -> float:
     return float(np.sqrt(max(u @ (problem.stiffness @ u), 0.0)))
 
 
-def _friction(solution: Solution) -> NDArray[np.float64]:
+def _friction(solution: Solution) -> Array:
     return np.zeros((len(solution.normal_force), 1)) if solution.friction_force is None else solution.friction_force
 
 

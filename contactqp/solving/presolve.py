@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.figures import contact_status
@@ -351,7 +350,7 @@ def solve_among(
 
 def _first(
     problem: ContactProblem, start: Solution | None, without_friction: WithoutFriction
-) -> tuple[NDArray[np.intp] | None, Work]:
+) -> tuple[Indices | None, Work]:
     """Return the first candidates, None for all contacts, and the work of finding them.
 
     With friction they are those of the last load, or near those that close at the start, else without friction.
@@ -377,16 +376,14 @@ def _gap(problem: ContactProblem, displacement: Vector) -> Vector:
     return np.asarray(problem.gap - problem.normal @ displacement)
 
 
-def _restricted(start: Solution | None, subset: ContactProblem, candidates: NDArray[np.intp]) -> Solution | None:
+def _restricted(start: Solution | None, subset: ContactProblem, candidates: Indices) -> Solution | None:
     if start is None:
         return None
     friction = None if start.friction_force is None else start.friction_force[candidates]
     return replace(start, problem=subset, normal_force=start.normal_force[candidates], friction_force=friction)
 
 
-def _of_all(
-    problem: ContactProblem, candidates: NDArray[np.intp], solution: Solution, spent: Work, started: float
-) -> Solution:
+def _of_all(problem: ContactProblem, candidates: Indices, solution: Solution, spent: Work, started: float) -> Solution:
     """Return the solution with all contacts, certified with all of them."""
 
     def spread(force: Array) -> Array:

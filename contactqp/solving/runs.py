@@ -227,15 +227,12 @@ CONDENSES_ITSELF = "active set"
 class CondensedRun(Run):
     """The method on the contact unknowns alone, or on all where condensing is not wanted or makes nothing smaller.
 
+    Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as `solve` does.
+
     Parameters
     ----------
     problem, method, settings : ContactProblem, Method, Settings
     condense : bool or "auto", as in `solve`
-
-    Raises
-    ------
-    NoEquilibrium, NotConverged, BackendFailed, Unsupported
-        As `solve`.
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
@@ -365,14 +362,8 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
 class EnforcedRun(Run):
     """Coulomb friction by the method's own systems of stick and slip, in the problem's own unknowns, never polished.
 
-    Raises
-    ------
-    Unsupported
-        Two tangential directions a contact, or bodies too large to factorise.
-    NoEquilibrium
-        The constraints conflict.
-    NotConverged, InvalidProblem
-        As the method.
+    Raises Unsupported: two tangential directions a contact, or bodies too large to factorise; NoEquilibrium: the
+    constraints conflict; NotConverged, InvalidProblem as the method.
     """
 
     def __init__(
@@ -430,10 +421,7 @@ _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip inst
 class RunByIteration(Run):
     """A run on a body too large to factorise, whose cost is counted in steps of its iteration.
 
-    Raises
-    ------
-    Unsupported
-        Another method than the active set.
+    Raises Unsupported: another method than the active set.
     """
 
     def __init__(
@@ -464,18 +452,12 @@ class RunByIteration(Run):
 class IteratedRun(RunByIteration):
     """The active set by conjugate gradients on a body too large to factorise, as accurate as the certificate asks.
 
+    Raises Unsupported: another method than the active set, or a wish to condense; NotConverged as `solve_by_iteration`
+    does; NoEquilibrium: the load drives a rigid motion that nothing holds.
+
     Parameters
     ----------
     problem, method, settings, condense : as in `CondensedRun`; `condense` True is refused
-
-    Raises
-    ------
-    Unsupported
-        Another method than the active set, or a wish to condense.
-    NotConverged
-        As `solve_by_iteration`.
-    NoEquilibrium
-        The load drives a rigid motion that nothing holds.
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:

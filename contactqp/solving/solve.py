@@ -292,12 +292,8 @@ def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Sol
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
     """Return the first certified answer of the other exact routes; `Work.routes` says what was tried.
 
-    Raises
-    ------
-    NoEquilibrium
-        Another route has proven that there is none.
-    NotCertified, NotConverged
-        The error of the default method, with what the others came to: none is certified.
+    Raises NoEquilibrium: another route has proven that there is none; NotCertified, NotConverged: the error of the
+    default method, with what the others came to: none is certified.
     """
     first = error.solution
     spent, seconds = (first.work, first.seconds) if isinstance(first, Solution) else (Work(), 0.0)
@@ -353,10 +349,7 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
 def of_problem(near: NearOne, found: Solution) -> Solution:
     """Return a solution in units near one as one of the problem, certified in the problem's units.
 
-    Raises
-    ------
-    InvalidProblem
-        The answer, or a gap that it closes, is beyond doubles.
+    Raises InvalidProblem: the answer, or a gap that it closes, is beyond doubles.
     """
     near.refuse_far_gap(found)
     parts, friction = near.parts(found), near.friction(found.friction_force)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -22,7 +21,7 @@ from contactqp.exchange.fclib import StoredAnswer
 from contactqp.exchange.files import Ledger, naming, wrong
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger
-from contactqp.model.arrays import own_floating_point
+from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate
@@ -154,10 +153,10 @@ class WorstContact:
     index: int
     figure: str  # the figure that is broken most
     size: float  # of that figure, as the certificate measures it
-    force: NDArray[np.float64]  # (d,) as given
-    velocity: NDArray[np.float64]  # (d,) W r + q of all the given forces
-    right_force: NDArray[np.float64] | None  # (d,) of our solution
-    right_velocity: NDArray[np.float64] | None
+    force: Array  # (d,) as given
+    velocity: Array  # (d,) W r + q of all the given forces
+    right_force: Array | None  # (d,) of our solution
+    right_velocity: Array | None
 
     def data(self) -> dict[str, Any]:
         """Return the findings as plain data for JSON."""
@@ -225,7 +224,7 @@ def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) 
     )
 
 
-def _areas(file: str, names: list[str], ledger: Ledger) -> NDArray[np.float64]:
+def _areas(file: str, names: list[str], ledger: Ledger) -> Array:
     areas = read_areas(file, names, ledger)
     if areas.shape != (len(names),) or not np.all((areas > 0) & np.isfinite(areas)):
         raise wrong(file, "content", f"{len(names)} positive areas", f"{areas.size} numbers")
@@ -263,8 +262,8 @@ def _contact(
     i: int,
     figure: str,
     size: float,
-    force: NDArray[np.float64],
-    velocity: NDArray[np.float64],
+    force: Array,
+    velocity: Array,
     right: LocalSolution | None,
 ) -> WorstContact:
     return WorstContact(

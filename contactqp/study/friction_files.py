@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -42,6 +40,7 @@ from contactqp.exchange.files import naming, write_whole
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.linalg.runtime import within_time
+from contactqp.model.arrays import Array
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem, Units
@@ -124,10 +123,7 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
     The first rank reads the file and distributes the problem. It holds all of K while it does so; the others never hold
     more than an equal share of the rows and their part.
 
-    Raises
-    ------
-    InvalidProblem, Unsupported, BackendMissing
-        As `run_file` raises, on all ranks with the same message.
+    Raises InvalidProblem, Unsupported, BackendMissing as `run_file` raises, on all ranks with the same message.
     """
     method = distributed_method(method)
     chosen, ranks = options_on_ranks(dict(options)), Ranks()
@@ -199,31 +195,19 @@ def run_files(
 ) -> list[FileOutcome]:
     """Solve every file by every method.
 
+    Raises InvalidProblem: a stiffness with a unit for a problem that states none; names of units for one that states
+    its own; Unsupported: a picture or a table of a problem in local form, or of one that is dealt out to ranks.
+
     Parameters
     ----------
-    files : sequence of str
-        Files of problems in formats of other codes.
-    methods : sequence of str
-        Names of methods; active-set where there is none.
-    knobs : mapping
-        Options of the methods.
-    drawn : bool
-        Whether a picture or a table of the answer was asked for, which problems in local form have not.
-    progress : bool
-        Show a bar on stderr.
-    engine : str
-        "serial", or the engine that solves on ranks.
-    time_limit : float, optional
-        Seconds for each file and method.
-    units : Units, optional
-        What the units of files that state none are called; in one process alone.
-
-    Raises
-    ------
-    InvalidProblem
-        A stiffness with a unit for a problem that states none; names of units for one that states its own.
-    Unsupported
-        A picture or a table of a problem in local form, or of one that is dealt out to ranks.
+    files : sequence of str, files of problems in formats of other codes
+    methods : sequence of str, names of methods; active-set where there is none
+    knobs : mapping, options of the methods
+    drawn : whether a picture or a table of the answer was asked for, which problems in local form have not
+    progress : show a bar on stderr
+    engine : "serial", or the engine that solves on ranks
+    time_limit : seconds for each file and method
+    units : what the units of files that state none are called; in one process alone
     """
     if not files:
         return []
@@ -255,10 +239,8 @@ def run_file(
 
     Parameters
     ----------
-    file : str
-        A file of a problem in a format of another code.
-    method : str, optional
-        Name of the method, active-set by default.
+    file : a file of a problem in a format of another code
+    method : name of the method, active-set by default
     options : mapping, optional
         Options of the method.
     engine : str
@@ -304,10 +286,7 @@ def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | No
 def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options with their stiffnesses as numbers in a problem's units.
 
-    Raises
-    ------
-    InvalidProblem
-        A stiffness with a unit, and the problem states none.
+    Raises InvalidProblem: a stiffness with a unit, and the problem states none.
     """
     numbers = dict(options)
     for name, value in options.items():
@@ -490,6 +469,6 @@ def _row(outcome: FileOutcome) -> list[str | Text]:
     ]
 
 
-def vector_text(values: NDArray[np.float64]) -> str:
+def vector_text(values: Array) -> str:
     """Return a vector as text: ``(1, 2.5, -3)``."""
     return "(" + ", ".join(f"{value:.6g}" for value in values) + ")"

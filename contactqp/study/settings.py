@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
+from contactqp.model.arrays import Indices
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array
 from contactqp.solving.methods import Method, find, methods
@@ -222,7 +222,7 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
     return condense(problem).rigid.count > 0
 
 
-def _touched(problem: ContactProblem) -> NDArray[np.intp]:
+def _touched(problem: ContactProblem) -> Indices:
     """Return the unknowns that contacts and ties touch."""
     return np.union1d(problem.normal.indices, problem.tie.indices)
 

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import Ledger, read_text, wrong
 from contactqp.exchange.matrix_files import read_matrix
 from contactqp.exchange.tables import is_table, read_tables
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate, Solution
@@ -221,6 +220,6 @@ def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
     }
 
 
-def finite_list(values: NDArray[np.float64] | None) -> list[float | None] | None:
+def finite_list(values: Array | None) -> list[float | None] | None:
     """Return numbers for JSON, None where they are not finite."""
     return None if values is None else [finite(float(value)) for value in values]

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.errors import NotConverged
@@ -238,8 +237,8 @@ class LargeSolution(Solution):
     tie_value: Vector = field(default_factory=lambda: np.zeros(0), repr=False)  # (k,) A u
     increment: Vector = field(default_factory=lambda: np.zeros(0), repr=False)  # (n,) the last step
     current_gap: Vector = field(default_factory=lambda: np.zeros(0), repr=False)
-    current_slip: NDArray[np.float64] | None = field(default=None, repr=False)
-    position: NDArray[np.float64] | None = field(default=None, repr=False)  # (m, d) of the contacts
+    current_slip: Array | None = field(default=None, repr=False)
+    position: Array | None = field(default=None, repr=False)  # (m, d) of the contacts
     elastic: float = 0.0  # the energy of the body
     negative: int = 0  # motions without contact change that have negative energy; 0: stable
     iterations: tuple[NewtonIteration, ...] = field(default=(), repr=False)
@@ -252,7 +251,7 @@ class LargeSolution(Solution):
         return self.current_gap
 
     @property
-    def slip(self) -> NDArray[np.float64] | None:
+    def slip(self) -> Array | None:
         """Return how far the contacts slid in the load step along the current tangents, (m, d-1) [length]."""
         return self.current_slip
 
@@ -351,7 +350,7 @@ class LargeHistory(History):
         return tuple(solution.iterations for solution in self._found)
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
+    def stable(self) -> Mask:
         """Return whether each equilibrium is stable, (steps,)."""
         return read_only(np.array([solution.stable for solution in self._found]))
 

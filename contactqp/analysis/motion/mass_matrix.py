@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.factorization import factorise, null_space
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
 
@@ -73,12 +72,12 @@ def _refuse_indefinite(M: Any) -> None:
         raise InvalidProblem("mass: expected a positive semidefinite matrix, got an indefinite one") from error
 
 
-def massless(mass: Any) -> NDArray[np.bool_]:
+def massless(mass: Any) -> Mask:
     """Return which unknowns are without mass, (n,)."""
     return np.asarray(mass.diagonal() == 0)
 
 
-def touched(problem: ContactProblem) -> NDArray[np.intp]:
+def touched(problem: ContactProblem) -> Indices:
     """Return the unknowns that contacts act on: those of E_N, with friction also those of E_T."""
     rows = [problem.normal]
     if problem.frictional and problem.tangent is not None:
@@ -133,9 +132,7 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     return sp.csr_matrix(left + sp.diags(change))
 
 
-def _on_neighbours(
-    graph: Any, M: Any, left: Any, bare: NDArray[np.bool_], kept: NDArray[np.bool_], Z: NDArray[np.float64]
-) -> Vector:
+def _on_neighbours(graph: Any, M: Any, left: Any, bare: Mask, kept: Mask, Z: Array) -> Vector:
     """Return the diagonal change (n,) on one body that keeps Z'MZ, on as small a number of rings of neighbours as
     can.
     """

@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History, LazySolutions, contact_changes
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
@@ -19,7 +18,7 @@ from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.figures import contact_status
 from contactqp.errors import Unsupported, counted
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
@@ -111,12 +110,12 @@ class MotionHistory(History):
         return "\n".join([super().summary(), *said])
 
     @property
-    def displacements(self) -> NDArray[np.float64]:
+    def displacements(self) -> Array:
         """Return the displacements (steps, n) [length]."""
         return read_only(np.array([state.displacement for state in self.motion.states]))
 
     @property
-    def velocities(self) -> NDArray[np.float64]:
+    def velocities(self) -> Array:
         """Return the velocities (steps, n) [length / time]; of central differences those half a step before, after
         the start's.
         """
@@ -128,12 +127,12 @@ class MotionHistory(History):
         return self.motion.scheme.body.problem
 
     @property
-    def normal_forces(self) -> NDArray[np.float64]:
+    def normal_forces(self) -> Array:
         """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([state.normal_force for state in self.motion.states]))
 
     @property
-    def friction_forces(self) -> NDArray[np.float64] | None:
+    def friction_forces(self) -> Array | None:
         """Return the friction forces (steps, m, d-1) [force], or None without friction."""
         problem = self.motion.scheme.body.problem
         if not problem.frictional or problem.slip_origin is None:
@@ -142,7 +141,7 @@ class MotionHistory(History):
         return read_only(np.array([state.friction_force for state in self.motion.states])).reshape(shape)
 
     @property
-    def tie_forces(self) -> NDArray[np.float64]:
+    def tie_forces(self) -> Array:
         """Return the tie forces (steps, k) [force]."""
         return read_only(np.array([state.tie_force for state in self.motion.states]))
 
@@ -274,7 +273,7 @@ def _penetrates(motion: Motion, deepest: tuple[int, int, float]) -> str:
     return f"the displacement penetrates {problem.contact_name(deepest[1])} by {deepest[2]:.6g}{unit}, {why}"
 
 
-def _shaped(friction: Vector, problem: ContactProblem) -> NDArray[np.float64]:
+def _shaped(friction: Vector, problem: ContactProblem) -> Array:
     assert problem.slip_origin is not None
     return friction.reshape(problem.slip_origin.shape) if len(friction) else np.zeros_like(problem.slip_origin)
 
@@ -320,7 +319,7 @@ def events(motion: Motion) -> Iterator[Event]:
     return contact_changes(states(), map(motion.time, range(len(motion.states))), problem.contact_name)
 
 
-def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:
+def _slips(motion: Motion, before: State, now: State) -> Mask:
     body, problem = motion.scheme.body, motion.scheme.body.problem
     if not problem.frictional or problem.friction is None:
         return np.zeros(problem.contacts, dtype=bool)
@@ -365,7 +364,7 @@ def energies(motion: Motion) -> Iterator[Energies]:
             yield Energies(elastic, kinetic, work, friction, impact, drift)
 
 
-def _stored(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
+def _stored(motion: Motion, block: list[State], loads: Array) -> Array:
     """Return elastic and kinetic energy, (2, states)."""
     scheme, body = motion.scheme, motion.scheme.body
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
@@ -378,7 +377,7 @@ def _stored(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> N
     return np.array([elastic, kinetic])
 
 
-def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
+def _done(motion: Motion, block: list[State], loads: Array) -> Array:
     """Return the work of the loads, of normal forces and of friction in each step, (3, steps)."""
     scheme, problem = motion.scheme, motion.scheme.body.problem
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
@@ -403,7 +402,7 @@ class TabulatedLoad(ReadOnly):
     """The values of a load at the instants of a motion."""
 
     times: tuple[float, ...]
-    loads: NDArray[np.float64]
+    loads: Array
 
     def __call__(self, instant: float) -> Vector:
         return np.asarray(self.loads[self.times.index(instant)])

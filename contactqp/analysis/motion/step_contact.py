@@ -26,12 +26,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import DenseCholesky
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -68,7 +67,7 @@ class StepProblem:
 
     load: Vector  # (n,) on x, or on x - base
     gap: Vector  # (m,); has no meaning where a contact is not closable
-    closable: NDArray[np.bool_] | None = None  # (m,) contacts that the step may close; None: all
+    closable: Mask | None = None  # (m,) contacts that the step may close; None: all
     slip_origin: Vector | None = None  # ((d-1) m,)
     tie_value: Vector | None = None  # (k,); None: zero
     base: Vector | None = None  # (n,)
@@ -266,7 +265,7 @@ class StepContact:
             origin = origin - self._T @ base
         return gap - self._E @ base, origin, value - self._A @ base
 
-    def respond_closed(self, load: Vector, closed: NDArray[np.intp]) -> Vector:
+    def respond_closed(self, load: Vector, closed: Indices) -> Vector:
         """Return x under a load with some contacts kept closed, E_N x = 0, and ties at zero."""
         condensation = self._condensation
         reduced, inner = condensation.reduce_load(load)
@@ -276,9 +275,7 @@ class StepContact:
         force, *_ = np.linalg.lstsq(rows @ response, rows @ free, rcond=None)
         return condensation.expand(free - response @ force, inner)
 
-    def _forces(
-        self, c: Vector, closable: NDArray[np.bool_] | None, free: Vector, origin: Any
-    ) -> tuple[Vector, Vector]:
+    def _forces(self, c: Vector, closable: Mask | None, free: Vector, origin: Any) -> tuple[Vector, Vector]:
         """Return l_N and l_T of contacts whose gaps without forces are c."""
         m = self.template.contacts
         normal, friction = np.zeros(m), np.zeros(self._tangents)
@@ -295,9 +292,7 @@ class StepContact:
         self._pushed = normal > 0
         return normal, friction
 
-    def _add_friction(
-        self, c: Vector, slip: Vector, looked: NDArray[np.intp], normal: Vector, friction: Vector
-    ) -> None:
+    def _add_friction(self, c: Vector, slip: Vector, looked: Indices, normal: Vector, friction: Vector) -> None:
         """Fill in the forces of contacts with friction."""
         m, width = self.template.contacts, self._tangents // self.template.contacts
         offset = np.column_stack([c, slip.reshape(m, width)])[looked].ravel()
@@ -312,7 +307,7 @@ class StepContact:
             self._states[looked] = states_of(pressed, dragged, coefficient)
 
 
-def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, options: dict[str, Any]) -> Vector:
+def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[str, Any]) -> Vector:
     """Return l (m,) [force] of frictionless contacts, searched from a guess of those that push.
 
     Parameters
@@ -343,7 +338,7 @@ def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, op
         raise
 
 
-def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | None:
+def _by_active_set(W: Array, c: Vector, start: Mask) -> Vector | None:
     """Run the primal-dual active set (Hintermueller, Ito and Kunisch 2003); None where it cycles or W is singular."""
     pushes = start | (c < 0)
     force = np.zeros(len(c))
@@ -372,7 +367,7 @@ def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | No
 
 def frictional_forces(
     W: Array, c: Vector, friction: Vector, start: Status, method: str, options: dict[str, Any]
-) -> tuple[Vector, NDArray[np.float64]]:
+) -> tuple[Vector, Array]:
     """Return l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
 
     Parameters
@@ -401,7 +396,7 @@ def states_of(normal: Vector, friction: Array, coefficient: Vector) -> Status:
     return np.where(normal > 0, state, OPEN).astype(np.int8)
 
 
-def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Array) -> Array:
+def correction(W: Array, force: Array, sticks: Mask, residual: Array) -> Array:
     """Return the change (m, d) of forces on the body that removes the residuals (m, d) of gaps and slips.
 
     Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.analysis.motion.mass_matrix import critical_step, touched
 from contactqp.analysis.motion.motion_history import Motion, MotionHistory, notes_on_motion
@@ -34,7 +33,7 @@ from contactqp.errors import (
 )
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
 from contactqp.linalg.runtime import CERTIFY, METHOD, stage
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
@@ -44,7 +43,7 @@ FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "
 
 # Forces and lengths that are this part of the intrinsic size are nothing, as for `certify` by default.
 NOTHING = 1e-12
-Block = NDArray[np.float64]  # one row a step
+Block = Array  # one row a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +388,7 @@ class MotionRun:
             retained=len(touched(self._scheme.body.problem)),
         )
 
-    def _check_contact_time(self, closing: NDArray[np.intp], before: State, state: State, k: int) -> None:
+    def _check_contact_time(self, closing: Indices, before: State, state: State, k: int) -> None:
         """Warn, once, where a step is too long for contacts that close."""
         scheme, h = self._scheme, self._scheme.body.step
         if scheme.inertia is None or not len(closing):
@@ -478,7 +477,7 @@ class FirstImpacts:
         self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
         self.awaited = problem.contacts > 0
 
-    def new(self, before: State, now: State) -> NDArray[np.intp]:
+    def new(self, before: State, now: State) -> Indices:
         """Return the contacts that begin to push in a step, approaching, for the first time."""
         closing = np.flatnonzero((now.normal_force > 0) & (before.normal_force <= 0) & ~self._met)
         if len(closing):
@@ -488,7 +487,7 @@ class FirstImpacts:
         return closing
 
 
-def meeting(problem: ContactProblem, mass: Any, contacts: NDArray[np.intp]) -> NDArray[np.bool_]:
+def meeting(problem: ContactProblem, mass: Any, contacts: Indices) -> Mask:
     """Return which unknowns belong to the bodies that contacts act on, (n,); ties make one body of two."""
     from scipy.sparse.csgraph import connected_components
 

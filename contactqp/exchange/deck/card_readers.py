@@ -8,7 +8,6 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.exchange.deck.cards import Card, Line, is_label
 from contactqp.exchange.deck.model import (
@@ -218,7 +217,7 @@ def read_spring(model: DeckModel, card: Card) -> None:
     model.springs.append(SpringSection(elements, stiffness, card.head.place))
 
 
-def _refuse_twice(card: Card, what: str, labels: NDArray[np.int64]) -> None:
+def _refuse_twice(card: Card, what: str, labels: Index) -> None:
     values, counts = np.unique(labels, return_counts=True)
     twice: Sequence[int] = values[counts > 1].tolist()
     if twice:

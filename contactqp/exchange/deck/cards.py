@@ -95,10 +95,7 @@ class Card:
     def parameter(self, name: str, default: str | None = None) -> str:
         """Return the value of a parameter.
 
-        Raises
-        ------
-        InvalidProblem
-            It is not there and has no default, or has no value.
+        Raises InvalidProblem: it is not there and has no default, or has no value.
         """
         value = self.parameters.get(squeezed(name), default)
         if not value:
@@ -114,10 +111,7 @@ class Card:
     def only_line(self, expected: str) -> Line:
         """Return the one line of data that this card has.
 
-        Raises
-        ------
-        InvalidProblem
-            There is none, or more than one.
+        Raises InvalidProblem: there is none, or more than one.
         """
         if len(self.lines) != 1:
             raise self.wrong(f"one line of data, {expected}", f"{len(self.lines)} lines")
@@ -195,17 +189,13 @@ def is_label(word: str) -> bool:
 def read_cards(path: Path, columns: int | None = None) -> list[Card]:
     """Return the cards of a deck and of the files it includes, in order, each one known and with known parameters.
 
+    Raises InvalidProblem: no such file; a keyword or a parameter that is not known or not offered, by file and line;
+    data before the first keyword; files that include each other.
+
     Parameters
     ----------
     path : path
-    columns : int, optional
-        Read this many characters of each number, as CalculiX does; all of them by default.
-
-    Raises
-    ------
-    InvalidProblem
-        No such file; a keyword or a parameter that is not known or not offered, by file and line; data before the
-        first keyword; files that include each other.
+    columns : read this many characters of each number, as CalculiX does; all of them by default
     """
     cards: list[Card] = []
     lines: list[Line] = []

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.exchange.deck.cards import LARGEST_LABEL, Card, Effect, Line, is_label
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 
 T = TypeVar("T")
 _FRAMES = ("PART", "END PART", "INSTANCE", "END INSTANCE", "ASSEMBLY", "END ASSEMBLY")
@@ -211,7 +210,7 @@ class _Placement:
 
     translation: Vector
     point: Vector
-    rotation: NDArray[np.float64]  # (3, 3)
+    rotation: Array  # (3, 3)
 
     def __call__(self, x: Vector) -> Vector:
         return np.asarray(self.point + self.rotation @ (x + self.translation - self.point))
@@ -241,7 +240,7 @@ def _placement(card: Card) -> _Placement | None:
     return _Placement(translation, point, rotation)
 
 
-def _rotation(axis: Vector, angle: float) -> NDArray[np.float64]:
+def _rotation(axis: Vector, angle: float) -> Array:
     """Return the matrix (3, 3) of a right-handed turn about a unit vector (Rodrigues' formula); quarters are exact."""
     quarter = round(2 * angle / np.pi)
     whole = bool(np.isclose(2 * angle / np.pi, quarter, rtol=0, atol=1e-12))

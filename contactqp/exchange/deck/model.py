@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.exchange.files import Ledger
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index
 
 # Elements that are offered, with their number of nodes; trusses and springs join two nodes.
 ELEMENT_NODES = {
@@ -136,11 +135,11 @@ class Acceleration:
 
     elements: Index
     value: float
-    direction: NDArray[np.float64]
+    direction: Array
     place: str
 
     @property
-    def vector(self) -> NDArray[np.float64]:
+    def vector(self) -> Array:
         """Return the acceleration (3,) [length / time^2]."""
         return self.value * self.direction
 
@@ -151,7 +150,7 @@ class Equation:
 
     nodes: Index
     axes: Index
-    coefficients: NDArray[np.float64]
+    coefficients: Array
     place: str
 
 
@@ -252,7 +251,7 @@ class DeckModel:
     file: str
     ledger: Ledger
     labels: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     elements: list[Elements] = field(default_factory=list)
     node_sets: dict[str, Index] = field(default_factory=dict)
     element_sets: dict[str, Index] = field(default_factory=dict)

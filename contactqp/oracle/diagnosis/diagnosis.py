@@ -16,13 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import grid_operations, iterated
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, Explanation, Finding, symptoms, unit_of
@@ -44,9 +43,9 @@ class Question(NamedTuple):
     kind: str
     text: str
     problem: ContactProblem
-    kept: NDArray[np.intp] | None = None  # its contacts among those of the problem; None: all
+    kept: Indices | None = None  # its contacts among those of the problem; None: all
     ties: int = 0  # how many of its first ties are contacts held both ways
-    held: NDArray[np.intp] | None = None  # which these are
+    held: Indices | None = None  # which these are
 
 
 def too_large(problem: ContactProblem) -> bool:
@@ -143,7 +142,7 @@ def _answered(problem: ContactProblem, question: Question) -> Answer | None:
     return Answer(found.displacement, force, _friction(problem, found, kept), _ties(problem, found, question.ties))
 
 
-def _friction(problem: ContactProblem, found: Solution, kept: NDArray[np.intp] | None) -> NDArray[np.float64] | None:
+def _friction(problem: ContactProblem, found: Solution, kept: Indices | None) -> Array | None:
     if problem.slip_origin is None:
         return None
     friction = np.zeros(problem.slip_origin.shape)
@@ -152,7 +151,7 @@ def _friction(problem: ContactProblem, found: Solution, kept: NDArray[np.intp] |
     return friction
 
 
-def _ties(problem: ContactProblem, found: Solution, skipped: int) -> NDArray[np.float64]:
+def _ties(problem: ContactProblem, found: Solution, skipped: int) -> Array:
     rest = found.tie_force[skipped:]
     return rest if len(rest) == problem.ties else np.zeros(problem.ties)
 
@@ -215,7 +214,7 @@ def _without_contacts(evidence: Evidence) -> Iterator[Question]:
         yield Question("contact-missed", text, problem.with_contacts(kept), kept)
 
 
-def _unpressed(evidence: Evidence) -> NDArray[np.intp]:
+def _unpressed(evidence: Evidence) -> Indices:
     """Return the contacts that carry no force although those of the right answer do."""
     if evidence.right is None:
         return np.zeros(0, dtype=np.intp)

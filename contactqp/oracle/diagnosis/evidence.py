@@ -13,11 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.equilibration import unknown_scale
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
@@ -314,7 +313,7 @@ class Evidence:
             worst = max(worst, self.part_apart(name, getattr(one, name), getattr(other, name)))
         return worst
 
-    def part_apart(self, name: str, mine: NDArray[np.float64], right: NDArray[np.float64]) -> float:
+    def part_apart(self, name: str, mine: Array, right: Array) -> float:
         """Return max |w (x - x*)| / max |w x*|, over the size of all forces where the right part is nothing beside
         them.
         """

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
@@ -208,9 +207,7 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         yield from _other_cone(evidence, sliding, size, bound, slip)
 
 
-def _other_cone(
-    evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bound: Vector, slip: NDArray[np.float64]
-) -> Iterator[Explanation]:
+def _other_cone(evidence: Evidence, sliding: Mask, size: Vector, bound: Vector, slip: Array) -> Iterator[Explanation]:
     problem, force = evidence.problem, evidence.answer.friction_force
     assert problem.friction is not None
     assert force is not None

@@ -8,10 +8,9 @@ from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.diagnosis.scales import named_factor
@@ -31,7 +30,7 @@ def orders(evidence: Evidence) -> Iterator[Explanation]:
         found = [one for one in chosen if one is not None]
         if len(found) != len(chosen):
             continue
-        changes: dict[str, NDArray[np.float64]] = {}
+        changes: dict[str, Array] = {}
         for one in found:
             changes |= one[0]
         undone = evidence.with_parts(**changes)
@@ -47,7 +46,7 @@ def orders(evidence: Evidence) -> Iterator[Explanation]:
         yield from _of_directions(evidence)
 
 
-Order = tuple[dict[str, NDArray[np.float64]], str, str]
+Order = tuple[dict[str, Array], str, str]
 
 
 def _of_contacts(evidence: Evidence) -> Order | None:
@@ -57,7 +56,7 @@ def _of_contacts(evidence: Evidence) -> Order | None:
     place = _places(mine, right)
     if place is None:
         return None
-    changes: dict[str, NDArray[np.float64]] = {"normal_force": mine[place]}
+    changes: dict[str, Array] = {"normal_force": mine[place]}
     if evidence.given.friction_force is not None:
         changes["friction_force"] = evidence.given.friction_force[place]
     count = len(mine)
@@ -75,7 +74,7 @@ def _of_contacts(evidence: Evidence) -> Order | None:
     return changes, "permuted", said
 
 
-def _places(mine: Vector, right: Vector) -> NDArray[np.intp] | None:
+def _places(mine: Vector, right: Vector) -> Indices | None:
     """Return the order p with mine[p] = right; None where there is none, or where the order is right as it is."""
     size = float(np.max(abs(right), initial=0.0))
     if size == 0 or np.max(abs(np.sort(mine) - np.sort(right))) > LEFT * size:
@@ -110,7 +109,7 @@ def _right(evidence: Evidence) -> Vector:
     return evidence.right.displacement
 
 
-def _regular_orders(n: int) -> Iterator[tuple[NDArray[np.intp], str]]:
+def _regular_orders(n: int) -> Iterator[tuple[Indices, str]]:
     """Return the orders that programs have for the components of nodes."""
     yield np.arange(n)[::-1], "the unknowns stand in reverse order"
     for d in (2, 3, 6):
@@ -151,7 +150,7 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
     yield from _of_angle(evidence, mine, right)
 
 
-def _of_components(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
+def _of_components(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Explanation]:
     """Yield an explanation where normal and tangential forces stand in each other's place."""
     normal = evidence.given.normal_force
     if normal is None:
@@ -176,7 +175,7 @@ def _of_components(evidence: Evidence, mine: NDArray[np.float64], right: Solutio
                 return
 
 
-def _of_angle(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
+def _of_angle(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Explanation]:
     """Yield an explanation where one rotation or reflection of the tangents turns all friction forces into the right
     ones.
     """

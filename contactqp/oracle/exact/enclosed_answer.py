@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
+from contactqp.model.arrays import Indices
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
@@ -200,7 +200,7 @@ class Held:
     """A problem with ties in addition that hold its free motions."""
 
     problem: ContactProblem
-    unknowns: NDArray[np.intp]  # (r,) held, one a motion
+    unknowns: Indices  # (r,) held, one a motion
     free: Solution  # of the problem as it was
 
 

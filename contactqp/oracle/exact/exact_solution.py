@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import counted
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import FreeMotion
@@ -101,7 +102,7 @@ def cut(shown: str) -> str:
 
 # Object arrays of Fractions.
 Fractions = NDArray[Any]
-Floats = NDArray[np.float64]
+Floats = Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
@@ -64,7 +64,7 @@ class Fixed:
         """Return the numbers times 2^exponent."""
         return Fixed(self.integers, self.bits - exponent)
 
-    def floats(self) -> NDArray[np.float64]:
+    def floats(self) -> Array:
         """Return the nearest doubles.
 
         Raises NotConverged: a number is beyond them: what is refined has left their range.
@@ -76,7 +76,7 @@ class Fixed:
         except OverflowError:
             raise NotConverged("refine: the numbers of what is left leave the range of doubles") from None
 
-    def floats_at(self, power: int) -> NDArray[np.float64]:
+    def floats_at(self, power: int) -> Array:
         """Return the nearest doubles of 2^power x, as `floats` does."""
         return self.times_power(power).floats()
 
@@ -189,9 +189,9 @@ def _is_dense(matrix: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Cholesky:
-    L: NDArray[np.float64]
+    L: Array
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Array) -> Array:
         return np.asarray(scipy.linalg.cho_solve((self.L, True), right))
 
 
@@ -233,7 +233,7 @@ def _left_out(matrix: Any, shift: float) -> float | None:
     factors = _factors(shifted)
     if factors is None:
         return None
-    order: NDArray[np.intp] = factors.perm_r
+    order: Indices = factors.perm_r
     pivots = factors.U.diagonal()
     if not np.array_equal(order, factors.perm_c) or not np.all(pivots > 0) or not np.all(np.isfinite(pivots)):
         return None
@@ -275,7 +275,7 @@ class Refined:
     imbalance: Fixed  # (n,) f - K u - E'l - A'nu
     gap: Fixed  # (m,) g - E u
     tie_error: Fixed  # (k,) b - A u
-    closed: NDArray[np.intp]  # contacts with a force
+    closed: Indices  # contacts with a force
     rounds: int
     first: Solution  # in doubles
 
@@ -424,7 +424,7 @@ class _Walk:
         )
         self.settled = np.array_equal(before, [x > 0 for x in self.push.integers])
 
-    def _magnified(self, held: NDArray[np.intp], loose: NDArray[np.intp], power: int) -> ContactProblem:
+    def _magnified(self, held: Indices, loose: Indices, power: int) -> ContactProblem:
         problem = self.problem
         values = np.concatenate([self.tie_error.floats_at(power), self.gap[held].floats_at(power)])
         load, gap = self.imbalance.floats_at(power), self.gap[loose].floats_at(power)

@@ -9,7 +9,6 @@ from pathlib import Path as FilePath
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
 from contactqp.exchange.calculix_results import read_displacements
@@ -17,7 +16,7 @@ from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Index, Vector, own_floating_point
+from contactqp.model.arrays import Array, Index, Vector, own_floating_point
 from contactqp.model.problem_data import Units, read_units
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
 from contactqp.oracle.foreign.crosscheck_verdict import (
@@ -41,7 +40,7 @@ NEGLIGIBLE = 1e-3
 # What rounding of coordinates leaves of gaps, in units of the largest one.
 ROUNDING = 64 * float(np.finfo(float).eps)
 # The forces on the slave nodes of a pair, (q, d).
-Forces = NDArray[np.float64]
+Forces = Array
 
 
 @checked

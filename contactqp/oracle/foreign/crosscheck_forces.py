@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.elements.nodal_pressure import node_normals, tributary_areas
 from contactqp.elements.surface import kind_of
 from contactqp.linalg.equilibration import unknown_scale
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.oracle.foreign.recovery import balancing_forces
 from contactqp.scene.deck.contacts import DeckContact, Discretisation
 from contactqp.scene.deck.deck import Deck, Enforcement
@@ -101,8 +100,8 @@ class PairNodes:
 
     contact: DeckContact
     nodes: Index
-    direction: NDArray[np.float64]
-    known: NDArray[np.bool_]
+    direction: Array
+    known: Mask
     row: Index
     contacts: Index
     alone: bool
@@ -128,7 +127,7 @@ class PairNodes:
         pairing = self.contact.pairing
         return np.where(self.row < 0, np.nan, (pairing.gap - pairing.normal @ u)[self.row])
 
-    def forces(self, answer: ForeignAnswer) -> tuple[Vector, NDArray[np.float64]]:
+    def forces(self, answer: ForeignAnswer) -> tuple[Vector, Array]:
         """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
         if self.alone:
             vectors = np.where(self.known, answer.forces[self.unknowns], 0.0)
@@ -136,7 +135,7 @@ class PairNodes:
         force = np.where(self.contacts < 0, 0.0, answer.recovered[self.contacts])
         return force, force[:, None] * self.direction
 
-    def along(self, vectors: NDArray[np.float64]) -> Vector:
+    def along(self, vectors: Array) -> Vector:
         """Return the parts of vectors (q, d) along the normals, (q,)."""
         return np.asarray(np.einsum("qd,qd->q", vectors, self.direction))
 
@@ -195,7 +194,7 @@ def pair_nodes(deck: Deck, number: int) -> PairNodes:
 
 def reference_forces(
     deck: Deck, pairs: list[PairNodes], enforcement: Enforcement, discretisation: Discretisation
-) -> list[NDArray[np.float64]]:
+) -> list[Array]:
     """Return the forces (q, d) of the exact answer on the slave nodes of each pair, friction included [force].
 
     Where forces are not known node by node, they are those of the contacts along their normals.

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.surface import Surface, diameters, kind_of
 from contactqp.errors import counted
 from contactqp.exchange.files import Ledger
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import ReadOnly, Units
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
 
@@ -99,7 +98,7 @@ def is_plane(surface: Surface) -> bool:
     return bool(np.linalg.svd(x, compute_uv=False)[-1] <= PLANE * np.linalg.norm(x))
 
 
-def _over_the_edge(judged: PairNodes) -> NDArray[np.bool_]:
+def _over_the_edge(judged: PairNodes) -> Mask:
     """Return which slave nodes stand over an edge that belongs to one facet of the master only, (q,)."""
     pairing, master = judged.contact.pairing, judged.contact.master
     edges = master.facets[:, kind_of(master).edges].reshape(-1, kind_of(master).edges.shape[1])
@@ -192,7 +191,7 @@ class PairVerdict(ReadOnly):
     force: Vector
     reference_force: Vector
     gap: Vector
-    points: NDArray[np.float64]
+    points: Array
     area: Vector
     notes: tuple[str, ...] = ()
 

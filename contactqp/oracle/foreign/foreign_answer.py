@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
 from contactqp.model.solution import Answer, all_finite
@@ -35,7 +34,7 @@ class GivenAnswer(ReadOnly):
 
     displacement: Vector | None  # (n,)
     normal_force: Vector | None  # (m,)
-    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    friction_force: Array | None  # (m, d-1)
     tie_force: Vector | None  # (k,)
     compression: str = "positive"  # the sign that its normal forces came with
     pressure_area: Vector | None = None  # (m,) what they were multiplied by
@@ -69,23 +68,19 @@ def read_given(
 ) -> GivenAnswer:
     """Read what was given, `cq.certify` says how.
 
+    Raises InvalidProblem: neither displacement nor normal force, wrong shapes, areas that are not positive, a map that
+    names an unknown or contact twice or not at all, another word for `compression`.
+
     Parameters
     ----------
     problem : ContactProblem
     displacement, normal_force, friction_force, tie_force
         The parts of the answer as another code gives them, None where it gives none.
-    compression : str
-        The sign of compression in its normal forces, "positive" or "negative".
+    compression : the sign of compression in its normal forces, "positive" or "negative"
     pressure_area : float or (m,) array, optional
         The areas that turn its pressures and tractions into forces [length^2].
     dof_map, contact_map : sequences, optional
         The place of each unknown and contact of the problem in what was given, or its name there.
-
-    Raises
-    ------
-    InvalidProblem
-        Neither displacement nor normal force, wrong shapes, areas that are not positive, a map that names an unknown
-        or contact twice or not at all, another word for `compression`.
     """
     if not isinstance(compression, str) or compression not in COMPRESSION:
         raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {shown(compression)}")
@@ -142,7 +137,7 @@ def _places(
     names: Sequence[str] | None,
     kind: str,
     called: Callable[[int], str],
-) -> NDArray[np.intp] | None:
+) -> Indices | None:
     """Return the place (count,) of each unknown or contact of the problem in what was given."""
     if value is None:
         return None
@@ -174,7 +169,7 @@ def _places(
     return places.astype(np.intp)
 
 
-def _by_name(name: str, entries: list[str], names: Sequence[str] | None, kind: str) -> NDArray[np.intp]:
+def _by_name(name: str, entries: list[str], names: Sequence[str] | None, kind: str) -> Indices:
     if names is None:
         raise InvalidProblem(f"{name}: names were given, but the problem's {kind}s have none; expected integers")
     place = {entry: i for i, entry in enumerate(entries)}
@@ -187,9 +182,7 @@ def _by_name(name: str, entries: list[str], names: Sequence[str] | None, kind: s
     return np.array([place[one] for one in names], dtype=np.intp)
 
 
-def _picked(
-    name: str, value: Any, count: int, places: NDArray[np.intp] | None, notes: list[str], order: Any
-) -> NDArray[np.float64]:
+def _picked(name: str, value: Any, count: int, places: Indices | None, notes: list[str], order: Any) -> Array:
     """Return the entries of a given vector in the problem's order."""
     array = read_array(name, value)
     if places is None:
@@ -202,7 +195,7 @@ def _picked(
     return array[places]
 
 
-def _refuse_short(name: str, shape: tuple[int, ...], places: NDArray[np.intp], order: Any) -> None:
+def _refuse_short(name: str, shape: tuple[int, ...], places: Indices, order: Any) -> None:
     """Raise unless what was given is as long as its map says."""
     by_name = len(places) > 0 and isinstance(next(iter(order)), str)
     least = len(list(order)) if by_name else int(np.max(places, initial=-1)) + 1
@@ -211,9 +204,7 @@ def _refuse_short(name: str, shape: tuple[int, ...], places: NDArray[np.intp], o
         raise InvalidProblem(f"{name}: expected {expected}, got {shape[0] if shape else 'another shape'}")
 
 
-def _friction(
-    problem: ContactProblem, value: Any, places: NDArray[np.intp] | None, order: Any
-) -> NDArray[np.float64] | None:
+def _friction(problem: ContactProblem, value: Any, places: Indices | None, order: Any) -> Array | None:
     if problem.slip_origin is None:
         if value is not None and read_array("friction_force", value).size:
             raise InvalidProblem("friction_force was given, but the problem has no tangential rows")

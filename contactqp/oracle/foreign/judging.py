@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
@@ -68,12 +67,12 @@ class JudgedContact(ReadOnly):
     size: float  # of it, dimensionless
     normal_force: float
     gap: float  # positive when open
-    friction_force: NDArray[np.float64] | None  # (d-1,)
-    slip: NDArray[np.float64] | None
+    friction_force: Array | None  # (d-1,)
+    slip: Array | None
     right_normal_force: float | None  # None where no right answer was found
     right_gap: float | None
-    right_friction_force: NDArray[np.float64] | None
-    right_slip: NDArray[np.float64] | None
+    right_friction_force: Array | None
+    right_slip: Array | None
 
     def data(self) -> dict[str, Any]:
         """Return the contact as plain data for JSON; what is not finite is null."""
@@ -137,13 +136,13 @@ def judged_contacts(
     )
 
 
-def _of(values: NDArray[np.float64] | None, i: int) -> NDArray[np.float64] | None:
+def _of(values: Array | None, i: int) -> Array | None:
     return None if values is None else values[i]
 
 
 def _measures(
     problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
-) -> tuple[list[str], NDArray[np.float64]]:
+) -> tuple[list[str], Array]:
     """Return the names (q,) and the sizes (q, m) of what each contact breaks."""
     m, found = problem.contacts, certificate.violations
     if found is None:

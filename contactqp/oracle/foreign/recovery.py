@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
@@ -40,7 +39,7 @@ from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import answer_on, pushing_contacts
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
@@ -59,7 +58,7 @@ ACTING = 1e-6
 
 
 def balancing_forces(
-    rows: Any, residual: Vector, pushing_only: NDArray[np.bool_], scale: Vector, left: Vector | None = None
+    rows: Any, residual: Vector, pushing_only: Mask, scale: Vector, left: Vector | None = None
 ) -> tuple[Vector, bool]:
     """Return forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
 
@@ -70,14 +69,10 @@ def balancing_forces(
 
     Parameters
     ----------
-    rows : matrix (q, n)
-        B, of contacts, tangents and ties.
-    residual : (n,) array
-        r, what forces on the rows have to balance [force].
-    pushing_only : (q,) array of bool
-        Rows whose forces may not be negative.
-    scale : (n,) array
-        1/sqrt(K_jj).
+    rows : matrix (q, n), B, of contacts, tangents and ties
+    residual : (n,) array, r, what forces on the rows have to balance [force]
+    pushing_only : (q,) array of bool, rows whose forces may not be negative
+    scale : (n,) array, 1/sqrt(K_jj)
     left : (q,) array, optional
         The lengths d that the rows leave.
     """
@@ -106,7 +101,7 @@ def balancing_forces(
     return force / length, shared
 
 
-def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> tuple[Vector, bool]:
+def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vector, bool]:
     if len(B) == 1:
         return B @ r, False
     force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT)
@@ -128,7 +123,7 @@ def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_], cost: Vector)
     return size * share, True
 
 
-def _of_least_work(B: Array, force: Vector, pushing_only: NDArray[np.bool_], cost: Vector) -> NDArray[np.intp]:
+def _of_least_work(B: Array, force: Vector, pushing_only: Mask, cost: Vector) -> Indices:
     """Return the rows that act where forces with the same resultant B'l as some do the least work l'd, by a linear
     program.
     """
@@ -173,12 +168,9 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
     Parameters
     ----------
     problem : ContactProblem
-    known : Answer
-        Its displacement is kept; so are its tie forces unless `tied`.
-    residual : (n,) array [force]
-        f - K u less the tie forces that are known.
-    tied : bool
-        Whether the ties share in the residual.
+    known : its displacement is kept; so are its tie forces unless `tied`
+    residual : (n,) array [force], f - K u less the tie forces that are known
+    tied : whether the ties share in the residual
     """
     slip = slips(problem, known.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:
@@ -203,9 +195,7 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
     return Answer(known.displacement, normal, friction, share[len(contacts) :] if tied else known.tie_force)
 
 
-def _edges(
-    touching: NDArray[np.bool_], moving: NDArray[np.bool_], along: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
     """Return the contact (q,) and the direction (q, d-1) of each edge that forces may lie along."""
     slipping, sticking = np.flatnonzero(touching & moving), np.flatnonzero(touching & ~moving)
     if along.shape[1] == 1:
@@ -245,12 +235,8 @@ def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...
 def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
     """Complete answers, the plain way first.
 
-    Raises
-    ------
-    InvalidProblem
-        What is recovered is beyond doubles.
-    Unsupported
-        Forces alone were given and the body is too large to factorise.
+    Raises InvalidProblem: what is recovered is beyond doubles; Unsupported: forces alone were given and the body is too
+    large to factorise.
     """
     missing = missing_parts(problem, given)
     if not missing:
@@ -317,7 +303,7 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
 class _Unknowns:
     """The rows whose forces are missing, normal ones first, and where these forces go."""
 
-    def __init__(self, problem: ContactProblem, missing: tuple[str, ...], contacts: NDArray[np.intp]) -> None:
+    def __init__(self, problem: ContactProblem, missing: tuple[str, ...], contacts: Indices) -> None:
         self._problem, self._missing, self._contacts = problem, missing, contacts
         blocks = []
         self.normals = len(contacts) if "normal_force" in missing else 0
@@ -393,7 +379,7 @@ def _completed(known: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) 
 
 
 def _held(
-    problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: NDArray[np.intp] = NO_CONTACTS
+    problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: Indices = NO_CONTACTS
 ) -> tuple[Vector, Vector]:
     """Solve K u + B'l = load with rows held at values, B u = values; return u (n,) and the forces l of the rows.
 
@@ -418,7 +404,7 @@ def _held(
     return u.double(), found.tie_force.double()
 
 
-def slips(problem: ContactProblem, displacement: Vector) -> NDArray[np.float64] | None:
+def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
     """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
     if problem.tangent is None or problem.slip_origin is None:
         return None
@@ -435,20 +421,14 @@ def certify_given(
 ) -> tuple[Certificate, Recovery]:
     """Return the certificate of the first completion that passes, or else of the first one, and the completion.
 
+    Raises InvalidProblem, Unsupported as `contactqp.certify` and `recoveries`.
+
     Parameters
     ----------
     problem : ContactProblem
-    given : GivenAnswer
-        The parts that came, in the problem's order, signs and units.
-    tolerance, error_tolerance : float
-        The largest figure and the largest relative error bound that pass.
-    factorization : Condensation, optional
-        Reused instead of factorising again.
-
-    Raises
-    ------
-    InvalidProblem, Unsupported
-        As `contactqp.certify` and `recoveries`.
+    given : the parts that came, in the problem's order, signs and units
+    tolerance, error_tolerance : the largest figure and the largest relative error bound that pass
+    factorization : reused instead of factorising again
     """
     first: tuple[Certificate, Recovery] | None = None
     for tried in recoveries(problem, given):

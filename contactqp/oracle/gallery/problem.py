@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.linalg.exact_algebra import Polyhedron, rank, solutions
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_only
 
@@ -271,7 +270,7 @@ class GalleryProblem:
         return _vector(self.exact.normal_force)
 
     @cached_property
-    def friction_force(self) -> NDArray[np.float64] | None:
+    def friction_force(self) -> Array | None:
         if not self.data.tangent:
             return None
         return read_only(np.array([[float(x) for x in row] for row in self.exact.friction_force]))

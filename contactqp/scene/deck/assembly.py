@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg
-from numpy.typing import NDArray
 
 from contactqp.elements.loads import integrated
 from contactqp.elements.members import spring_stiffness, truss_stiffness
@@ -18,7 +17,7 @@ from contactqp.elements.reference_elements import REFERENCES, Block, Geometry
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import AXES, AtNodes, Equation, Faces
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Vector
 from contactqp.scene.deck.groups import Group, Topology
 
 
@@ -29,12 +28,11 @@ class DeckAssembly:
     Parameters
     ----------
     topology : Topology
-    points : (N, d) array
-        Where the nodes are, as *CONTACT PAIR, ADJUST and *TIE, ADJUST moved them [length].
+    points : (N, d) array, where the nodes are, as *CONTACT PAIR, ADJUST and *TIE, ADJUST moved them [length]
     """
 
     topology: Topology
-    points: NDArray[np.float64]
+    points: Array
 
     @cached_property
     def bodies(self) -> Sequence[tuple[Group, Body, Index]]:
@@ -217,7 +215,7 @@ class DeckAssembly:
         entries = equation.coefficients, (np.zeros(len(columns), dtype=np.int64), columns)
         return sp.csr_array(sp.coo_array(entries, shape=(1, self.topology.size)))
 
-    def rigid_motions(self) -> NDArray[np.float64]:
+    def rigid_motions(self) -> Array:
         """Return the translations and rotations of all nodes together, for multigrid: (n, q)."""
         d = self.topology.dimension
         x = self.points - self.points.mean(axis=0)
@@ -254,7 +252,7 @@ class _Pressing:
 class _Weighing:
     """A force per volume, per volume of the reference element."""
 
-    force: NDArray[np.float64]
+    force: Array
 
     def __call__(self, elements: Geometry) -> Vector:
         return np.asarray(self.force * elements.determinant[..., None])

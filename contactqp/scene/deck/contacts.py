@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.elements.mortar import pair_mortar
 from contactqp.elements.nodal_pressure import node_normals
@@ -28,10 +27,10 @@ from contactqp.elements.surface import (
 )
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import ContactPair, DeckSurface, DeckTie, Faces, Interaction
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.scene.deck.groups import Topology
 
-Points = NDArray[np.float64]
+Points = Array
 Discretisation = Literal["node-to-segment", "mortar", "points"]
 NONE: Index = np.zeros(0, dtype=np.int64)
 # Where a tie states no tolerance: this part of the mean size of the master's faces, as CalculiX takes it.
@@ -179,7 +178,7 @@ def _adjust(surfaces: Surfaces, pair: ContactPair, points: Points) -> Vector:
     return _move(points, nodes[near], _only(partners, near), master)
 
 
-def _only(partners: Partners, keep: NDArray[np.bool_]) -> Partners:
+def _only(partners: Partners, keep: Mask) -> Partners:
     return Partners(
         partners.facet[keep], partners.xi[keep], partners.gap[keep], partners.normal[keep], partners.beyond[keep]
     )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.scalars import real_vector
 from contactqp.elements.structure import FreeContacts, free_contacts, stacked
@@ -18,7 +18,7 @@ from contactqp.exchange.deck.model import DeckModel
 from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.model.arguments import checked, checks
-from contactqp.model.arrays import Index, Vector, own_floating_point
+from contactqp.model.arrays import Array, Index, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.deck.assembly import DeckAssembly
 from contactqp.scene.deck.contacts import (
@@ -114,7 +114,7 @@ class Deck:
         u[self.free] = real_vector("displacement", displacement, len(self.free))
         return u
 
-    def displacements(self, displacement: ArrayLike) -> tuple[Index, NDArray[np.float64]]:
+    def displacements(self, displacement: ArrayLike) -> tuple[Index, Array]:
         """Return the labels (N,) of the nodes and their displacements (N, d) from those of the problem's unknowns."""
         u = self.expand(displacement)
         return self.assembly.topology.labels, u[self.assembly.topology.unknowns]

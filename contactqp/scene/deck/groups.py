@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.abaqus import HEX_FACES
 from contactqp.elements.material import Material, Model
@@ -16,7 +15,7 @@ from contactqp.elements.reference_elements import REFERENCES, Block, Geometry, R
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import AXES, DeckMaterial, DeckModel, Elements, Faces, Section
-from contactqp.model.arrays import Index
+from contactqp.model.arrays import Array, Index
 
 # Both programs integrate the quadratic tetrahedron with four points: eight differ where its edges are curved.
 _TETRAHEDRON = replace(REFERENCES["tet10"], rule=tetrahedron(4))
@@ -69,7 +68,7 @@ class Group:
     thickness: float
     section: Section
 
-    def body(self, points: NDArray[np.float64], labels: Index) -> tuple[Body, Index]:
+    def body(self, points: Array, labels: Index) -> tuple[Body, Index]:
         """Return the elements as a body, and the nodes of the deck that its nodes are.
 
         Raises
@@ -91,7 +90,7 @@ class Group:
             raise InvalidProblem(f"{name}: {error} ({first})") from None
         return Body(mesh, material, self.model, self.thickness, name), used
 
-    def check_shapes(self, points: NDArray[np.float64]) -> None:
+    def check_shapes(self, points: Array) -> None:
         """Refuse elements that are turned inside out or flat, by their labels."""
         corners = points[self.nodes]
         at = np.vstack([self.kind.rule.points, self.kind.fine_rule.points])
@@ -124,7 +123,7 @@ class Topology:
     model: DeckModel
     active: Index
     groups: Sequence[Group]
-    links: Sequence[tuple[Elements, NDArray[np.float64], Sequence[DeckMaterial | None]]]
+    links: Sequence[tuple[Elements, Array, Sequence[DeckMaterial | None]]]
     expanded: bool = False
 
     @property
@@ -138,7 +137,7 @@ class Topology:
         return self.unknowns.size + len(self._thick)
 
     @cached_property
-    def _thick(self) -> NDArray[np.float64]:
+    def _thick(self) -> Array:
         """Return node and thickness for each unknown thickness, (w, 2): sections of other thicknesses have others."""
         plane = [group for group in self.groups if self.expanded and group.model == "plane-stress"]
         every = [
@@ -241,11 +240,8 @@ class Topology:
 def topology_of(model: DeckModel, *, expanded: bool = False) -> Topology:
     """Return the groups of a deck's elements and the nodes that have unknowns; plane stress `expanded` as in Topology.
 
-    Raises
-    ------
-    InvalidProblem
-        Elements without a section or with two, of materials that are not there or not elastic, at nodes that are not
-        there; axisymmetric elements beside others.
+    Raises InvalidProblem: elements without a section or with two, of materials that are not there or not elastic, at
+    nodes that are not there; axisymmetric elements beside others.
     """
     used = [group.nodes.ravel() for group in model.elements] + [one.nodes for one in model.equations]
     wanted = np.unique(np.concatenate(used))
@@ -334,7 +330,7 @@ class _Sections:
             )
         return found
 
-    def of_links(self, elements: Elements) -> tuple[Elements, NDArray[np.float64], Sequence[DeckMaterial | None]]:
+    def of_links(self, elements: Elements) -> tuple[Elements, Array, Sequence[DeckMaterial | None]]:
         """Return trusses with their areas and materials, springs with their stiffness."""
         at = self._at(elements.labels, elements.place)
         if elements.type == "SPRINGA":

@@ -19,11 +19,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import lengths, onto_cone
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -86,7 +85,7 @@ def relaxed_in_space(problem: ContactProblem, condensation: Condensation) -> Ans
     return program.answer(point)
 
 
-def _coulomb_data(problem: ContactProblem) -> tuple[Vector, NDArray[np.float64], NDArray[np.intp]]:
+def _coulomb_data(problem: ContactProblem) -> tuple[Vector, Array, Indices]:
     if problem.friction is None or problem.slip_origin is None:
         raise ValueError("the relaxation of a problem without friction")
     return problem.friction, problem.slip_origin, np.flatnonzero(problem.friction > 0)
@@ -95,7 +94,7 @@ def _coulomb_data(problem: ContactProblem) -> tuple[Vector, NDArray[np.float64],
 @dataclass(frozen=True, eq=False)
 class _Point:
     x: Vector  # (p,)
-    r: NDArray[np.float64]  # (m, d), on the body
+    r: Array  # (m, d), on the body
     tie: Vector  # (k,)
 
 
@@ -182,7 +181,7 @@ class _Program:
         u = self._condensation.expand(point.x * self._size * self._condensation.scale, self._inner)
         return Answer(u, force[:, 0], -force[:, 1:], point.tie * self._size / self._tie_length)
 
-    def _velocity(self, point: _Point) -> NDArray[np.float64]:
+    def _velocity(self, point: _Point) -> Array:
         return np.asarray((self._rows @ point.x).reshape(self._limit.shape) + self._limit)
 
     def _jacobian(self, point: _Point) -> Array:

@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.figures import holds
 from contactqp.certificate.uniqueness import NOTHING
@@ -289,7 +288,7 @@ class _Systems:
         rows, m = self._rows, self._m
         forces, motion = np.split(y, [len(rows.all_rows)])
         x = self._free - rows.compliance @ rows.all_rows.T @ forces + rows.motions @ motion
-        lengths: tuple[NDArray[np.float64], ...] = (rows.normal_length, rows.tangent_length, rows.tie_length)
+        lengths: tuple[Array, ...] = (rows.normal_length, rows.tangent_length, rows.tie_length)
         normal, friction, tie = (
             force / length for force, length in zip(np.split(forces, [m, 2 * m]), lengths, strict=True)
         )

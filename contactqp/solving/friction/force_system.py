@@ -16,12 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.friction_states import SINGULAR
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -264,7 +263,7 @@ class _Factor:
         except np.linalg.LinAlgError:
             return np.full_like(y, np.nan)
 
-    def _changed(self, status: Status) -> NDArray[np.intp]:
+    def _changed(self, status: Status) -> Indices:
         closes = (status == OPEN) != (self._status == OPEN)
         return np.concatenate([np.flatnonzero(closes), np.flatnonzero(status != self._status) + len(status)])
 

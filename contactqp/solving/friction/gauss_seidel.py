@@ -13,11 +13,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.measures import reciprocal
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import de_saxce, lengths, onto_cone
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 
@@ -58,7 +57,7 @@ class _Sweeps:
         self._rho = 1.0 / np.where(largest > 0, largest, 1.0)
         self._colours = [(colour, self._rows(colour)) for colour in colours(self._W, form.m, form.d)]
 
-    def _rows(self, colour: NDArray[np.intp]) -> Array:
+    def _rows(self, colour: Indices) -> Array:
         d = self._form.d
         rows: Array = self._W[(d * colour[:, None] + np.arange(d)).ravel()]
         return rows
@@ -80,7 +79,7 @@ class _Sweeps:
             self.joint = self._stiffness @ (self._regular * self.joint - form.s - form.V.T @ self.r.ravel())
 
 
-def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray[np.bool_]]:
+def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, Mask]:
     """Return forces (k, 2) of single contacts, u = W_ii r + q_i, and which have any; open comes first, then stick."""
     a, b, c, e = own[:, 0, 0], own[:, 0, 1], own[:, 1, 0], own[:, 1, 1]
     normal, tangential = outer[:, 0], outer[:, 1]
@@ -147,7 +146,7 @@ def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -
     return r, rho
 
 
-def colours(W: Array, m: int, d: int) -> list[NDArray[np.intp]]:
+def colours(W: Array, m: int, d: int) -> list[Indices]:
     """Return groups of contacts that do not feel each other, found greedily."""
     entries = sp.coo_array(W)
     pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))

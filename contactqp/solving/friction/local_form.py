@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.runtime import seconds_left, stated_limit
@@ -110,12 +109,12 @@ class LocalForm:
         right = np.concatenate([-self.s - self.V.T @ r.ravel(), -1e-8 * (self.W @ r.ravel() + self.q)])
         return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
 
-    def scaled(self, force: NDArray[np.float64]) -> Array:
+    def scaled(self, force: Array) -> Array:
         """Return r (m, d) from the contact forces of the problem."""
         size = self._contact_scale * self._velocity_size * self._force_size
         return np.asarray((np.asarray(force).ravel() / size).reshape(self.m, self.d))
 
-    def unscaled(self, r: Array, joint: Vector) -> tuple[NDArray[np.float64], Vector]:
+    def unscaled(self, r: Array, joint: Vector) -> tuple[Array, Vector]:
         """Return the contact forces (m, d) and joint forces (p,) of the problem."""
         size = self._contact_scale * self._velocity_size * self._force_size
         force = (r.ravel() * size).reshape(self.m, self.d)

@@ -19,7 +19,6 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NotConverged
@@ -29,7 +28,7 @@ from contactqp.linalg.iteration import iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
 from contactqp.linalg.runtime import stated_limit
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Solution
@@ -125,7 +124,7 @@ def search(
     system: ForceSystem,
     lengths: Lengths,
     start: Status,
-    held_open: NDArray[np.bool_] | None = None,
+    held_open: Mask | None = None,
     max_iter: int | None = None,
     until: float | None = None,
 ) -> tuple[CombinationAnswer, int]:
@@ -183,7 +182,7 @@ def search(
 
 
 def _not_drowned(
-    system: ForceSystem, lengths: Lengths, found: CombinationAnswer, held_open: NDArray[np.bool_] | None
+    system: ForceSystem, lengths: Lengths, found: CombinationAnswer, held_open: Mask | None
 ) -> CombinationAnswer:
     """Return an answer whose signs fail by rounding alone; refuse it where rounding is as large as the answer."""
     wrong = np.where(False if held_open is None else held_open, 0.0, found.worst(system.coefficient))

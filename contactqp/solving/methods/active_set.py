@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation, condense
@@ -21,7 +20,7 @@ from contactqp.linalg.existence import touch_one_each
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings
@@ -68,7 +67,7 @@ def solve_condensed(
     # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
     doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
-    before: NDArray[np.intp] | None = None
+    before: Indices | None = None
     for _ in range(PROXIMAL_STEPS):
         if steps >= limit:
             raise NotConverged(f"active-set: no contact set was found in {steps} steps")
@@ -159,7 +158,7 @@ def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
     return force
 
 
-def _closed_by(data: tuple[Array, Vector, NDArray[np.bool_], Vector], force: Vector, limit: int) -> tuple[Vector, int]:
+def _closed_by(data: tuple[Array, Vector, Mask, Vector], force: Vector, limit: int) -> tuple[Vector, int]:
     """Return scaled forces of the anchored problem by primal-dual steps, then by the finite method where these cycle.
 
     `data` are those of `Delassus.dual_data`.
@@ -174,9 +173,9 @@ def _closed_by(data: tuple[Array, Vector, NDArray[np.bool_], Vector], force: Vec
 
 
 def _primal_dual(
-    W: NDArray[np.float64],
+    W: Array,
     excess: Vector,
-    tied: NDArray[np.bool_],
+    tied: Mask,
     tolerance: Vector,
     force: Vector,
     limit: int,
@@ -208,7 +207,7 @@ def _equilibrium_on(
     operator: Delassus,
     load: Vector,
     size: Vector,
-    closed: NDArray[np.intp],
+    closed: Indices,
 ) -> tuple[Vector, Vector, Vector] | None:
     """Return x, l_N and tie forces on a set without anchors; None where signs fail or a free motion is driven."""
     saddle = saddle_point(condensation, closed)
@@ -231,13 +230,13 @@ def _equilibrium_on(
     return x, np.maximum(force, 0.0), tie_force
 
 
-def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> NDArray[np.bool_]:
+def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> Mask:
     """Return flags (m,) of contacts that the contact unknowns x penetrate by more than rounding."""
     length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
     return np.asarray(condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length)
 
 
-def _moved(condensation: Condensation, operator: Delassus, free: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _moved(condensation: Condensation, operator: Delassus, free: Array) -> Mask:
     """Return flags (m,) of contacts that feel the orthonormal, scaled motions (p, q) which the set leaves free."""
     rows = operator.rows[: len(condensation.normal)]
     felt = np.linalg.norm(rows @ free, axis=1)

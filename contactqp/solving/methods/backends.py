@@ -25,10 +25,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings
@@ -265,11 +264,11 @@ BOUNDS_PAY = 200
 class _Bounds:
     """The contacts of one unknown alone, as the nearest lower and upper bound of each."""
 
-    contacts: NDArray[np.intp]  # those that are bounds
+    contacts: Indices  # those that are bounds
     lower: Vector  # (n,), infinite where there is none
     upper: Vector
-    of_lower: NDArray[np.intp]  # (n,) the contact of each bound, -1 where there is none
-    of_upper: NDArray[np.intp]
+    of_lower: Indices  # (n,) the contact of each bound, -1 where there is none
+    of_upper: Indices
 
     def forces(self, problem: ContactProblem, solution: Any) -> Vector:
         """Return the contact forces (m,) of a solution with multipliers of rows and of bounds."""

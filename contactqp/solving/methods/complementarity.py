@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
 from contactqp.linalg.runtime import stated_limit
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings
@@ -42,7 +41,7 @@ RESISTED = 1e-10
 # relative to the load on the unknowns that move: those at rest move by rounding.)
 BALANCED = 1e-9
 
-Dense = NDArray[np.float64]
+Dense = Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,14 +16,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.certificate.multigrid_bounds import balanced_forces, dual_norm, force_norm
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.runtime import tell
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Settings
 
@@ -161,7 +160,7 @@ class _Search:
                 return self._candidate(sets, stopped)
             self.closed = self.iteration.supported(self.problem, self._following(), self.x)
 
-    def _following(self) -> NDArray[np.bool_]:
+    def _following(self) -> Mask:
         """Return the set that the signs lead to; a set that keeps shrinking does so by layers that double.
 
         From the first that goes too far on, half as many at most.
@@ -206,13 +205,13 @@ class _Search:
         self.iteration.learn(run)
         return stopped
 
-    def _start_on_set(self) -> tuple[NDArray[np.intp], ConstrainedRows, ConjugateGradients]:
+    def _start_on_set(self) -> tuple[Indices, ConstrainedRows, ConjugateGradients]:
         on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
         held = self.iteration.held(on_set, self.limit[on_set])
         self.iteration.close(held, self.x, self.residual)
         return on_set, held, self.iteration.run(self.x, self.residual, on_set, held)
 
-    def _steps_on_set(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> str:
+    def _steps_on_set(self, run: ConjugateGradients, held: ConstrainedRows, on_set: Indices) -> str:
         goal: _Goal | None = None
         while True:
             self._look(run, held, on_set)
@@ -256,7 +255,7 @@ class _Search:
     def _penetration(self) -> Vector:
         return np.asarray((self.iteration.lengths(self.x) - self.limit)[: self.m])
 
-    def _look(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> None:
+    def _look(self, run: ConjugateGradients, held: ConstrainedRows, on_set: Indices) -> None:
         """Form the forces, and find the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)

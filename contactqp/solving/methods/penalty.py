@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, FreeMotion, Solution
@@ -245,7 +245,7 @@ def without_contact_springs(problem: ContactProblem, solution: Solution, name: s
 
 def sliders(
     problem: ContactProblem, solution: Solution, penalty: ArrayLike, tangential_penalty: ArrayLike | None = None
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the sliders of a penalised solution: E_T u - l_T / beta_T, or where they stick their origin,
     (m, d-1) [length].
 

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.factorization import null_space
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
 
@@ -187,7 +186,7 @@ def solve_bordered(
     return solution[:n], solution[n:]
 
 
-def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refined: bool = False) -> NDArray[np.float64]:
+def solve_linear(name: str, matrix: Matrix, load: Array, *, refined: bool = False) -> Array:
     """Solve matrix x = load by LU with partial pivoting, in the numbers as they are.
 
     A bad condition alone refuses nothing: rounding is to show as it would in the textbook's own program. Only a matrix
@@ -217,10 +216,10 @@ def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refine
 
 
 # Solves for a right-hand side; with the transposed matrix where the second argument is true.
-Solver = Callable[[NDArray[np.float64], bool], NDArray[np.float64]]
+Solver = Callable[[Array, bool], Array]
 
 
-def _dense_lu(matrix: NDArray[np.float64]) -> Solver | None:
+def _dense_lu(matrix: Array) -> Solver | None:
     from scipy.linalg import lapack
 
     # LAPACK itself rather than scipy.linalg.lu_factor: a zero pivot is a return code here, not a warning.
@@ -271,10 +270,10 @@ def _norm_of_inverse(matrix: Matrix, solve: Solver, rows: Vector, columns: Vecto
         return max(float(np.sum(abs(solve(unit, False) / columns))) for unit in np.diag(1 / rows))
     from scipy.sparse.linalg import LinearOperator, onenormest
 
-    def scaled_solve(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scaled_solve(x: Array) -> Array:
         return np.asarray(solve(np.ravel(x) / rows, False) / columns)
 
-    def scaled_solve_transposed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scaled_solve_transposed(x: Array) -> Array:
         return np.asarray(solve(np.ravel(x) / columns, True) / rows)
 
     inverse = LinearOperator((n, n), matvec=scaled_solve, rmatvec=scaled_solve_transposed, dtype=float)
@@ -302,19 +301,19 @@ class FloatingBodies:
     problem: ContactProblem
 
     @cached_property
-    def rigid(self) -> NDArray[np.float64]:
+    def rigid(self) -> Array:
         """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
         if not condense(self.problem).rigid.count:
             return np.zeros((self.problem.dimension, 0))
         return np.linalg.qr(null_space(self.problem.stiffness).motions / self.scale[:, None])[0]
 
     @cached_property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Array:
         """(m, n) rows of the contacts, of unit length in these unknowns."""
         return self.unit(self.problem.normal)
 
     @cached_property
-    def tie(self) -> NDArray[np.float64]:
+    def tie(self) -> Array:
         """(k, n) rows of the ties, likewise."""
         return self.unit(self.problem.tie)
 
@@ -323,13 +322,13 @@ class FloatingBodies:
         """D (n,) of these unknowns x, u = D x."""
         return unknown_scale(self.problem)
 
-    def unit(self, rows: Any) -> NDArray[np.float64]:
+    def unit(self, rows: Any) -> Array:
         """Return rows scaled to unit length in these unknowns; an empty row is left as it is."""
         dense = np.asarray((rows @ sp.diags(self.scale)).toarray())
         length = np.linalg.norm(dense, axis=1, keepdims=True)
         return np.asarray(dense / np.where(length > 0, length, 1.0))
 
-    def held_by(self, unit_rows: NDArray[np.float64]) -> bool:
+    def held_by(self, unit_rows: Array) -> bool:
         """Return whether rows of unit length resist every rigid motion, judged from the motions themselves."""
         r = self.rigid.shape[1]
         if not r:

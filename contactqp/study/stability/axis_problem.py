@@ -13,10 +13,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.linalg.exact_algebra import ZERO, Row, dot, inverse_of, solutions
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import Method
 from contactqp.study.truth import Errors, Truth
@@ -162,8 +161,8 @@ class AxisProblem:
     truth: SweptTruth
     exact: tuple[ExactAnswer, ...]  # every equilibrium; empty where it is not kept as fractions, or there is none
     closed: tuple[int, ...]  # contacts of the first equilibrium
-    constraint_rows: NDArray[np.float64] | None  # (r, n); None where the system is not examined
-    force_rows: NDArray[np.float64] | None  # (r, n)
+    constraint_rows: Array | None  # (r, n); None where the system is not examined
+    force_rows: Array | None  # (r, n)
 
 
 def problem_with_closed(problem: ContactProblem, closed: Sequence[int]) -> AxisProblem:

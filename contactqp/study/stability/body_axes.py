@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis_problem import Axis, AxisProblem, powers_of_two, problem_with_closed
 
-Matrix = NDArray[np.float64]
+Matrix = Array
 
 
 def chain(springs: Sequence[float], *, ground: bool = True) -> Matrix:

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, SchemeEntry, SchemeSettings, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 
 
 class _Central(TwoStep):
@@ -93,7 +92,7 @@ class ExplicitPenalty(_Central):
             displacements, velocities, loads - self._springs(displacements.T).T @ self.body.problem.normal
         )
 
-    def _springs(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _springs(self, displacement: Array) -> Array:
         """Return the forces (m,) of one displacement (n,), or (m, steps) of several (n, steps) [force]."""
         problem = self.body.problem
         overlap = (problem.normal @ displacement).T - problem.gap

@@ -18,17 +18,16 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.analysis.motion.mass_matrix import massless
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.solving.solve import solve
 
-Block = NDArray[np.float64]  # one row a step
+Block = Array  # one row a step
 
 NO_SLIP = np.zeros(0)
 # Gaps and velocities that are this part of their own lengths are none: bodies at rest are known to some roundings.
@@ -123,7 +122,7 @@ class Body(ReadOnly):
             friction[rows] = found.friction_force.ravel()
         return acceleration, normal, friction
 
-    def on_massless(self, what: str, scheme: str) -> NDArray[np.bool_]:
+    def on_massless(self, what: str, scheme: str) -> Mask:
         """Return which contacts (m,) or ties (k,) act on unknowns without mass.
 
         Raises
