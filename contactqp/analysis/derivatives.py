@@ -23,9 +23,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import Parts
-from contactqp.analysis.rates import FREE, REDUNDANT, SAME, Direction, Linearised, NoRates, Rates
+from contactqp.analysis.rate_systems import Direction, Parts, Rates
+from contactqp.analysis.rates import FREE, REDUNDANT, SAME, Linearised, NoRates
 from contactqp.errors import BackendMissing, InvalidProblem, shown
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
@@ -209,20 +210,25 @@ def _read_direction(solution: Solution, parameter: str, direction: Any) -> Direc
     return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved))))
 
 
-def _why_not(linearised: Linearised, of: str, parameter: str) -> str | None:
-    """Return why a quantity has no derivative by a parameter, whatever the direction, or None."""
+def _why_not(linearised: Linearised, of: str, parameter: str, load: Vector | None = None) -> str | None:
+    """Return why a quantity has no derivative by a parameter, along a load or whatever the direction, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
     if linearised.redundant and (of in FORCES or parameter in ("gap", "tie_value", "rows")):
         return REDUNDANT
-    free = bool(linearised.solution.free_motions)
-    moves = of in ("displacement", "slip") or parameter in ("load", "stiffness", "rows")
-    return FREE if free and moves else None
+    problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
+    if parameter == "load" and load is not None:
+        driven = any(abs(motion @ load) > UNRESISTED * (abs(motion) @ abs(load)) for motion in motions)
+    else:
+        driven = bool(motions) and parameter in ("load", "stiffness", "rows")
+    rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
+    seen = any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
+    return FREE if driven or seen or (motions and of in ("displacement", "slip")) else None
 
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
     """Return the derivative of a quantity along a direction of one parameter."""
-    reason = _why_not(linearised, of, parameter) or linearised.without_direction(direction.friction)
+    reason = _why_not(linearised, of, parameter, direction.load) or linearised.without_direction(direction.friction)
     if reason is not None:
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
@@ -233,6 +239,8 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         back, ahead = linearised.sides(direction)
     except NoRates as none:
         return Derivative(None, None, None, False, reason=str(none))
+    if of in FORCES and (back.shared or ahead.shared):
+        return Derivative(None, None, None, False, reason=REDUNDANT)
     left, right = (_of_rates(linearised.solution, of, rates, direction) for rates in (back, ahead))
     same = linearised.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:

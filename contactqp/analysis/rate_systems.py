@@ -15,7 +15,7 @@ they refine answers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -71,6 +71,63 @@ def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
     return (problem.contacts, 0) if origin is None else (problem.contacts, origin.shape[1])
 
 
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction of what a problem is made of, and what it means at an answer."""
+
+    load: Vector  # (n,)
+    gap: Vector  # (m,)
+    slip_origin: Array  # (m, d-1)
+    tie_value: Vector  # (k,)
+    friction: Vector  # (m,)
+    strained: Vector  # (n,) -dK u
+    turned: Vector  # (n,) -dE_N'l_N
+    closing: Vector  # (m,) -dE_N u
+    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
+
+    @classmethod
+    def zero(cls, problem: ContactProblem) -> Direction:
+        n, m = problem.dimension, problem.contacts
+        return cls(
+            np.zeros(n), np.zeros(m), np.zeros(shape_of_tangents(problem)), np.zeros(problem.ties), np.zeros(m),
+            np.zeros(n), np.zeros(n), np.zeros(m),
+        )  # fmt: skip
+
+    @property
+    def whole_load(self) -> Vector:
+        """The load (n,) that the rates see."""
+        return self.load + self.strained + self.turned
+
+    @property
+    def whole_gap(self) -> Vector:
+        """The gaps (m,) that the rates see."""
+        return self.gap + self.closing
+
+    def reversed(self) -> Direction:
+        return Direction(**{name: -value for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: Array  # (m, d-1)
+    tie_force: Vector  # (k,)
+    gap: Vector  # (m,)
+    slip: Array  # (m, d-1)
+    reaction: Vector  # (n,)
+    status: Status  # (m,) the states that contacts are in along the direction
+    bound: Parts | None = None
+    shared: bool = False  # whether contacts that close along the direction share their forces in many ways
+
+    def reversed(self) -> Rates:
+        """Return the rates towards minus a direction from those along its reverse."""
+        kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared)
+        return Rates(**{name: 0.0 - value for name, value in vars(self).items() if name not in kept}, **kept)
+
+
 class _System(Protocol):
     """What is refined by: an approximate inverse, and products of the unknowns with the system."""
 
@@ -99,6 +156,8 @@ class RateSystem:
 
     Attributes
     ----------
+    status : (m,) array of int
+        The combination.
     regular : bool
         Whether the system has one solution for all data.
     redundant : bool
@@ -106,7 +165,7 @@ class RateSystem:
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
-        self._problem, self._exact = problem, extended_rows(problem)
+        self._problem, self._exact, self.status = problem, extended_rows(problem), status
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._unit = condensation.unknown_scale
         with_friction = problem.frictional
@@ -150,6 +209,11 @@ class RateSystem:
         settled = contraction < 0.5
         remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) if settled else np.inf
         return Solved(found, self._bound(found, remainder), settled or size <= ENOUGH * whole_size)
+
+    def unresolved(self) -> list[Parts]:
+        """Return a basis of what may be added to solutions, with friction and where the system has no inverse."""
+        assert isinstance(self._system, _Frictional)
+        return self._system.unresolved()
 
     def _bound(self, found: Parts, remainder: float) -> Parts | None:
         """Return what further refinement and rounding to doubles may change of each part."""
@@ -241,6 +305,10 @@ class _Frictional:
     def correct(self, left: Parts, transposed: bool) -> Parts:
         data = left.displacement, left.normal, left.tangent.ravel(), left.tie
         return Parts(*self._system.correct(*data, transposed=transposed))
+
+    def unresolved(self) -> list[Parts]:
+        """Return a basis of what may be added to solutions."""
+        return [Parts(*parts) for parts in self._system.unresolved()]
 
     def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
         """Return E_N u, of the transposed system (E_N + mu t'E_T) u."""

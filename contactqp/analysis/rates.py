@@ -15,7 +15,7 @@ at a border may go to is tried: one whose rates lead to where it says is the ans
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -23,13 +23,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import Parts, RateSystem, shape_of_tangents
+from contactqp.analysis.rate_systems import Direction, Parts, Rates, RateSystem, shape_of_tangents
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
+from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import CAUTION, answer_on
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -47,63 +49,10 @@ IN_SPACE = "what becomes of contacts at the border of two states is found in the
 SAME = 1e-9
 # Combinations of states that contacts at a border may go to, at most.
 MOST_COMBINATIONS = 256
+# Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
+SEEN = 1e-6
 # Contacts that are named in a reason.
 SHOWN = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """A direction of what a problem is made of, and what it means at an answer."""
-
-    load: Vector  # (n,)
-    gap: Vector  # (m,)
-    slip_origin: Array  # (m, d-1)
-    tie_value: Vector  # (k,)
-    friction: Vector  # (m,)
-    strained: Vector  # (n,) -dK u
-    turned: Vector  # (n,) -dE_N'l_N
-    closing: Vector  # (m,) -dE_N u
-    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
-
-    @classmethod
-    def zero(cls, problem: ContactProblem) -> Direction:
-        n, m = problem.dimension, problem.contacts
-        return cls(
-            np.zeros(n), np.zeros(m), np.zeros(shape_of_tangents(problem)), np.zeros(problem.ties), np.zeros(m),
-            np.zeros(n), np.zeros(n), np.zeros(m),
-        )  # fmt: skip
-
-    @property
-    def whole_load(self) -> Vector:
-        """The load (n,) that the rates see."""
-        return self.load + self.strained + self.turned
-
-    @property
-    def whole_gap(self) -> Vector:
-        """The gaps (m,) that the rates see."""
-        return self.gap + self.closing
-
-    def reversed(self) -> Direction:
-        return Direction(**{name: -value for name, value in vars(self).items()})
-
-
-@dataclass(frozen=True, eq=False)
-class Rates:
-    """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
-
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array  # (m, d-1)
-    tie_force: Vector  # (k,)
-    gap: Vector  # (m,)
-    slip: Array  # (m, d-1)
-    reaction: Vector  # (n,)
-    bound: Parts | None = None
-
-    def reversed(self) -> Rates:
-        """Return the rates towards minus a direction from those along its reverse."""
-        changed: dict[str, Any] = {name: 0.0 - value for name, value in vars(self).items() if name != "bound"}
-        return Rates(**changed, bound=self.bound)
 
 
 class NoRates(Exception):
@@ -210,7 +159,20 @@ class Linearised:
         if self._sparse:  # nothing is condensed, and the certificate has looked
             return any(bounds.REDUNDANT in reason for reason in self.solution.certificate.reasons)
         touching = np.union1d(self.closed, self.grazing).astype(np.intp)
-        return bool(saddle_point(condense(self.problem), touching).redundant)
+        if not saddle_point(condense(self.problem), touching).redundant:
+            return False
+        if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
+            return True
+        # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
+        unit, normal, _, tie = self._units
+        problem, lengths = self.problem, np.concatenate([normal[touching], tie])
+        rows = sp.csc_array(sp.vstack([problem.normal[touching], problem.tie]))
+        felt = np.flatnonzero(np.diff(rows.indptr))
+        dense = rows[:, felt].toarray() * unit[felt] / np.where(lengths > 0, lengths, 1.0)[:, None]
+        grazes = np.concatenate([np.isin(touching, self.grazing), np.zeros(problem.ties, dtype=bool)])
+        resultant = np.append(np.zeros(len(felt)), 1.0)
+        _, residual = forces_without_tension(np.column_stack([dense, grazes]), resultant, grazes)
+        return not residual > UNRESISTED
 
     def _system(self, status: Status) -> RateSystem:
         key = status.tobytes()
@@ -282,22 +244,28 @@ class Linearised:
         solved = system.solve(Parts(load, direction.whole_gap, slip_origin, direction.tie_value))
         if not solved.settled:
             raise NoRates(SINGULAR)
-        found = solved.found
-        friction, slip = found.tangent, -slip_origin
+        return self._of_parts(system, direction, solved.found, solved.bound, own)
+
+    def _of_parts(
+        self, system: RateSystem, direction: Direction, found: Parts, bound: Parts | None, own: Array
+    ) -> Rates:
+        problem = self.problem
+        friction, slip = found.tangent, -direction.slip_origin
         if problem.tangent is not None:
             slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
         if problem.tangent is not None and problem.friction is not None and problem.frictional:
             dragged = (problem.friction * found.normal)[:, None] * system.directions
-            friction = friction + dragged + own + np.einsum("mij,mj->mi", system.turning, slip + slip_origin)
-        return self._with_reaction(direction, found, friction, slip, solved.bound)
+            turned = np.einsum("mij,mj->mi", system.turning, slip + direction.slip_origin)
+            friction = friction + dragged + own + turned
+        return self._with_reaction(direction, found, friction, slip, system.status, bound)
 
     def _with_reaction(
-        self, direction: Direction, found: Parts, friction: Array, slip: Array, bound: Parts | None
+        self, direction: Direction, found: Parts, friction: Array, slip: Array, status: Status, bound: Parts | None
     ) -> Rates:
         problem, u = self.problem, found.displacement
         gap = direction.whole_gap - problem.normal @ u
         reaction = direction.load + direction.strained - problem.stiffness_rows @ u
-        return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, bound)
+        return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
     def _by_problem(self, direction: Direction) -> Rates:
         """Return the rates without friction as the answer of a problem whose contacts are those that graze."""
@@ -323,7 +291,10 @@ class Linearised:
         if problem.tangent is not None:
             slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
         parts = Parts(found.displacement, force, tangents, found.tie_force[:k].copy())
-        return self._with_reaction(direction, parts, tangents, slip, None)
+        shared = bool(
+            np.any(found.normal_force > 0) and any(bounds.REDUNDANT in one for one in found.certificate.reasons)
+        )
+        return replace(self._with_reaction(direction, parts, tangents, slip, self.status, None), shared=shared)
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
@@ -336,6 +307,7 @@ class Linearised:
             status[self.undecided] = chosen
             system = self._system(status)
             if not system.regular:
+                self._refuse_many(system, direction)
                 continue
             found = self._in_states(system, direction)
             if self._holds(found, direction, status) and not any(self._are_one(found, other) for other in holding):
@@ -344,6 +316,27 @@ class Linearised:
             count = "several rates continue" if holding else "no rates continue"
             raise NoRates(f"{count} the answer: {self.named(self.undecided)} may change its state")
         return holding[0]
+
+    def _refuse_many(self, system: RateSystem, direction: Direction) -> None:
+        """Raise `NoRates` where many rates may continue the answer in a combination whose system has no inverse.
+
+        Those rates x + N z, N what the system leaves open, whose signs s(x) + s(N) z lead to where it says are a
+        polyhedron: forces are not unique where s(N) z >= 0 has solutions, or where it is more than a point.
+        """
+        zero = Direction.zero(self.problem)
+        basis = [self._of_parts(system, zero, part, None, zero.slip_origin) for part in system.unresolved()]
+        turns = np.column_stack([self._signs(one, zero, system.status) for one in basis])
+        many = NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
+        if _width(turns, np.zeros(len(turns)), 1.0) > SEEN:
+            raise many
+        try:
+            found = self._in_states(system, direction)
+        except NoRates:  # there are none
+            return
+        signs = self._signs(found, direction, system.status)
+        size = max(float(np.max(abs(signs), initial=0.0)), float(np.finfo(float).tiny))
+        if _width(turns, signs / size, np.inf) > SEEN:
+            raise many
 
     def _choices(self, i: int) -> tuple[int, ...]:
         """Return the states that a contact at a border may go to."""
@@ -363,29 +356,34 @@ class Linearised:
 
     def _holds(self, found: Rates, direction: Direction, status: Status) -> bool:
         """Return whether rates lead undecided contacts to the states that they were found in."""
+        unit, of_normal, _, _ = self._units
+        push = abs(found.normal_force * of_normal)
+        nothing = SAME * max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
+        return bool(np.min(self._signs(found, direction, status), initial=0.0) >= -nothing)
+
+    def _signs(self, found: Rates, direction: Direction, status: Status) -> Vector:
+        """Return what is not negative where rates lead undecided contacts to these states, in sqrt(energy)."""
         problem, solution = self.problem, self.solution
         assert problem.friction is not None
         assert solution.friction_force is not None
-        unit, of_normal, of_tangent, _ = self._units
+        _, of_normal, of_tangent, _ = self._units
         push, drag = found.normal_force * of_normal, found.friction_force[:, 0] * of_normal
-        nothing = SAME * max(np.max(abs(push), initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
         room = (problem.friction * found.normal_force + direction.friction * solution.normal_force) * of_normal
         slips = np.divide(found.slip[:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
         gaps = np.divide(found.gap, of_normal, out=np.zeros_like(push), where=of_normal > 0)
+        signs: list[float] = []
         for i in self.undecided:
             grazes, state = self.status[i] != STICK, status[i]
             if state == OPEN:
-                signs = [gaps[i]]
+                signs += [gaps[i]]
             elif state == STICK and grazes:
-                signs = [push[i], room[i] - abs(drag[i])]
+                signs += [push[i], room[i] - drag[i], room[i] + drag[i]]
             elif state == STICK:
-                signs = [room[i] - np.sign(solution.friction_force[i, 0]) * drag[i]]
+                signs += [room[i] - np.sign(solution.friction_force[i, 0]) * drag[i]]
             else:
                 turns = not grazes or len(self._choices(int(i))) == 4
-                signs = ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
-            if min(signs) < -nothing:
-                return False
-        return True
+                signs += ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
+        return np.array(signs)
 
     def _are_one(self, one: Rates, other: Rates) -> bool:
         """Return whether two combinations have the same rates."""
@@ -427,23 +425,29 @@ class Linearised:
         return unit, normal, tangent, tie
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
-        """Yield the steps along sign times these rates at which a contact that is at no border changes its state."""
+        """Yield the steps along sign times these rates at which contacts leave the states that the rates are of."""
         solution, problem = self.solution, self.problem
-        decided = np.setdiff1d(np.arange(problem.contacts), self.undecided)
-        pushing, apart = decided[self.status[decided] != OPEN], decided[self.status[decided] == OPEN]
-        yield from _falls(solution.normal_force[pushing], sign * rates.normal_force[pushing])
+        edges = self.grazing  # neither their forces nor their gaps fall, from nothing
+        touching = np.setdiff1d(np.flatnonzero(rates.status != OPEN), edges)
+        apart = np.setdiff1d(np.flatnonzero(rates.status == OPEN), edges)
+        yield from _falls(solution.normal_force[touching], sign * rates.normal_force[touching])
         yield from _falls(solution.gap[apart], sign * rates.gap[apart])
         if not problem.frictional or problem.friction is None or solution.slip is None:
             return
-        slips = decided[(abs(self.status[decided]) == 1) & (problem.friction[decided] > 0)]
-        along = self.status[slips].astype(float)
+        rests = [i for i in self.undecided.tolist() if STICK in self._choices(i)]
+        slips = np.setdiff1d(np.flatnonzero((abs(rates.status) == 1) & (problem.friction > 0)), rests).astype(int)
+        along = rates.status[slips].astype(float)
         yield from _falls(along * solution.slip[slips, 0], sign * along * rates.slip[slips, 0])
-        for i in decided[self.status[decided] == STICK]:
-            assert solution.friction_force is not None
-            yield from _reaches_bound(
-                problem.friction[i], solution.normal_force[i], solution.friction_force[i],
-                sign * rates.normal_force[i], sign * rates.friction_force[i],
-            )  # fmt: skip
+        assert solution.friction_force is not None
+        for i in np.setdiff1d(np.flatnonzero(rates.status == STICK), edges):
+            push, drag = (solution.normal_force[i], solution.friction_force[i])
+            rate, drag_rate = sign * rates.normal_force[i], sign * rates.friction_force[i]
+            if len(drag) > 1:
+                yield from _reaches_bound(problem.friction[i], push, drag, rate, drag_rate)
+                continue
+            bounds = np.array([side for side in (1.0, -1.0) if i not in self._at_bound or side * drag[0] < 0])
+            yield from _falls(problem.friction[i] * push - bounds * drag[0],
+                              problem.friction[i] * rate - bounds * drag_rate[0])  # fmt: skip
 
     def named(self, contacts: Indices) -> str:
         """Return the names of some contacts."""
@@ -456,6 +460,19 @@ class Linearised:
         return "; ".join(
             f"{self.named(which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
         )
+
+
+def _width(turns: Array, signs: Vector, far: float) -> float:
+    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
+    from scipy.optimize import linprog
+
+    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
+    for sign in (1.0, -1.0):
+        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
+        if end.status != 0:
+            return 0.0 if end.status == 2 else np.inf
+        ends.append(float(end.fun))
+    return -sum(ends)
 
 
 def _falls(size: Vector, rate: Vector) -> Iterator[float]:

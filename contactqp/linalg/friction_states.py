@@ -189,20 +189,13 @@ class StateSystem:
         self.regular = condition >= singular and info == 0
         if not self.regular:  # the least correction that fits best
             self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
+            self._singular = matrix
         self._factor = (factor, pivots)
 
     def correct(
         self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
     ) -> tuple[Vector, Vector, Array, Vector]:
-        """Return the corrections of `Corrections.correct`.
-
-        Parameters
-        ----------
-        load, gap, slip, tie
-            As there.
-        transposed : bool
-            Whether the transposed system is solved.
-        """
+        """Return the corrections of `Corrections.correct`, or those of the transposed system."""
         reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
@@ -213,6 +206,17 @@ class StateSystem:
             found = (self._inverse.T if transposed else self._inverse) @ right
         else:
             found = lapack().dgetrs(*self._factor, right, trans=int(transposed))[0]
+        return self._expanded(found, inner)
+
+    def unresolved(self) -> list[tuple[Vector, Vector, Array, Vector]]:
+        """Return a basis of what may be added to the solutions of a system without inverse, each as `correct` does."""
+        values, right = right_singular(self._singular)
+        inner = self._condensation.reduce_residual(np.zeros(len(self._condensation.unknown_scale)))[1]
+        return [self._expanded(one, inner) for one in right[np.sum(values > SINGULAR * values[0]) :]]
+
+    def _expanded(self, found: Vector, inner: Vector) -> tuple[Vector, Vector, Array, Vector]:
+        """Return displacements and forces of a solution of the matrix."""
+        rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         y = np.zeros(p + self._count)
         y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))

@@ -228,3 +228,45 @@ def test_contacts_that_never_close_and_rows_of_zeros_change_nothing() -> None:
         K, load, np.eye(2), [1.0, np.inf], tangent=[[0.0, 1.0], [1.0, 0.0]], friction=0.3))  # fmt: skip
     with pytest.raises(cq.Unsupported, match="leave out those that never close"):
         rough.derivative("gap", "load", [1.0, 0.0])
+
+
+def test_gaps_of_bodies_that_are_free_to_move_are_not_unique() -> None:
+    """A spring and a body free beside it, whose gap to a wall is any that is open."""
+    free = cq.solve(cq.ContactProblem([[0.0, 0.0], [0.0, 9.0]], [0.0, 18.0], [[1.0, 1.0], [0.0, 1.0]], [4.0, 1.0]))
+    found = free.derivative("gap", "gap", [1.0, 0.0])
+    assert (found.value, found.right) == (None, None)
+    assert "free to move" in found.reason
+    with pytest.raises(cq.InvalidProblem, match="free to move"):
+        free.pullback("gap", [1.0, 0.0], "gap")
+    assert free.derivative("normal_force", "gap", [0.0, 1.0]).value == pytest.approx([0.0, -9.0])  # those are unique
+
+
+def test_bodies_free_to_slide_have_the_rates_of_what_is_determined() -> None:
+    """Two blocks on a floor that nothing holds sideways: weights change the forces beneath, pushes are not borne."""
+    K = np.zeros((4, 4))
+    K[np.ix_([1, 3], [1, 3])] = [[3.0, -3.0], [-3.0, 3.0]]
+    stack = cq.solve(cq.ContactProblem(K, [0.0, -2.0, 0.0, -5.0], [[0.0, -1.0, 0.0, 0.0]], [0.0]))
+    assert len(stack.free_motions) == 2
+    found = stack.derivative("normal_force", "load", [0.0, 0.0, 0.0, -1.0])
+    assert found.value == pytest.approx([1.0])
+    assert found.reach == pytest.approx((7.0, np.inf))
+    assert stack.derivative("energy", "load", [0.0, 0.0, 0.0, 1.0]).value == pytest.approx(5.0 / 3.0)
+    for of, load in (("normal_force", [1.0, 0.0, 0.0, -1.0]), ("displacement", [0.0, 0.0, 0.0, -1.0])):
+        found = stack.derivative(of, "load", load)
+        assert (found.value, "free to move" in found.reason) == (None, True)
+
+
+def test_redundant_contacts_that_graze_have_unique_displacements() -> None:
+    """Twice the same wall, which a spring just touches: its forces are unique, 0, until they share one."""
+    twice = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [1.0]], [2.0, 2.0]))
+    found = twice.derivative("displacement", "gap", [-1.0, -3.0])
+    assert (found.left.tolist(), found.right.tolist()) == ([0.0], [-3.0])
+    found = twice.derivative("normal_force", "gap", [-1.0, -3.0])  # the second alone
+    assert (found.left.tolist(), found.right.tolist()) == ([0.0, 0.0], [0.0, 6.0])
+    found = twice.derivative("normal_force", "load", [1.0])
+    assert (found.right, "redundant" in found.reason) == (None, True)
+    pressed = cq.solve(cq.ContactProblem([[2.0]], [6.0], [[1.0], [1.0]], [2.0, 2.0]))
+    assert "redundant" in pressed.derivative("displacement", "gap", [1.0, 0.0]).reason
+    wedged = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [-1.0]], [2.0, -2.0]))  # between two walls
+    assert "redundant" in wedged.derivative("normal_force", "load", [1.0]).reason
+    assert wedged.derivative("displacement", "load", [1.0]).value == pytest.approx([0.0])

@@ -200,3 +200,36 @@ def test_what_has_no_derivative_with_friction_says_why() -> None:
         with pytest.raises(cq.InvalidProblem, match=message):
             call()
     assert smooth.derivative("reaction", "rows", [[1.0]]).value == pytest.approx([1.0])  # u = 1/E: f - K u = 2 - 1/E
+
+
+def test_a_contact_at_its_bound_is_followed_to_the_next_event() -> None:
+    """A block of weight 10 on a spring of stiffness 2, pulled by 3 = 0.3 10, its bound."""
+    K, wall = np.diag([2.0, 5.0]), dict(normal=[[0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0.0]], friction=0.3)
+    block = cq.solve(cq.ContactProblem(K, [3.0, -10.0], **wall))
+    assert block.derivative("displacement", "load", [1.0, 0.0]).reach == pytest.approx((6.0, np.inf))  # slips back
+    assert block.derivative("displacement", "load", [0.0, -1.0]).reach == pytest.approx((10.0, np.inf))  # lifts off
+    # What grazes though it has slipped by 1 slips on as it closes, until the spring has brought it back to its origin.
+    apart = cq.solve(cq.ContactProblem(K, [2.0, 0.0], **wall, slip_origin=[[0.0]]))
+    found = apart.derivative("displacement", "load", [0.0, -1.0])
+    assert found.right == pytest.approx([-0.15, 0.0])
+    assert found.reach == pytest.approx((np.inf, 1.0 / 0.15))
+
+
+def test_contacts_that_may_share_their_forces_have_no_derivatives() -> None:
+    """Opposite walls, or the same twice: in one of the states that may come, the forces are many."""
+    K, half = np.diag([2.0, 5.0]), np.array([0.5, 0.5])
+    walls = dict(normal=[[0.0, -1.0], [0.0, 1.0]], gap=[0.0, 0.0], tangent=[[1.0, 0.0], [1.0, 0.0]], friction=half)
+    between = cq.ContactProblem(K, [1.0, -10.0], **walls)
+    twice = between.replace(normal=[[0.0, -1.0], [0.0, -1.0]], friction=[0.0, 0.5])
+    for problem in (between, twice):
+        solution = cq.solve(problem)
+        assert "grazing" in solution.contact_status
+        for name, direction in (("load", [1.0, 1.0]), ("slip_origin", [[1.0], [0.0]])):
+            found = solution.derivative("normal_force", name, direction)
+            assert (found.value, found.right) == (None, None)
+            assert "in many ways" in found.reason
+    # Along the floor they keep grazing, without forces that could be shared.
+    along = cq.solve(twice.replace(load=[1.0, 0.0], friction=[0.25, 0.5]))
+    assert along.contact_status.tolist() == ["grazing", "grazing"]
+    assert along.derivative("displacement", "load", [1.0, 0.0]).value == pytest.approx([0.5, 0.0])
+    assert "in many ways" in along.derivative("displacement", "load", [0.0, -1.0]).reason
