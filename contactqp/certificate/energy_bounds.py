@@ -26,7 +26,7 @@ units. Where rows repeat, these are the nearest of many.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,13 +46,14 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
-from contactqp.linalg.interior_point import MET_TOGETHER, settled, without_conflict
+from contactqp.linalg.interior_point import MET_TOGETHER, given_rows, highs, settled, without_conflict
 from contactqp.linalg.measures import row_sizes
 from contactqp.linalg.sparse_saddle import (
+    REGULARISATIONS,
     ClosedState,
     Effort,
     factors_of_saddle,
-    uniqueness,
+    kept_saddle,
 )
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -60,6 +61,10 @@ from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candida
 
 # Solutions are looked for within so many times the size of the answer.
 REACH = 1e3
+# Motions and forces that answer one by this part of 1/d are taken for free.
+ALMOST_FREE = 1e-3
+# A residual of equilibrium that costs more than this part of the energy is weighed against the constraints around it.
+NOTABLE = 1e-11
 # A bound of an unknown is a quotient of doubles, which rounds it by at most this part of itself.
 ROUNDED_BOUND = float(np.finfo(float).eps)
 # Diagonals exceed the sum of the other entries where they do so by more than rounding.
@@ -127,7 +132,7 @@ def _from_solution(
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
     energy, size = _energy(state)
-    unique = uniqueness(held)
+    unique = unique_on(held)
     sees = unique.displacement and not mostly_bare(problem)
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > least else 0.0
@@ -219,10 +224,44 @@ def _width(state: ClosedState) -> float:
     answer = state.answer.double()
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
-    left, dominance = state.left.force.double(), diagonal_dominance(state.problem)
-    farthest, residual = reach(state.problem, answer.displacement, left), abs(left)
-    resisted = np.divide(residual, dominance, out=np.full(len(farthest), np.inf), where=dominance > 0)
-    return float(contacts + ties + residual @ np.minimum(farthest, resisted))
+    left, dominance = state.left.force, diagonal_dominance(state.problem)
+    unbalanced = _cost(state, left.double(), dominance)
+    if unbalanced > NOTABLE * _energy(state)[1]:
+        unbalanced = min(unbalanced, _taken_by_constraints(state, dominance))
+    return float(contacts + ties + unbalanced)
+
+
+def _cost(state: ClosedState, residual: Vector, dominance: Vector) -> float:
+    """Return the sum of min(|r_j| R_j, r_j^2 / d_j) for residuals r (n,) and d (n,)."""
+    farthest, size = reach(state.problem, state.answer.displacement.double(), residual), abs(residual)
+    resisted = np.divide(size, dominance, out=np.full(len(farthest), np.inf), where=dominance > 0)
+    return float(size @ np.minimum(farthest, resisted))
+
+
+def _taken_by_constraints(state: ClosedState, dominance: Vector) -> float:
+    """Bound r'(v - U) by the constraints that stop the motion which r drives; d (n,) is as in the module's formula.
+
+    For any p >= 0 and q it is at most p'(g - E U) + q'(b - A U) + (r - E'p - A'q)'(v - U). A linear program chooses
+    these: its multipliers where it drives the motion v - U by r as far as constraints let it.
+    """
+    problem, left, length = state.problem, state.left, state.length
+    residual, gap = left.force.double(), left.gap.double()
+    size = float(np.max(abs(residual)))
+    near = np.flatnonzero(np.isfinite(gap))
+    motion = highs(
+        -residual / size,
+        bounds=(-REACH, REACH),
+        **given_rows("ub", problem.normal[near], np.maximum(gap[near] / length, 0.0)),
+        **given_rows("eq", problem.tie, np.zeros(problem.ties)),
+    )
+    if motion is None:
+        return np.inf
+    force, tie = np.zeros(problem.contacts), np.zeros(problem.ties)
+    force[near] = np.maximum(-size * motion.ineqlin.marginals, 0.0) if len(near) else 0.0
+    tie = -size * motion.eqlin.marginals if problem.ties else tie
+    others = left.force - extended_rows(problem).contact_force(extend(force), extend(tie))
+    taken = float(force[near] @ abs(gap[near]) + abs(tie) @ abs(left.tie.double()))
+    return taken + _cost(state, others.double(), dominance)
 
 
 def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Vector:
@@ -267,3 +306,30 @@ def _energy(state: ClosedState) -> tuple[float, float]:
 
 def _relative(error: float, scale: float) -> float:
     return error / scale if scale > 0 else error
+
+
+@dataclass(frozen=True)
+class Unique:
+    """Whether a state's displacement and its forces are the only ones of its closed contacts."""
+
+    displacement: bool
+    forces: bool
+
+
+def unique_on(state: ClosedState) -> Unique:
+    """Return whether displacement and forces on these closed contacts are unique.
+
+    The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
+    rows ask for differently, by 1/d times it. Forces and gaps at random do both.
+    """
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    saddle = kept_saddle(problem, state.closed, REGULARISATIONS[0], Effort())
+    random = np.random.default_rng(0)
+    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in (problem.dimension, len(closed), problem.ties))
+    moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]
+    pushed = saddle.solve(force * 0.0, gap, tie)[1:]
+    most = ALMOST_FREE / REGULARISATIONS[0]
+    return Unique(
+        float(abs(moved).max(initial=0.0)) < most,
+        float(max(abs(values).max(initial=0.0) for values in pushed)) < most,
+    )

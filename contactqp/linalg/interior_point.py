@@ -65,16 +65,19 @@ LARGE_FORCE, ROUNDS = 1e6, 6
 
 
 def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state with the least sum of forces that its closed contacts can have, none of them tension.
+    """Return a state that holds; where contacts and ties press against each other, with the least sum of forces.
 
     Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
     without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
     """
     problem, closed = state.problem, np.flatnonzero(state.closed)
+    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
+    if not state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0))):
+        return state
     carried = _carried(problem, state.answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
     count, ties = len(closed), problem.ties
-    found = _solved(
+    found = highs(
         np.concatenate([np.ones(count), np.zeros(ties)]),
         A_eq=sp.hstack([problem.normal[closed].T, problem.tie.T], format="csr"),
         b_eq=carried / size,
@@ -86,7 +89,7 @@ def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
     force[closed] = size * found.x[:count]
     kept[closed] = found.x[:count] > CARRIES
     start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
-    least = solved_on(problem, kept, start, effort)
+    least = with_right_signs(solved_on(problem, kept, start, effort), effort)
     return least if least.holds else state
 
 
@@ -128,10 +131,10 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     near = np.flatnonzero(gap <= FARTHEST)
     carried = _carried(problem, answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
-    found = _solved(
+    found = highs(
         -carried / size,
-        **_given("ub", problem.normal[near], gap[near]),
-        **_given("eq", problem.tie, tie),
+        **given_rows("ub", problem.normal[near], gap[near]),
+        **given_rows("eq", problem.tie, tie),
         bounds=(-FARTHEST, FARTHEST),
     )
     if found is None:
@@ -184,10 +187,10 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
     equal = sp.vstack([problem.normal[kept], problem.tie], format="csr")
     yields = size / length / np.where(problem.diagonal > 0, problem.diagonal, np.finfo(float).tiny)
     farthest = np.minimum(FARTHEST, yields)
-    found = _solved(
+    found = highs(
         cost,
-        **_given("ub", problem.normal[others], _felt(gap[others])),
-        **_given("eq", equal, _felt(np.concatenate([gap[kept], state.left.tie.double() / length]))),
+        **given_rows("ub", problem.normal[others], _felt(gap[others])),
+        **given_rows("eq", equal, _felt(np.concatenate([gap[kept], state.left.tie.double() / length]))),
         bounds=np.column_stack([-_felt(farthest), _felt(farthest)]),
     )
     if found is None:
@@ -208,7 +211,8 @@ def _carried(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
     return residuals_of(extended_rows(problem), problem, resting).force.double()
 
 
-def _given(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
+def given_rows(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
+    """Return rows and limits of a linear program as `highs` takes them, "ub" or "eq"; nothing where there are none."""
     return {f"A_{kind}": rows, f"b_{kind}": limits} if rows.shape[0] else {}
 
 
@@ -217,8 +221,8 @@ def _felt(limits: Vector) -> Vector:
     return np.where(abs(limits) > CARRIES, limits, 0.0)
 
 
-def _solved(cost: Vector, **constraints: Any) -> Any:
-    """Solve a linear program by the simplex method; None where it fails, or costs are beyond what it stands."""
+def highs(cost: Vector, **constraints: Any) -> Any:
+    """Solve a linear program of `scipy.optimize.linprog` by the simplex method; None where it fails or costs too much."""
     from scipy.optimize import linprog
 
     if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
@@ -324,20 +328,23 @@ def _off(problem: ContactProblem, answer: Answer) -> float:
     return max(float(np.max(-gap, initial=0.0)), float(np.max(abs(open_ties), initial=0.0)), least)
 
 
-def solved_from(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
-    """Return `settled` and `refined`, at a vertex where contacts conflict, with least forces where they press.
+def solved_from(
+    problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False, claimed: bool = True
+) -> ClosedState:
+    """Return `settled` and `refined`, at a vertex where contacts conflict.
 
     Parameters
     ----------
     problem, answer, effort, driven
         As in `settled`.
+    claimed : bool
+        Whether the answer is more than a guess: from a guess nothing goes on but changes of its closed contacts.
     """
-    state = without_conflict(refined(settled(problem, answer, effort, driven), effort), effort)
-    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
-    acting = max(acting, float(np.max(problem.load_size, initial=0.0)))
-    if state.holds and state.force > PRESSED * acting:
-        return with_least_forces(state, effort)
-    return state
+    if not claimed:
+        state = nearest_state(problem, _closed_in(problem, answer), ExtendedAnswer.of(answer), effort)
+        if not state.holds:
+            return state
+    return without_conflict(refined(settled(problem, answer, effort, driven), effort), effort)
 
 
 def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> CentralPoint:

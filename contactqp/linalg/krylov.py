@@ -152,6 +152,8 @@ class ConjugateGradients:
 
 # A row of which its neighbours leave less than this, squared, depends on them; rounding leaves about 1e-16 of it.
 DEPENDENT = 1e-10
+# Exactly dependent rows would leave a zero pivot, which SuperLU refuses: they leave one of these.
+LIFTS = (2.0**-52, 2.0**-46, 2.0**-40)
 
 
 class IndependentRows:
@@ -186,10 +188,14 @@ class IndependentRows:
         self._factor: Any = None
         if gram.nnz == gram.shape[0]:  # no row shares an unknown with another
             return np.ones(len(self.kept), dtype=bool)
-        # Exactly dependent rows would leave a zero pivot, which SuperLU refuses: they leave this.
-        lifted = sp.csc_matrix(gram + np.finfo(float).eps * sp.identity(gram.shape[0]))
         options = dict(permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        self._factor = splu(lifted, **options)
+        for lift in LIFTS:
+            try:
+                self._factor = splu(sp.csc_matrix(gram + lift * sp.identity(gram.shape[0])), **options)
+                break
+            except RuntimeError:  # rounding has taken the lift away
+                if lift == LIFTS[-1]:
+                    raise
         return np.asarray(self._factor.U.diagonal()[self._factor.perm_c] > DEPENDENT)
 
     def solve(self, lengths: Vector) -> Vector:

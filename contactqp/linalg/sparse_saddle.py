@@ -56,12 +56,12 @@ SOLVED = 2.0**-88
 MET = 1e-14
 # The same beside what acts and what is imposed, which may be less than what meets.
 MET_BESIDE_IMPOSED = 1e-10
+# Rows that leave more than this part of the largest length contradict each other: to close others mends nothing.
+NEARLY_MET = 1e-6
 # Forces and lengths beneath this part of the largest have no sign: they are known to some 1e-28 of it.
 SIGNED = 1e-20
 # Beneath this part of what it takes to move the lengths that meet there is no force.
 NO_FORCE = 1e-12
-# Motions and forces that answer one by this part of 1/d are taken for free.
-ALMOST_FREE = 1e-3
 # Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
 BALANCED = 1e-20
 # Forces that miss balance by more than this part of those that meet are no residue of a backend's tolerance.
@@ -306,12 +306,18 @@ class ClosedState:
     def better_than(self, before: ClosedState, part: float = 1.0) -> bool:
         """Return whether one residual has fallen below a part of its earlier value and the larger has not grown.
 
-        A sweep may mend one of them where rounding of the data keeps the other.
+        A sweep may mend one of them where rounding of the data keeps the other. Both are measured by the smaller force
+        and length of the two states: unknowns that run away mend nothing.
         """
-        if self.residual < part * before.residual:
+        force, length = min(self.force, before.force), min(self.length, before.length)
+        own, last = (
+            (_part(s.force_residual * s.force, force), _part(s.length_residual * s.length, length))
+            for s in (self, before)
+        )
+        if max(own) < part * max(last):
             return True
-        product, last = (max(state.force_residual, FINE) * max(state.length_residual, FINE) for state in (self, before))
-        return bool(self.residual <= GROWS * before.residual and product < part * last)
+        product, earlier = (max(pair[0], FINE) * max(pair[1], FINE) for pair in (own, last))
+        return bool(max(own) <= GROWS * max(last) and product < part * earlier)
 
     @property
     def solved(self) -> bool:
@@ -359,7 +365,7 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
     state = ClosedState.started(problem, closed, start)
     for regularisation in REGULARISATIONS:
         try:
-            saddle = _kept_saddle(problem, closed, regularisation, effort)
+            saddle = kept_saddle(problem, closed, regularisation, effort)
         except BackendFailed:  # too little was added for pivots on the diagonal
             break
         after = _swept(state, saddle, effort)
@@ -378,7 +384,7 @@ def factors_of_saddle(problem: ContactProblem) -> pardiso.Pardiso | None:
     return next((saddle.factors for saddle in kept.values()), None)
 
 
-def _kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
+def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
     """Return the factorised saddle point; the last of a stiffness is kept for the certificate."""
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     key = closed.tobytes(), regularisation
@@ -458,11 +464,11 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
     """
     problem, gap = start.problem, np.maximum(start.left.gap.double(), 0.0)
     for _ in range(BLOCKING):
-        if driven.force_residual <= BALANCED or effort.exhausted():
+        if driven.force_residual <= BALANCED or driven.length_residual > NEARLY_MET or effort.exhausted():
             break
         refuse_late("contacts close that a driven motion reaches")
         force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))
-        saddle = _kept_saddle(problem, driven.closed, REGULARISATIONS[0], effort)
+        saddle = kept_saddle(problem, driven.closed, REGULARISATIONS[0], effort)
         rate = problem.normal @ saddle.solve(force, 0.0 * gaps, 0.0 * ties)[0]
         nearing = np.flatnonzero(~driven.closed & (rate > STANDS_STILL * np.max(abs(rate), initial=0.0)))
         if not nearing.size:
@@ -471,30 +477,3 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
         closed[nearing[np.argmin(gap[nearing] / rate[nearing])]] = True
         driven = solved_on(problem, closed, start.answer, effort)
     return driven
-
-
-@dataclass(frozen=True)
-class Uniqueness:
-    """Whether a state's displacement and its forces are the only ones of its closed contacts."""
-
-    displacement: bool
-    forces: bool
-
-
-def uniqueness(state: ClosedState) -> Uniqueness:
-    """Return whether displacement and forces on these closed contacts are unique.
-
-    The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
-    rows ask for differently, by 1/d times it. Forces and gaps at random do both.
-    """
-    problem, closed = state.problem, np.flatnonzero(state.closed)
-    saddle = _kept_saddle(problem, state.closed, REGULARISATIONS[0], Effort())
-    random = np.random.default_rng(0)
-    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in (problem.dimension, len(closed), problem.ties))
-    moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]
-    pushed = saddle.solve(force * 0.0, gap, tie)[1:]
-    most = ALMOST_FREE / REGULARISATIONS[0]
-    return Uniqueness(
-        float(abs(moved).max(initial=0.0)) < most,
-        float(max(abs(values).max(initial=0.0) for values in pushed)) < most,
-    )

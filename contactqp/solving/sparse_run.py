@@ -13,12 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from contactqp.certificate.energy_bounds import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import equilibrated, in_range
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
-from contactqp.linalg.interior_point import refuse_ray, solved_from
+from contactqp.linalg.interior_point import refuse_ray, solved_from, with_least_forces
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.refinement import pushing_contacts
@@ -31,7 +32,6 @@ from contactqp.linalg.sparse_saddle import (
     WASTED_AT_FIRST,
     ClosedState,
     Effort,
-    uniqueness,
 )
 from contactqp.model.arrays import on_one_thread
 from contactqp.model.problem import ContactProblem
@@ -91,11 +91,11 @@ class SparseRun(Run):
             if not found.claimed:
                 refuse_ray(self.problem, self._scaling.scale(found))
             state = self._settle(found)
-            if state.holds and (before is None or state.residual < before.residual):
+            if state.holds and (before is None or state.better_than(before)):
                 best = found
             else:
                 self._state = before
-                if self._effort.cut:
+                if self._effort.cut or not found.claimed:
                     self._waiting.append(found)
                 if found not in failed:
                     failed.append(found)
@@ -151,7 +151,8 @@ class SparseRun(Run):
         self._effort.cut, self._effort.most = False, self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
         scaled = self._scaling.scale(candidate)
         answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
-        state = solved_from(self._twin, answer, self._effort, driven)
+        claimed = candidate.claimed or driven or not hasty
+        state = solved_from(self._twin, answer, self._effort, driven, claimed)
         self._state = state if state.holds else None
         return state
 
@@ -162,6 +163,7 @@ class SparseRun(Run):
         if self._state is None:
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
+        self._state = with_least_forces(self._state, self._effort)
         found = self._scaling.unscale(_candidate(self._state))
         return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
 
@@ -170,7 +172,7 @@ class SparseRun(Run):
         problem = self.problem
         if systems_of(problem) is not Systems.CONDENSED:
             return final
-        if self._state is None or uniqueness(self._state).displacement:
+        if self._state is None or unique_on(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it
         u, force, tie = final.displacement, final.normal_force, final.tie_force
         answer = Answer(u, force, None, tie)

@@ -10,7 +10,15 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate.bounds import failed_errors
-from contactqp.certificate.energy_bounds import REACH, diagonal_dominance, energy_bounds, reach
+from contactqp.certificate.energy_bounds import (
+    REACH,
+    _taken_by_constraints,
+    diagonal_dominance,
+    energy_bounds,
+    reach,
+)
+from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.sparse_saddle import ClosedState
 from contactqp.model.solution import Answer
 
 
@@ -193,3 +201,25 @@ def test_the_displacement_of_a_slender_beam_is_judged_where_its_energy_is(part: 
     assert known.by_energy
     assert known.apart == pytest.approx(part, rel=1e-2, abs=1e-8)
     assert any(failed_errors(known, 1e-6, 0.0)) is (part > 1e-6)
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("seed", range(12))
+def test_what_an_unbalanced_force_may_gain_is_bounded_by_the_constraints_that_stop_it(seed: int) -> None:
+    """No admissible point gains more, and the bound is what the best of them gains: the linear program's own value."""
+    from scipy.optimize import linprog
+
+    rng = np.random.default_rng(seed)
+    n, m, k = 8, 12, int(rng.integers(0, 3))
+    u = rng.integers(-3, 4, n).astype(float)
+    E, A = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-2, 3, (k, n)).astype(float)
+    rows = np.vstack([E, np.eye(n), -np.eye(n)])  # within a box, so that all motions are stopped
+    gap = np.r_[E @ u + rng.integers(0, 2, m), u + 4.0, 4.0 - u]
+    load = rng.integers(-5, 6, n) * 1e-3
+    problem = cq.ContactProblem(np.zeros((n, n)), load, rows, gap, tie=A, tie_value=A @ u)
+    answer = ExtendedAnswer.of(Answer(u, np.zeros(len(rows)), None, np.zeros(k)))
+    state = ClosedState.of(problem, rows @ u == gap, answer)
+    most = -linprog(-load, A_ub=rows, b_ub=gap - rows @ u, A_eq=A, b_eq=np.zeros(k), bounds=(None, None)).fun
+    bound = _taken_by_constraints(state, diagonal_dominance(problem))
+    assert bound >= most * (1 - 1e-12)
+    assert bound == pytest.approx(most, rel=1e-9, abs=1e-15)

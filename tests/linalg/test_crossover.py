@@ -170,7 +170,7 @@ def test_a_limit_of_time_ends_the_search_for_what_closes(monkeypatch: pytest.Mon
 def test_costs_beyond_what_the_simplex_method_stands_are_not_given_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """HiGHS frees memory twice on them, and the process ends."""
     monkeypatch.setattr("scipy.optimize.linprog", None)
-    assert interior_point._solved(np.array([1e12, 1.0]), bounds=(-1, 1)) is None
+    assert interior_point.highs(np.array([1e12, 1.0]), bounds=(-1, 1)) is None
 
 
 def convex_sequence(size: int) -> cq.ContactProblem:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from contactqp.linalg.krylov import AssembledRows
+from contactqp.linalg.krylov import AssembledRows, IndependentRows
 
 
 def random_rows(seed=0, count=5, columns=9):
@@ -48,3 +48,17 @@ def test_dependent_rows_carry_nothing_and_are_met_with_the_others(seed):
     assert twice.T @ force == pytest.approx(E.T @ single.forces(x), rel=1e-10)
     rows.close(x)
     assert twice @ x == pytest.approx(limits, rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", [2917, 2966, 2983])
+def test_rows_whose_dependence_rounding_hides_are_left_out(seed):
+    """Whole numbers, of which some rows are sums of others: pivots of these cancel to zero, which SuperLU refuses."""
+    rng = np.random.default_rng(seed)
+    m, n = rng.integers(2, 12, 2)
+    rows = sp.random(m, n, 0.4, random_state=seed).tocsr()
+    rows.data = rng.choice([-2.0, -1.0, 1.0, 2.0], len(rows.data))
+    rows = sp.csr_matrix(sp.vstack([rows, rng.integers(-1, 2, (3, m)) @ rows]))
+    rows.eliminate_zeros()
+    rows = rows[np.diff(rows.indptr) > 0]
+    unit = sp.csr_matrix(sp.diags(1 / np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())) @ rows)
+    assert len(IndependentRows(unit, np.ones(n)).kept) == np.linalg.matrix_rank(rows.toarray())

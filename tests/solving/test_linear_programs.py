@@ -70,3 +70,52 @@ def test_multipliers_that_do_not_balance_are_refused() -> None:
     tie[2] += 1e-6
     answer = dict(displacement=solution.displacement, normal_force=solution.normal_force, tie_force=tie)
     assert not cq.certify(problem, **answer).passed
+
+
+def few_quadratic_terms(seed: int, size: int = 150) -> tuple[cq.ContactProblem, float]:
+    """A linear program with a few quadratic terms whose least energy is known, in units of other people, and that.
+
+    Bounds, free and fixed unknowns, redundant ties, vertices at which more meets than the unknowns tell apart, and
+    more than one of them best. Rows and unknowns are scaled by no powers of two: redundant ties conflict by rounding.
+    """
+    rng = np.random.default_rng(seed)
+
+    def rows(count: int, width: int, per: int) -> sp.csr_matrix:
+        at = np.repeat(np.arange(count), per), rng.integers(0, width, count * per)
+        return sp.csr_matrix((rng.choice([-2.0, -1.0, 1.0, 3.0], count * per), at), shape=(count, width))
+
+    A, G = rows(size // 3, size, 4), rows(size // 3, size, 4)
+    A = sp.csr_matrix(sp.vstack([A, rows(size // 20, A.shape[0], 3) @ A]))
+    kind = rng.choice(["free", "fixed", "below", "both"], size, p=[0.1, 0.05, 0.55, 0.3])
+    lb, ub = np.zeros(size), np.full(size, np.inf)
+    lb[kind == "free"] = -np.inf
+    ub[kind == "both"] = rng.integers(1, 9, np.sum(kind == "both"))
+    ub[kind == "fixed"] = 0.0
+    x, reduced = rng.integers(-5, 6, size).astype(float), np.zeros(size)
+    lower = (kind != "free") & ((rng.random(size) < 0.6) | (kind == "fixed"))
+    x = np.where(lower, 0.0, np.where(kind == "free", x, np.minimum(abs(x), ub)))
+    reduced[lower] = rng.integers(0, 4, np.sum(lower))
+    active = rng.random(G.shape[0]) < 0.6
+    force = np.where(active, rng.integers(0, 4, G.shape[0]), 0).astype(float)
+    h = G @ x + np.where(active, 0.0, rng.integers(1, 9, G.shape[0]))
+    P = np.zeros(size)
+    P[rng.choice(size, 6, replace=False)] = rng.choice([1.0, 2.0, 10.0], 6)
+    q = -P * x + reduced - A.T @ rng.integers(-4, 5, A.shape[0]).astype(float) - G.T @ force
+    D, R, S = (10.0 ** rng.uniform(-power, power, count) for power, count in ((3, size), (4, len(h)), (4, A.shape[0])))
+    arrays = dict(P=sp.diags(D * P * D), q=D * q, G=sp.diags(R) @ G @ sp.diags(D), h=R * h)
+    arrays |= dict(A=sp.diags(S) @ A @ sp.diags(D), b=S * (A @ x), lb=lb / D, ub=ub / D)
+    return cq.ContactProblem.from_qp(**arrays), float(0.5 * x @ (P * x) + q @ x)
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("seed", range(12))
+def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) -> None:
+    """Multipliers that press against each other, and forces of 1e-17 that nothing carries, took the digits of it."""
+    problem, least = few_quadratic_terms(seed)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed, solution.certificate
+    assert solution.certificate.energy_bounds is not None
+    lower, upper = solution.certificate.energy_bounds
+    size = max(abs(least), 0.5 * solution.displacement @ (problem.stiffness @ solution.displacement))
+    assert upper - lower <= 1e-9 * size
+    assert lower - 1e-9 * size <= least <= upper + 1e-9 * size
