@@ -1,13 +1,27 @@
-"""Decks of many keywords for fuzzing, with results for them: plane and in space, contact, ties, equations, loads."""
+"""Large decks that CalculiX is run on and judged, and small ones of many keywords for fuzzing.
+
+python -m benchmarks.decks                 # needs ccx; exit 1 if one is not right within two minutes
+python -m benchmarks.decks --keep FOLDER   # leaves decks and answers there
+"""
 
 from __future__ import annotations
 
+import argparse
+import os
+import sys
+import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
 
 import contactqp as cq
-from tests.decks import ASSEMBLED, STACK
+from tests.decks import ASSEMBLED, STACK, lame_force, press_fit, two_blocks, write
+
+# Springs behind contact that yield next to nothing and, node to face, pull with next to nothing.
+STIFF = {"NODE TO SURFACE": "LINEAR\n1e8, 1e-6", "SURFACE TO SURFACE": "LINEAR\n1e8"}
+# Seconds that CalculiX and the verdict may take together.
+LIMIT = 120.0
 
 # Two squares with friction over a third, which a tie and an equation hold, and a spring and a bar beside them.
 PLANE = """\
@@ -164,3 +178,51 @@ def reworded(text: str, random: np.random.Generator) -> str:
             continue
         lines[at] = ",".join(words)
     return "\n".join(lines) + "\n"
+
+
+def large_decks() -> dict[str, str]:
+    """Return decks of quadratic tetrahedra, two bodies each whose meshes do not match."""
+    found = {}
+    for kind, stiff in STIFF.items():
+        blocks = two_blocks("tet10", kind, stiff, divisions=((9, 9, 7), (8, 8, 5)))
+        rings = press_fit(kind, stiff, element="tet10", divisions=((6, 28, 3), (6, 24, 3)))
+        found |= {f"two blocks, {kind.lower()}": blocks, f"press fit, {kind.lower()}": rings}
+    return found
+
+
+def judge_large(folder: Path) -> bool:
+    """Run CalculiX on the large decks, print a line for each, and return whether all are right in time."""
+    print("| deck | unknowns | contacts | CalculiX | exact | off | a node | seconds | of these the verdict |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    right = True
+    for number, (name, text) in enumerate(large_decks().items()):
+        file = write(folder, text, f"deck{number}.inp")
+        problem = cq.read_deck(file).problem()
+        began = time.monotonic()
+        found = cq.crosscheck(file)
+        whole = time.monotonic() - began
+        again = time.monotonic()
+        cq.crosscheck(file, found.results)
+        own, (pair,) = time.monotonic() - again, found.pairs
+        forces = f"{pair.resultant:.6g} | {pair.reference_resultant:.6g} | {pair.error:.1e} | {pair.node_error:.1e}"
+        print(f"| {name} | {problem.dimension} | {problem.contacts} | {forces} | {whole:.0f} | {own:.0f} |", flush=True)
+        right = right and found.passed and whole < LIMIT
+    print(
+        f"\nLame's force of the press fit: {lame_force():.6g}; load of the machine at the end {os.getloadavg()[0]:.1f}"
+    )
+    return right
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="leave decks and answers there")
+    keep = parser.parse_args().keep
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+        sys.exit(not judge_large(keep))
+    with tempfile.TemporaryDirectory() as folder:
+        sys.exit(not judge_large(Path(folder)))
+
+
+if __name__ == "__main__":
+    main()

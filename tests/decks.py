@@ -242,11 +242,20 @@ def two_blocks(
     return deck.text()
 
 
-def press_fit(kind: str, behaviour: str, interference: float = 0.01) -> str:
-    """Return the deck of a quarter of a hub on a hollow shaft, of quadratic hexahedra, held along the axis."""
+def press_fit(
+    kind: str,
+    behaviour: str,
+    interference: float = 0.01,
+    *,
+    element: str = "hex20",
+    divisions: tuple[tuple[int, int, int], tuple[int, int, int]] = ((4, 12, 1), (4, 10, 1)),
+) -> str:
+    """Return the deck of a quarter of a hub on a hollow shaft, held along the axis; `divisions` of hub and shaft."""
     deck = Deck()
-    for name, inner, outer, around in (("HUB", 20.0, 40.0, 12), ("SHAFT", 5.0, 20.0 + interference, 10)):
-        deck.body(name, cq.box((1.0, 1.0, 1.0), (4, around, 1), "hex20").mapped(partial(_ring, inner, outer)))
+    for name, inner, outer, cells in zip(
+        ("HUB", "SHAFT"), (20.0, 5.0), (40.0, 20.0 + interference), divisions, strict=True
+    ):
+        deck.body(name, cq.box((1.0, 1.0, 1.0), cells, element).mapped(partial(_ring, inner, outer)))
     deck.surface("SLAVE", "HUB", "left")
     deck.surface("MASTER", "SHAFT", "right")
     deck.pair(kind, behaviour)
