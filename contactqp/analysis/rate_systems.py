@@ -22,19 +22,22 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
+from contactqp.linalg.friction_states import StateSystem, friction_bound, refined_in, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
+# A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
+TURNED = 1e-3
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding.
 ENOUGH = 2.0**-10 * EPS
 
@@ -291,6 +294,7 @@ class _Frictional:
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         rows = condensed_frictional_rows(problem, condensation)
         self._problem, self._shape = problem, shape_of_tangents(problem)
+        answer = _resolved(problem, condensation, rows, status, answer)
         slip = answer.tangent.ravel()
         self.directions, scaled = slip_directions(rows, status, slip, extend(answer.normal))
         self._system = StateSystem(problem, condensation, rows, status, self.directions, scaled)
@@ -325,6 +329,28 @@ class _Frictional:
     def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
         turned: Vector = np.einsum("mij,mj->mi", self.turning, slip.reshape(self._shape)).ravel()
         return Extended(turned) if transposed else friction_bound(self._problem, normal, self.directions) + turned
+
+
+def _resolved(
+    problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, answer: Parts
+) -> Parts:
+    """Return the answer with slips in space that have their digits where bodies move far beside them.
+
+    Its displacement is rounded to doubles, which turns the direction of a slip that is small beside it.
+    """
+    if rows.width == 1 or problem.tangent is None:
+        return answer
+    moved = (abs(problem.tangent) @ abs(answer.displacement)).reshape(answer.tangent.shape)
+    near = np.linalg.norm(answer.tangent, axis=1) < TURNED * np.linalg.norm(moved, axis=1)
+    if not np.any(near & (abs(status) == 1)):
+        return answer
+    start = Answer(answer.displacement, answer.normal, None, answer.tie)
+    found = refined_in(problem, condensation, rows, status, start)
+    if not found.regular:
+        return answer
+    origin = np.zeros(answer.tangent.size) if problem.slip_origin is None else problem.slip_origin.ravel()
+    slip = (extended_rows(problem).slip(found.displacement) - origin).double().reshape(answer.tangent.shape)
+    return Parts(found.displacement.double(), found.normal_force.double(), slip, found.tie_force.double())
 
 
 def _products(factor: Vector, values: Extended) -> Extended:

@@ -233,3 +233,23 @@ def test_contacts_that_may_share_their_forces_have_no_derivatives() -> None:
     assert along.contact_status.tolist() == ["grazing", "grazing"]
     assert along.derivative("displacement", "load", [1.0, 0.0]).value == pytest.approx([0.5, 0.0])
     assert "in many ways" in along.derivative("displacement", "load", [0.0, -1.0]).reason
+
+
+@pytest.mark.parametrize("far", [0.0, 2.0**19])
+def test_directions_of_small_slips_of_bodies_that_have_moved_far(far: float) -> None:
+    """A slip of (3, 4) d, d = 2^-10/3, under a weight of 10 and mu = 1/2: C = (I - t t')/d, t = (3, 4)/5.
+
+    The displacement far + 4 d is no double: beside far = 2^19 its rounding turns the slip by 1e-8.
+    """
+    K, d, t = np.diag([2.0, 3.0]), 2.0**-10 / 3, np.array([0.6, 0.8])
+    load = [2 * far + 2.0**-9 + 3, 3 * far + 2.0**-8 + 4, -10.0]
+    whole = np.diag([2.0, 3.0, 1.0])
+    sliding = cq.solve(
+        cq.ContactProblem(
+            whole, load, [[0.0, 0.0, -1.0]], [0.0], [[1.0, 0, 0], [0.0, 1, 0]], friction=0.5, slip_origin=[[far, far]]
+        )
+    )
+    assert sliding.contact_status.tolist() == ["slip"]
+    found = sliding.derivative("displacement", "load", [1.0, -2.0, 0.0]).value
+    expected = np.linalg.solve(K + (np.eye(2) - np.outer(t, t)) / d, [1.0, -2.0])
+    assert found == pytest.approx([*expected, 0.0], rel=1e-11, abs=1e-14)
