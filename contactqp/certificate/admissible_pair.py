@@ -123,7 +123,7 @@ class Undecided(Unproven):
 
 
 def admissible_pair(
-    problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation
+    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
 ) -> AdmissiblePair:
     """Return the admissible pair that is nearest to the solution, as far as one is found.
 
@@ -133,23 +133,23 @@ def admissible_pair(
     ----------
     problem : without friction
     answer : the solution that the pair is to be near
-    left : those of the answer
+    residual : those of the answer
     condensation : that of the problem
     """
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
-    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, left)) is not None:
+    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
         return _from_set(problem, answer, condensation, found)
     sets = _believed_sets(problem, answer, compliance)
     for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
-        if (found := _holding(problem, condensation, closed, corrections, answer, left)) is not None:
+        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
             return _from_set(problem, answer, condensation, found)
     if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
         return _from_set(problem, answer, condensation, found)
     searched = _searched_set(problem, condensation)
     if (
         searched is not None
-        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, left)) is not None
+        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, residual)) is not None
     ):
         return _from_set(problem, answer, condensation, found)
     return _from_repair(problem, answer, condensation, first)
@@ -161,13 +161,13 @@ def _holding(
     closed: Indices,
     corrections: int,
     answer: Answer | None = None,
-    left: Residuals | None = None,
+    residual: Residuals | None = None,
 ) -> OnSet | None:
     """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
 
     Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
     """
-    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, left, CAUTION)
+    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
     if on_set.contraction >= CONTRACTION:
         raise Unproven(
             f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"

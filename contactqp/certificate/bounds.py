@@ -149,12 +149,14 @@ class Bounds:
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
-def bounds(problem: ContactProblem, answer: Answer, left: Residuals, operator: Condensation | Iteration) -> Bounds:
+def error_bounds(
+    problem: ContactProblem, answer: Answer, residual: Residuals, operator: Condensation | Iteration
+) -> Bounds:
     """Return the bounds of an answer, or the reasons why there are none.
 
     Parameters
     ----------
-    problem, answer, left : ContactProblem, Answer, and the Residuals of the answer
+    problem, answer, residual : ContactProblem, Answer, and the Residuals of the answer
     operator : Condensation or Iteration of the problem
     """
     if problem.frictional:
@@ -164,7 +166,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, operator: C
     elastic = _in_elastic_parts(problem)
     if elastic.any() and not elastic.all():
         return _apart(problem, answer, elastic)
-    return _condensed(problem, answer, left, operator)
+    return _condensed(problem, answer, residual, operator)
 
 
 def _in_elastic_parts(problem: ContactProblem) -> Mask:
@@ -188,27 +190,27 @@ def _apart(problem: ContactProblem, answer: Answer, elastic: Mask) -> Bounds:
         part = _part(problem, unknowns, contacts, ties)
         own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
         found.append((unknowns, contacts, _condensed(part, own, residuals(part, own), condense(part))))
-    (at, mine, known), (beside, theirs, rigid) = found
+    (at, mine, bounds), (beside, theirs, rigid) = found
     bound = relative = solution = None
-    if known.force_bound is not None and rigid.force_bound is not None:
+    if bounds.force_bound is not None and rigid.force_bound is not None:
         bound = np.zeros(problem.contacts)
-        bound[mine], bound[theirs] = known.force_bound, rigid.force_bound
-    if known.relative_force_bound is not None:
+        bound[mine], bound[theirs] = bounds.force_bound, rigid.force_bound
+    if bounds.relative_force_bound is not None:
         relative = np.zeros(problem.contacts)
-        relative[mine] = known.relative_force_bound
-    if known.solution is not None and rigid.solution is not None:
+        relative[mine] = bounds.relative_force_bound
+    if bounds.solution is not None and rigid.solution is not None:
         solution = Extended(np.zeros(problem.dimension))
-        for place, one in ((at, known.solution), (beside, rigid.solution)):
+        for place, one in ((at, bounds.solution), (beside, rigid.solution)):
             solution.hi[place], solution.lo[place] = one.hi, one.lo
     return replace(
-        known,
-        energy_error=None if rigid.energy_error is None else known.energy_error,
-        force_error=None if rigid.force_error is None else known.force_error,
+        bounds,
+        energy_error=None if rigid.energy_error is None else bounds.energy_error,
+        force_error=None if rigid.force_error is None else bounds.force_error,
         force_bound=bound,
         relative_force_bound=relative,
         solution=solution,
-        suspicious=known.suspicious or rigid.suspicious,
-        reasons=tuple(dict.fromkeys((*known.reasons, *rigid.reasons))),
+        suspicious=bounds.suspicious or rigid.suspicious,
+        reasons=tuple(dict.fromkeys((*bounds.reasons, *rigid.reasons))),
     )
 
 
@@ -223,11 +225,11 @@ def _part(problem: ContactProblem, unknowns: Indices, contacts: Indices, ties: I
     )  # fmt: skip
 
 
-def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
+def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
     if len(condensation.retained) > LARGEST:
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
     try:
-        pair = admissible_pair(problem, answer, left, condensation)
+        pair = admissible_pair(problem, answer, residual, condensation)
     except Undecided as reason:
         return no_bounds(str(reason))
     except Unproven as unproven:
@@ -291,7 +293,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
     free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
-    known = Bounds(
+    bounds = Bounds(
         energy_scale=energy_scale,
         rounding=rounding,
         rigid_rounding=rigid,
@@ -300,7 +302,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
-    error, scale = _force_error(problem, condensation, pair, changes, known)
+    error, scale = _force_error(problem, condensation, pair, changes, bounds)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -316,7 +318,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
     return replace(
-        known,
+        bounds,
         energy_scale=energy_scale,
         energy_error=0.0 if nothing_elastic else energy_error,
         force_error=0.0 if nothing_elastic else error + shared_part,
@@ -348,7 +350,7 @@ def _force_error(
     condensation: Condensation,
     pair: AdmissiblePair,
     changes: tuple[Extended, Extended],
-    known: Bounds,
+    bounds: Bounds,
 ) -> tuple[float, float]:
     """Return the bound (3) on the distance of the answer's forces from the pair's relative to |l*|_W, and |l*|_W.
 
@@ -364,7 +366,7 @@ def _force_error(
     norms = [(True, False)]
     if problem.ties > 0 and not (floats and independent):
         norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
-    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.rounding, known.force_rounding, 2 * pair.undecided)
+    vanishing = max(NEXT_TO_NOTHING * bounds.energy_scale, bounds.rounding, bounds.force_rounding, 2 * pair.undecided)
     found: list[tuple[float, float, float]] = []
     for tied, with_ties in norms:
         scale, uncertain = force_norm(problem, condensation, pair.force, tied, pair.tie_force if with_ties else None)
@@ -431,36 +433,36 @@ def _out_of_balance(
     solution = (extend(answer.displacement) + pair.to_middle).double()
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
     if pair.exact:
-        left = EPS * forces_that_meet(problem, forces)
+        imbalance = EPS * forces_that_meet(problem, forces)
     else:
-        left = np.finfo(float).eps * outer_forces(problem, forces)
+        imbalance = np.finfo(float).eps * outer_forces(problem, forces)
     rows, weight = rows_on_motions(problem, condensation, active)
     rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
-    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ left)
+    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)
     return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])
 
 
-def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
     """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are none."""
-    if known.suspicious is not None:
-        yield f"unproven: {known.suspicious}"
+    if bounds.suspicious is not None:
+        yield f"unproven: {bounds.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
     # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none, in
     # the truth as in the error, unless the contact forces say how little that is.
-    beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
-    strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
+    beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
+    strain, pushed = max(bounds.rigid_rounding, beside_forces), max(tolerance * bounds.energy_scale, nothing)
     # What touching contacts leave open is no strain of a body that only moves; it is in the bound and its uncertainty.
-    forgiven_strain = known.free_distance + (0.0 if known.energy_scale > beside_forces else 2 * known.undecided)
+    forgiven_strain = bounds.free_distance + (0.0 if bounds.energy_scale > beside_forces else 2 * bounds.undecided)
     # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
-    rigidly = 4 * known.force_rounding
+    rigidly = 4 * bounds.force_rounding
     pairs = (
-        ("energy_error", "displacement", known.energy_scale, beside_forces, strain, forgiven_strain),
-        ("force_error", "contact forces", known.force_scale, 0.0, pushed, rigidly),
+        ("energy_error", "displacement", bounds.energy_scale, beside_forces, strain, forgiven_strain),
+        ("force_error", "contact forces", bounds.force_scale, 0.0, pushed, rigidly),
     )
     for name, what, scale, none, absolute, forgiven in pairs:
-        value = getattr(known, name)
-        if name == "energy_error" and known.by_energy:
-            value = known.apart  # `failed_energy` judges the energy itself
+        value = getattr(bounds, name)
+        if name == "energy_error" and bounds.by_energy:
+            value = bounds.apart  # `failed_energy` judges the energy itself
         if value is None:
             continue
         if scale > none:
@@ -469,29 +471,29 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
             value = value * (scale or 1.0)
             kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
-        if not value * size <= max(limit * size, known.rounding) + forgiven:
-            cure = STATE_MOTIONS if name == "force_error" and known.shared > value / 2 else ""
+        if not value * size <= max(limit * size, bounds.rounding) + forgiven:
+            cure = STATE_MOTIONS if name == "force_error" and bounds.shared > value / 2 else ""
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
 
 
-def failed_energy(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
     """Yield a message if the energy bounds fail, where a problem determines only that; `nothing` [energy] is none."""
-    if known.energy_bounds is None or not known.by_energy:
+    if bounds.energy_bounds is None or not bounds.by_energy:
         return
-    lower, upper = known.energy_bounds
-    if not upper - lower <= max(tolerance * known.energy_size, nothing, known.energy_rounding):
-        part = (upper - lower) / known.energy_size if known.energy_size > 0 else float("inf")
+    lower, upper = bounds.energy_bounds
+    if not upper - lower <= max(tolerance * bounds.energy_size, nothing, bounds.energy_rounding):
+        part = (upper - lower) / bounds.energy_size if bounds.energy_size > 0 else float("inf")
         yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 
 
-def fails_force_bound(known: Bounds, tolerance: float, nothing: float) -> bool:
+def fails_force_bound(bounds: Bounds, tolerance: float, nothing: float) -> bool:
     """Return whether the bound on the force of one of these contacts is beyond the tolerance.
 
     On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
     presses them together.
     """
-    relative = known.relative_force_bound
-    beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
-    if known.largest_force > 0:
-        beneath = max(known.rounding, nothing) / known.largest_force
-    return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
+    relative = bounds.relative_force_bound
+    beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0
+    if bounds.largest_force > 0:
+        beneath = max(bounds.rounding, nothing) / bounds.largest_force
+    return relative is not None and bounds.force_bound is not None and not np.all(relative <= max(tolerance, beneath))

@@ -13,7 +13,7 @@ from contactqp.certificate import messages
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
-    bounds,
+    error_bounds,
     failed_energy,
     failed_errors,
     fails_force_bound,
@@ -156,7 +156,7 @@ class _Measured:
     found: Violations
     balance: float
     law: Vector | None
-    known: Bounds
+    bounds: Bounds
     errors: tuple[str, ...]  # what is said of the bounds on the whole answer
     fails_force_bound: bool
     grazing: Mask
@@ -182,9 +182,9 @@ def _judged(
         measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
     else:
         measured = _measured(near.problem, seen, tolerance, error_tolerance, None, prove_friction)
-        found, known = near.violations(measured.found), near.bounds(measured.known)
+        found, bounds = near.violations(measured.found), near.bounds(measured.bounds)
         gap = problem.gap - problem.normal @ answer.displacement
-        measured = replace(measured, found=replace(found, gap=gap), known=known)
+        measured = replace(measured, found=replace(found, gap=gap), bounds=bounds)
     return _worded(problem, answer, measured, tolerance, error_tolerance)
 
 
@@ -212,13 +212,13 @@ def _measured(
         candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
         if candidates is not None and problem.frictional:
             reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE
-            left, known, condensation = residuals(problem, answer), no_bounds(reason), None
+            residual, bounds, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:
-            left, known, rigid, condensation = _residuals_and_bounds(
+            residual, bounds, rigid, condensation = _residuals_and_bounds(
                 problem, answer, systems, factorization, candidates
             )
-        found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
+        found = violations(problem, answer, residual, ROUNDING_OF_ANSWERS * tolerance, rigid)
         out_of_balance, law = balance(problem, answer, rigid) if rigid.count else 0.0, None
         if problem.frictional:
             law = coulomb_residual(problem, answer, found)
@@ -227,32 +227,32 @@ def _measured(
                 state = state_verdict(problem, answer, found, condensation, allowed)
                 remember_verdict(problem, answer, allowed, state)
             if prove_friction and condensation is not None and state.compared is not None:
-                known = frictional_bounds(problem, condensation, answer, state.compared)
+                bounds = frictional_bounds(problem, condensation, answer, state.compared)
             elif prove_friction and candidates is None:
-                known = no_bounds(NOT_CONDENSED if condensation is None else NOT_COMPARED)
-            known = known if known.proven else replace(known, energy_scale=state.energy)
-        state = state or StateVerdict(known.basis)
+                bounds = no_bounds(NOT_CONDENSED if condensation is None else NOT_COMPARED)
+            bounds = bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
+        state = state or StateVerdict(bounds.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
     if problem.frictional and (
-        any(failed_errors(known, error_tolerance, nothing)) or fails_force_bound(known, error_tolerance, nothing)
+        any(failed_errors(bounds, error_tolerance, nothing)) or fails_force_bound(bounds, error_tolerance, nothing)
     ):
-        known = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
+        bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     dependent: tuple[tuple[int, Indices], ...] = ()
     if condensation is not None and problem.ties > 1:
         dependent = dependent_ties(problem, condensation)
-    elif known.redundant and problem.ties > 1:
+    elif bounds.redundant and problem.ties > 1:
         dependent = dependent_sparse_ties(problem)
     return _Measured(
         found,
         out_of_balance,
         law,
-        known,
+        bounds,
         (
-            *failed_errors(known, error_tolerance, nothing),
-            *failed_energy(known, tolerance, nothing * nothing),
+            *failed_errors(bounds, error_tolerance, nothing),
+            *failed_energy(bounds, tolerance, nothing * nothing),
         ),
-        fails_force_bound(known, error_tolerance, nothing),
-        grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance),
+        fails_force_bound(bounds, error_tolerance, nothing),
+        grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
         dependent,
         others,
         state,
@@ -262,7 +262,7 @@ def _measured(
 def _worded(
     problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
 ) -> Certificate:
-    found, known, law = measured.found, measured.known, measured.law
+    found, bounds, law = measured.found, measured.bounds, measured.law
     figures = {name: float(getattr(found, name).max(initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = measured.balance
     failures: list[str] = []
@@ -271,20 +271,20 @@ def _worded(
     if law is not None:
         failures += messages.failed_law(problem, law, IMPLIED * tolerance)
     failures += measured.errors
-    if measured.fails_force_bound and known.relative_force_bound is not None:
-        worst = int(np.argmax(known.relative_force_bound))
-        failures.append(messages.of_force_bound(problem, answer, known, worst, error_tolerance))
+    if measured.fails_force_bound and bounds.relative_force_bound is not None:
+        worst = int(np.argmax(bounds.relative_force_bound))
+        failures.append(messages.of_force_bound(problem, answer, bounds, worst, error_tolerance))
     failures += measured.state.failures
-    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, known))
+    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, bounds))
     if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),
-        energy_error=known.energy_error,
-        force_error=known.force_error,
-        force_bound=known.force_bound,
-        reasons=known.reasons,
+        energy_error=bounds.energy_error,
+        force_error=bounds.force_error,
+        force_bound=bounds.force_bound,
+        reasons=bounds.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(measured.grazing)),
         failures=tuple(failures),
         notes=(*notes, *measured.others.notes, *measured.state.notes),
@@ -293,13 +293,13 @@ def _worded(
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
-        proven=known.proven,
+        proven=bounds.proven,
         basis=measured.state.basis,
-        energy_bounds=known.energy_bounds,
-        determined=known.determined,
+        energy_bounds=bounds.energy_bounds,
+        determined=bounds.determined,
         distance=measured.state.distance,
-        scope=(known.scope or GLOBALLY) if known.proven else None,
-        radius=known.radius if known.proven else None,
+        scope=(bounds.scope or GLOBALLY) if bounds.proven else None,
+        radius=bounds.radius if bounds.proven else None,
         violations=found,
     )
 
@@ -319,33 +319,33 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
         yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
 
 
-def _notes(problem: ContactProblem, grazing: Mask, known: Bounds) -> tuple[str, ...]:
+def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate besides its verdict."""
     notes: list[str] = []
     if grazing.any():
         notes += messages.of_grazing(
             [problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[: messages.MOST_NAMED]]
         )
-    if known.redundant and not problem.frictional:
+    if bounds.redundant and not problem.frictional:
         notes.append(
             messages.FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else "")
         )
     if problem.asymmetry > 0:
         notes.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
-    if known.cleared > WORTH_SAYING:
+    if bounds.cleared > WORTH_SAYING:
         unsure = "" if problem.near_null_space is not None else "; stated in near_null_space, they are taken as exact"
         notes.append(
             f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
-            f"{known.cleared:.2g} of the forces there{unsure}"
+            f"{bounds.cleared:.2g} of the forces there{unsure}"
         )
-    if known.free_distance > WORTH_SAYING * known.energy_scale > 0:
+    if bounds.free_distance > WORTH_SAYING * bounds.energy_scale > 0:
         notes.append(
-            f"{known.free_distance / known.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
+            f"{bounds.free_distance / bounds.energy_scale:.2g} of energy_error is what the rounding of the stiffness "
             "makes of motions that nothing resists: the answer lies elsewhere along them, which is as right"
         )
     if problem.rigid_change > 0:
         notes.append(messages.of_printing(problem))
-    return (*notes, *messages.of_estimates(known)) if known.estimated else tuple(notes)
+    return (*notes, *messages.of_estimates(bounds)) if bounds.estimated else tuple(notes)
 
 
 def _residuals_and_bounds(
@@ -360,29 +360,29 @@ def _residuals_and_bounds(
     The condensation is None where it does not retain all contacts.
     """
     if systems is Systems.ITERATED:
-        left = plain_residuals(problem, answer)
-        known = bounds(problem, answer, left, iteration(problem))
-        return left, known, iteration(problem).rigid, None
-    left = kept_residuals(problem, answer)
+        residual = plain_residuals(problem, answer)
+        bounds = error_bounds(problem, answer, residual, iteration(problem))
+        return residual, bounds, iteration(problem).rigid, None
+    residual = kept_residuals(problem, answer)
     if systems is Systems.SPARSE:
-        known = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
-        return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None
+        bounds = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
+        return residual, bounds, RigidMotions(np.zeros((problem.dimension, 0))), None
     if candidates is not None:
-        return left, *bounds_among(problem, answer, left, candidates), None
+        return residual, *bounds_among(problem, answer, residual, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
-    known = bounds(problem, answer, left, condensation)
+    bounds = error_bounds(problem, answer, residual, condensation)
     far = FAR if condensation.rigid.count else np.finfo(float).max
-    if known.suspicious is not None or (known.energy_error is not None and known.energy_error > far):
-        known = _by_energy(problem, answer, known, condensation.rigid)
-    return left, known, condensation.rigid, condensation
+    if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
+        bounds = _by_energy(problem, answer, bounds, condensation.rigid)
+    return residual, bounds, condensation.rigid, condensation
 
 
-def _by_energy(problem: ContactProblem, answer: Answer, known: Bounds, rigid: RigidMotions) -> Bounds:
+def _by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:
     """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats."""
     if problem.frictional or _floats(problem, rigid):
-        return known
+        return bounds
     found = energy_bounds(problem, answer)
-    return found if found.proven else known
+    return found if found.proven else bounds
 
 
 def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
@@ -395,7 +395,7 @@ def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
     return 0 < motions <= MOTIONS_OF_A_BODY * len(np.unique(bodies(problem)[stiff]))
 
 
-def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> Mask:
+def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, tolerance: float) -> Mask:
     """Return the contacts whose gap and force both vanish (m,).
 
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
@@ -408,14 +408,14 @@ def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, to
         Its figures: gaps and forces in the sizes that meet there.
     compliance : (m,) array [length / force]
         `own_compliance` of each contact.
-    known : Bounds
+    bounds : Bounds
         Those of the answer; their `energy_scale` is 0 where the energy is not known.
     tolerance : float
         The part of these sizes up to which a gap or a force vanishes.
     """
     vanish = (ratio(abs(found.gap), found.lengths) <= tolerance) & (found.force_measure <= tolerance)
-    if known.energy_scale > 0:
-        vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * known.energy_scale
+    if bounds.energy_scale > 0:
+        vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * bounds.energy_scale
     return np.asarray(vanish)
 
 

@@ -221,7 +221,7 @@ NOTHING = 1e-13
 def violations(
     problem: ContactProblem,
     answer: Answer,
-    left: Residuals,
+    residual: Residuals,
     rounding: float = ROUNDING_OF_LENGTH,
     rigid: RigidMotions | None = None,
 ) -> Violations:
@@ -231,13 +231,13 @@ def violations(
     ----------
     problem : ContactProblem
     answer : Answer
-    left : those of the answer
+    residual : those of the answer
     rounding : the fraction of the intrinsic size that counts as none
     rigid : the null space of K; none where no body floats
     """
     elastic, size, F = _kept(problem, answer, "sizes", partial(_meeting, problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
-    missed = left.force.double(), left.gap.double(), left.tie.double()
+    missed = residual.force.double(), residual.gap.double(), residual.tie.double()
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
@@ -330,20 +330,22 @@ class Sizes:
     nothing: Nothing
 
 
-def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, coulomb: CoulombData | None) -> Violations:
+def figures(
+    answer: Any, missed: tuple[Vector, Vector, Vector], sizes: Sizes, coulomb: CoulombData | None
+) -> Violations:
     """Return every figure of an `Answer`, or of one rank's part of one.
 
     Parameters
     ----------
     answer : Answer
-    left : three arrays, (n,) [force], (m,) [length], (k,) [length]
+    missed : three arrays, (n,) [force], (m,) [length], (k,) [length]
         Its residuals of equilibrium, its gaps, and what its ties miss.
     sizes : Sizes
         The forces and lengths by which they are measured.
     coulomb : CoulombData or None
         What judges Coulomb's law; None without friction.
     """
-    residual, gap, open_tie = left
+    residual, gap, open_tie = missed
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
     if coulomb is None or answer.friction_force is None:
         cone = direction = slip_measure = turned = np.zeros(len(answer.normal_force))

@@ -155,25 +155,25 @@ def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     )
 
 
-def of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
+def of_force_bound(problem: Named, answer: Any, bounds: Bounds, i: int, tolerance: float) -> str:
     """Return the message that the bound on the error of a contact force is too large.
 
     Parameters
     ----------
     problem : ContactProblem or the like, with names and units
     answer : Answer
-    known : with bounds of each force
+    bounds : with bounds of each force
     i : which contact
     tolerance : the largest relative bound that passes
     """
-    if known.force_bound is None or known.relative_force_bound is None:
+    if bounds.force_bound is None or bounds.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
     unit = _with_unit(problem.units.force)
-    beside = "the largest contact force" if known.largest_force > 0 else "all contact forces"
+    beside = "the largest contact force" if bounds.largest_force > 0 else "all contact forces"
     return (
         f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
-        f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
-        f"({known.relative_force_bound[i]:.3g} of {beside} in energy, tolerance {tolerance:g})"
+        f"{unit}, may be off by {bounds.force_bound[i]:.3g}{unit} "
+        f"({bounds.relative_force_bound[i]:.3g} of {beside} in energy, tolerance {tolerance:g})"
     )
 
 
@@ -224,9 +224,9 @@ def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
     return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
 
 
-def of_estimates(known: Bounds) -> tuple[str, ...]:
+def of_estimates(bounds: Bounds) -> tuple[str, ...]:
     said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
-    return (said,) if known.estimated else ()
+    return (said,) if bounds.estimated else ()
 
 
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:

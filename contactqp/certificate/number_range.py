@@ -165,19 +165,19 @@ class NearOne:
             nothing=nothing,
         )
 
-    def bounds(self, known: Bounds) -> Bounds:
+    def bounds(self, bounds: Bounds) -> Bounds:
         """Return bounds that have units in the units of the problem."""
         changed: dict[str, Any] = {}
-        for name, scale in (("energy_error", known.energy_scale), ("force_error", known.force_scale)):
-            value = getattr(known, name)
+        for name, scale in (("energy_error", bounds.energy_scale), ("force_error", bounds.force_scale)):
+            value = getattr(bounds, name)
             changed[name] = value if value is None or scale > 0 else float(np.ldexp(value, self.length))
-        if known.force_bound is not None:
-            changed["force_bound"] = np.ldexp(known.force_bound, self.length - self.contacts)
-        if known.energy_bounds is not None:
-            changed["energy_bounds"] = tuple(float(np.ldexp(value, 2 * self.length)) for value in known.energy_bounds)
-        if known.radius is not None:
-            changed["radius"] = float(np.ldexp(known.radius, self.length))
-        return replace(known, solution=None, **changed)
+        if bounds.force_bound is not None:
+            changed["force_bound"] = np.ldexp(bounds.force_bound, self.length - self.contacts)
+        if bounds.energy_bounds is not None:
+            changed["energy_bounds"] = tuple(float(np.ldexp(value, 2 * self.length)) for value in bounds.energy_bounds)
+        if bounds.radius is not None:
+            changed["radius"] = float(np.ldexp(bounds.radius, self.length))
+        return replace(bounds, solution=None, **changed)
 
     def no_equilibrium(self, error: NoEquilibrium) -> NoEquilibrium:
         """Return an error raised in these units with its proof in the units of the problem."""

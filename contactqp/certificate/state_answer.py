@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from contactqp.certificate import messages
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds, failed_errors, fails_force_bound
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm
 from contactqp.certificate.state_bodies import (
@@ -241,20 +241,20 @@ def _with_friction_held(
     minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
     held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
     if condensation is None and iterated(problem):
-        known = bounds(minimised, held, plain_residuals(minimised, held), iteration(problem))
+        bounds = error_bounds(minimised, held, plain_residuals(minimised, held), iteration(problem))
     elif condensation is None:
-        known = energy_bounds(minimised, held)
+        bounds = energy_bounds(minimised, held)
     else:
-        known = bounds(minimised, held, residuals(minimised, held), condensation)
-    pairs = ((known.energy_error, known.energy_scale), (known.force_error, known.force_scale))
+        bounds = error_bounds(minimised, held, residuals(minimised, held), condensation)
+    pairs = ((bounds.energy_error, bounds.energy_scale), (bounds.force_error, bounds.force_scale))
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
-    said = failed_errors(known, tolerance, nothing) if far else ()
+    said = failed_errors(bounds, tolerance, nothing) if far else ()
     failures = tuple(f"with friction held, {text}" for text in said)
-    if fails_force_bound(known, tolerance, nothing):
-        assert known.relative_force_bound is not None
-        worst = int(np.argmax(known.relative_force_bound))
-        failures += (f"with friction held, {messages.of_force_bound(problem, answer, known, worst, tolerance)}",)
-    return replace(figures_alone(reason), energy=known.energy_scale, failures=failures)
+    if fails_force_bound(bounds, tolerance, nothing):
+        assert bounds.relative_force_bound is not None
+        worst = int(np.argmax(bounds.relative_force_bound))
+        failures += (f"with friction held, {messages.of_force_bound(problem, answer, bounds, worst, tolerance)}",)
+    return replace(figures_alone(reason), energy=bounds.energy_scale, failures=failures)
 
 
 class _Comparison:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.bounds import Bounds, bounds, no_bounds
+from contactqp.certificate.bounds import Bounds, error_bounds, no_bounds
 from contactqp.certificate.figures import violations
 from contactqp.certificate.state_answer import StateVerdict, figures_alone, last_verdict, state_verdict
 from contactqp.linalg.condensation import condense
@@ -159,7 +159,7 @@ def _near(problem: ContactProblem, contacts: Indices, layers: int) -> Indices:
 
 
 def bounds_among(
-    problem: ContactProblem, answer: Answer, left: Residuals, candidates: Indices
+    problem: ContactProblem, answer: Answer, residual: Residuals, candidates: Indices
 ) -> tuple[Bounds, RigidMotions]:
     """Return the bounds of an answer from the problem with its candidates alone, and the bodies' rigid motions.
 
@@ -170,22 +170,24 @@ def bounds_among(
     ----------
     problem : ContactProblem
     answer : of all contacts; those that are no candidates have no force
-    left : those of the answer
+    residual : those of the answer
     candidates : (q,) array of int, contacts; more are taken where the solution closes others
     """
     for _ in range(WIDENINGS):
         subset = _judged_among(problem, candidates)
         condensation = condense(subset)
         subset_answer = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
-        known = bounds(subset, subset_answer, Residuals(left.force, left.gap[candidates], left.tie), condensation)
-        if known.solution is None:
-            reasons = known.reasons or ("no set of candidate contacts holds",)
-            return replace(no_bounds(reasons[0].split(": ", 1)[-1]), suspicious=known.suspicious), condensation.rigid
-        u = known.solution
+        bounds = error_bounds(
+            subset, subset_answer, Residuals(residual.force, residual.gap[candidates], residual.tie), condensation
+        )
+        if bounds.solution is None:
+            reasons = bounds.reasons or ("no set of candidate contacts holds",)
+            return replace(no_bounds(reasons[0].split(": ", 1)[-1]), suspicious=bounds.suspicious), condensation.rigid
+        u = bounds.solution
         gap = (extend(problem.gap) - problem.normal @ u.double()).double()
         wider = widened(problem, candidates, gap, u.double())
         if wider is None:
-            return _of_all(problem, candidates, known, gap), condensation.rigid
+            return _of_all(problem, candidates, bounds, gap), condensation.rigid
         candidates = wider
     return no_bounds(TOO_WIDE), condensation.rigid
 
@@ -223,15 +225,15 @@ def state_among(
     return figures_alone(TOO_WIDE), condensation.rigid
 
 
-def _of_all(problem: ContactProblem, candidates: Indices, known: Bounds, gap: Vector) -> Bounds:
+def _of_all(problem: ContactProblem, candidates: Indices, bounds: Bounds, gap: Vector) -> Bounds:
     """Return the bounds with an entry for every contact."""
-    if known.force_bound is None or known.energy_error is None:
-        return known
-    distance = known.energy_error * (known.energy_scale or 1.0)
+    if bounds.force_bound is None or bounds.energy_error is None:
+        return bounds
+    distance = bounds.energy_error * (bounds.energy_scale or 1.0)
     force = distance**2 / (2 * np.where(gap > 0, gap, np.inf))
-    force[candidates] = known.force_bound
+    force[candidates] = bounds.force_bound
     relative = None
-    if known.relative_force_bound is not None:
-        relative = force * np.sqrt(own_compliance(problem, problem.normal)) / known.force_scale
-        relative[candidates] = known.relative_force_bound
-    return replace(known, force_bound=force, relative_force_bound=relative)
+    if bounds.relative_force_bound is not None:
+        relative = force * np.sqrt(own_compliance(problem, problem.normal)) / bounds.force_scale
+        relative[candidates] = bounds.relative_force_bound
+    return replace(bounds, force_bound=force, relative_force_bound=relative)

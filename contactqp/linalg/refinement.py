@@ -71,7 +71,7 @@ def answer_on(
     condensation: Condensation,
     closed: Indices,
     start: Answer | None = None,
-    left: Residuals | None = None,
+    residual: Residuals | None = None,
     caution: float = 1.0,
     at_rest: bool = False,
 ) -> OnSet:
@@ -86,11 +86,11 @@ def answer_on(
     condensation : that of the problem
     closed : (q,) array of int, B
     start : where refinement begins; free motions stay as they are there
-    left : those of the start, where they are known; of use where it has no force but on the closed contacts
+    residual : those of the start, where they are known; of use where it has no force but on the closed contacts
     caution : refinement goes on until this many times what it still has to do is negligible
     at_rest : whether, without a start, free motions take the displacement to its least norm within the gaps
     """
-    found = _refined(problem, condensation, closed, start, left, caution, at_rest)
+    found = _refined(problem, condensation, closed, start, residual, caution, at_rest)
     missed = _imbalance(problem, condensation, found) if condensation.rigid.count else 0.0
     if missed <= BALANCED:
         return found
@@ -125,7 +125,7 @@ def _refined(
     condensation: Condensation,
     closed: Indices,
     start: Answer | None,
-    left: Residuals | None,
+    residual: Residuals | None,
     caution: float,
     at_rest: bool,
     cleared: bool = False,
@@ -133,14 +133,14 @@ def _refined(
     """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
     size_of = _CorrectionSize(problem, condensation, closed)
     saddle = saddle_point(condensation, closed)
-    answer, left = _start(problem, closed, start, left)
+    answer, residual = _start(problem, closed, start, residual)
     rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
-        if left is None:
-            left = residuals_of(rows, problem, answer)
-        du, dl, dn = condensation.correction(saddle, *left.double(closed))
-        left = None
+        if residual is None:
+            residual = residuals_of(rows, problem, answer)
+        du, dl, dn = condensation.correction(saddle, *residual.double(closed))
+        residual = None
         answer = answer.corrected(du, closed, dl, dn)
         if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
             shift, _ = shift_to_least_norm(problem, condensation, answer.double(), closed)
@@ -177,7 +177,7 @@ def _refined(
 
 
 def _start(
-    problem: ContactProblem, closed: Indices, start: Answer | None, left: Residuals | None
+    problem: ContactProblem, closed: Indices, start: Answer | None, residual: Residuals | None
 ) -> tuple[ExtendedAnswer, Residuals | None]:
     """Return a start without forces on open contacts, at rest where none is given, and its residuals if known."""
     if start is None:
@@ -186,7 +186,7 @@ def _start(
     kept[closed] = True
     force = np.where(kept, start.normal_force, 0.0)
     answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
-    return answer, None if start.normal_force[~kept].any() else left
+    return answer, None if start.normal_force[~kept].any() else residual
 
 
 class _CorrectionSize:
@@ -242,7 +242,7 @@ def polish(
     closed: Indices,
     max_corrections: int,
     start: Answer | None = None,
-    left: Residuals | None = None,
+    residual: Residuals | None = None,
     caution: float = 1.0,
 ) -> tuple[OnSet, int, bool]:
     """Refine the answer on a set of closed contacts and correct the set.
@@ -255,7 +255,7 @@ def polish(
 
     Parameters
     ----------
-    problem, condensation, closed, start, left, caution
+    problem, condensation, closed, start, residual, caution
         As in `answer_on`.
     max_corrections : int
         The largest number of corrections.
@@ -270,7 +270,7 @@ def polish(
     seen: set[bytes] = set()
     corrections, exchanges, holding = 0, 0, None
     while True:
-        answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
+        answer = answer_on(problem, condensation, closed, start, residual, caution, at_rest=True)
         if holding is not None and not _regular(answer):
             return holding
         proposal = None
@@ -284,7 +284,7 @@ def polish(
                 if len(lean) < len(closed):
                     seen.add(closed.tobytes())
                     closed = lean
-                    answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
+                    answer = answer_on(problem, condensation, closed, start, residual, caution, at_rest=True)
         if proposal is None:
             if answer.saddle.free.shape[1]:
                 answer, _ = least_displacement(problem, condensation, answer, caution)
