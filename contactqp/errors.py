@@ -258,16 +258,16 @@ SYMBOLS = {
 }
 
 
-def no_argument(unknown: Sequence[str], known: Sequence[str]) -> str:
+def no_argument(unknown: Sequence[str], names: Sequence[str]) -> str:
     """Return the message about arguments that a function has not.
 
     >>> no_argument(["K"], ["stiffness", "load"])
     "no argument is called 'K' (do you mean 'stiffness'?)"
     """
-    return f"no argument is called {' or '.join(map(repr, unknown))}{meant(unknown, known)}"
+    return f"no argument is called {' or '.join(map(repr, unknown))}{meant(unknown, names)}"
 
 
-def meant(unknown: Sequence[str], known: Sequence[str]) -> str:
+def meant(unknown: Sequence[str], names: Sequence[str]) -> str:
     """Return the known names that are nearest to unknown ones, in words; all of them where none is near.
 
     >>> meant(["norml"], ["load", "normal"]), meant(["xyz"], ["load", "normal"])
@@ -278,8 +278,8 @@ def meant(unknown: Sequence[str], known: Sequence[str]) -> str:
     near = [
         one
         for name in unknown
-        for one in [one for one in SYMBOLS.get(name, ()) if one in known][:1] or get_close_matches(name, known, n=1)
+        for one in [one for one in SYMBOLS.get(name, ()) if one in names][:1] or get_close_matches(name, names, n=1)
     ]
     if near:
         return f" (do you mean {' and '.join(map(repr, near))}?)"
-    return f"; its arguments: {', '.join(known)}" if unknown else ""
+    return f"; its arguments: {', '.join(names)}" if unknown else ""

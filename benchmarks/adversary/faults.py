@@ -57,9 +57,9 @@ def _tension_forgiven(measured: Any) -> Any:
 
 def _bound_too_small(measured: Any) -> Any:
     """The bounds of errors are nine tenths of what they are."""
-    known = measured.known
-    names = [name for name in ("energy_error", "force_error") if getattr(known, name) is not None]
-    return replace(measured, known=replace(known, **{name: 0.9 * getattr(known, name) for name in names}))
+    bounds = measured.bounds
+    names = [name for name in ("energy_error", "force_error") if getattr(bounds, name) is not None]
+    return replace(measured, bounds=replace(bounds, **{name: 0.9 * getattr(bounds, name) for name in names}))
 
 
 def _sign_ignored(measured: Any) -> Any:

@@ -349,9 +349,9 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
 def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
     """Return by how much a combination fails as an answer or in its signs, as a part of the largest rate."""
     size = _size(answer, rates)
-    if np.any(rates.load) and answer.left > UNBALANCED * rates.size:
+    if np.any(rates.load) and answer.residual > UNBALANCED * rates.size:
         return np.inf
-    wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.left)
+    wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.residual)
     return wrong / size if size > 0 else float(np.where(wrong > 0, np.inf, 0.0))
 
 

@@ -201,8 +201,8 @@ class Linearised:
             return FRICTIONLESS
         smooth = (self.problem.friction == 0) & (self.status != OPEN) & (friction != 0)
         still = np.flatnonzero(smooth & (violations.slip_measure <= solution.certificate.tolerance))
-        said = "neither friction nor slip, which friction could act against"
-        return f"{self.named(still)} has {said}" if len(still) else None
+        text = "neither friction nor slip, which friction could act against"
+        return f"{self.named(still)} has {text}" if len(still) else None
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.

@@ -233,8 +233,8 @@ def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, con
     except Undecided as reason:
         return no_bounds(str(reason))
     except Unproven as unproven:
-        said = _conflict_of_constraints(problem, condensation) or str(unproven)
-        return replace(no_bounds(said), suspicious=said)
+        text = _conflict_of_constraints(problem, condensation) or str(unproven)
+        return replace(no_bounds(text), suspicious=text)
     return _from_pair(problem, answer, condensation, pair)
 
 

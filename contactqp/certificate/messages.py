@@ -199,17 +199,17 @@ def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
 
 def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, Indices]]) -> tuple[str, ...]:
     """Return a message for each dependent tie: `dependent` has its number and those of the ties it depends on."""
-    said = []
+    sentences = []
     for i, others in dependent[:MOST_NAMED]:
         names = [problem.tie_name(int(j)) for j in others[:MOST_NAMED]]
         more = f" and {len(others) - len(names)} more" if len(others) > len(names) else ""
-        said.append(
+        sentences.append(
             f"{problem.tie_name(i)} depends on {', '.join(names)}{more}: it is set aside where these are met, and how "
             "they share their force is not unique"
         )
     if len(dependent) > MOST_NAMED:
-        said.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
-    return tuple(said)
+        sentences.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
+    return tuple(sentences)
 
 
 def of_printing(problem: ContactProblem) -> str:
@@ -225,8 +225,8 @@ def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def of_estimates(bounds: Bounds) -> tuple[str, ...]:
-    said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
-    return (said,) if bounds.estimated else ()
+    text = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
+    return (text,) if bounds.estimated else ()
 
 
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:

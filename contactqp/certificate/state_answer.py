@@ -174,9 +174,9 @@ def state_verdict(
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)
-    said = (BY_ITERATION,) if isinstance(bodies, IteratedBodies) else ()
+    notes = (BY_ITERATION,) if isinstance(bodies, IteratedBodies) else ()
     beside = None if failures else compared.compared
-    return StateVerdict(STATE, largest, distance.displacement[1], failures, said, compared.displacement, beside)
+    return StateVerdict(STATE, largest, distance.displacement[1], failures, notes, compared.displacement, beside)
 
 
 def remember_verdict(
@@ -248,8 +248,8 @@ def _with_friction_held(
         bounds = error_bounds(minimised, held, residuals(minimised, held), condensation)
     pairs = ((bounds.energy_error, bounds.energy_scale), (bounds.force_error, bounds.force_scale))
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
-    said = failed_errors(bounds, tolerance, nothing) if far else ()
-    failures = tuple(f"with friction held, {text}" for text in said)
+    words = failed_errors(bounds, tolerance, nothing) if far else ()
+    failures = tuple(f"with friction held, {text}" for text in words)
     if fails_force_bound(bounds, tolerance, nothing):
         assert bounds.relative_force_bound is not None
         worst = int(np.argmax(bounds.relative_force_bound))

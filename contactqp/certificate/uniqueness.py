@@ -288,16 +288,16 @@ def uniqueness(
         return Uniqueness((UNKNOWN,), (f"uniqueness was not examined: {reason}",))
     state = _State(problem, answer, found, tolerance)
     known = critical(problem, condensation)
-    said = [_forces(problem, state, condensation), _displacements(problem, known, condensation)]
+    sentences = [_forces(problem, state, condensation), _displacements(problem, known, condensation)]
     contraction = _contraction(problem, state, condensation)
-    notes = [note for _, note in said if note]
+    notes = [note for _, note in sentences if note]
     if contraction is not None and contraction >= 1:
         notes.append(
             "friction: the Tresca fixed-point iteration, each step of which takes its friction bounds from the forces "
             f"of the step before, multiplies their error by {contraction:.3g} a step near this answer: without damping "
             "it does not converge"
         )
-    return Uniqueness(tuple(finding for finding, _ in said if finding), tuple(notes), contraction)
+    return Uniqueness(tuple(finding for finding, _ in sentences if finding), tuple(notes), contraction)
 
 
 class _State:

@@ -148,10 +148,10 @@ def _table(path: Path, text: str, separator: str, problem: LocalProblem, ledger:
 
 def _check_header(path: Path, columns: list[str], ledger: Ledger) -> None:
     """Refuse a header that states another order of columns than (N, T1, T2), in which they are taken."""
-    said = ", ".join(columns)
+    text = ", ".join(columns)
     if any(NORMAL.fullmatch(column.lower()) for column in columns[1:]):
-        raise wrong(path, "first line", "columns in the order N, T1, T2", f"{said!r:.60}")
-    ledger.ignored.append(f"names of columns ({said:.60}): in the order (N, T1, T2), no unit converted")
+        raise wrong(path, "first line", "columns in the order N, T1, T2", f"{text!r:.60}")
+    ledger.ignored.append(f"names of columns ({text:.60}): in the order (N, T1, T2), no unit converted")
 
 
 def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:
@@ -233,7 +233,7 @@ def reader_of(path: Path) -> AnswerReader:
     head = read_bytes(path, _expected(), HEAD)
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:
-        if reader.known is not None and reader.known(head):
+        if reader.recognises is not None and reader.recognises(head):
             return reader
     by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not own_answers.TABLE_READER)
     return next(by_suffix, own_answers.ARRAY)

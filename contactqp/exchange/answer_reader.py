@@ -45,7 +45,7 @@ class AnswerReader:
     name: str
     suffixes: tuple[str, ...]  # lower case, with their dots
     read: Callable[[Path, ContactProblem], AnswerFile]
-    known: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
+    recognises: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
 
 
 def part_called(name: str) -> str | None:

@@ -128,6 +128,6 @@ def _known(kind: int, head: bytes) -> bool:
 
 
 READER = MatrixReader(
-    NAMES[FULL], (".full",), read_full, known=lambda head: _known(FULL, head), stiffness=True, load=read_full_load
+    NAMES[FULL], (".full",), read_full, recognises=lambda head: _known(FULL, head), stiffness=True, load=read_full_load
 )
-RESULT_READER = AnswerReader(NAMES[RESULT], (".rst",), read_result, known=lambda head: _known(RESULT, head))
+RESULT_READER = AnswerReader(NAMES[RESULT], (".rst",), read_result, recognises=lambda head: _known(RESULT, head))

@@ -175,8 +175,8 @@ def refuse_utf_16(path: Path, head: bytes) -> None:
 
 def one_line(error: BaseException) -> str:
     """Return the message of another library's exception, without line breaks and shortened."""
-    said = " ".join(str(error).split()) or type(error).__name__
-    return said if len(said) <= LONGEST_SAYING else said[:LONGEST_SAYING] + "..."
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= LONGEST_SAYING else text[:LONGEST_SAYING] + "..."
 
 
 def check_rows(path: Path, place: str, rows: int) -> None:
@@ -446,7 +446,7 @@ class MatrixReader:
     name: str
     suffixes: tuple[str, ...]  # lower case, with their dots
     read: Callable[[Path], MatrixFile]
-    known: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
+    recognises: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
     stiffness: bool = False  # files of this suffix hold a stiffness, whatever they are called
     load: Callable[[Path], tuple[Vector, Ledger] | None] | None = None  # the load stored with the stiffness, if any
     beside: tuple[str, ...] = ()  # suffixes of files that it reads along with its own, such as those of names

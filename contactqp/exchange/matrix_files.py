@@ -50,7 +50,7 @@ def reader_of(path: Path) -> MatrixReader:
         raise wrong(path, "content", _expected(), "a file compressed by gzip; expand it first")
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:
-        if reader.known is not None and reader.known(head):
+        if reader.recognises is not None and reader.recognises(head):
             return reader
     return next((reader for reader in READERS if suffix in reader.suffixes), text_matrices.TEXT)
 

@@ -214,5 +214,5 @@ def sparse_matrix(path: Path, arrays: Arrays, name: str = "") -> Any:
 
 
 READER = MatrixReader(
-    NAME, (".npy", ".npz"), read_numpy, known=lambda head: head.startswith((NUMPY, ZIP, b"PK\x05\x06"))
+    NAME, (".npy", ".npz"), read_numpy, recognises=lambda head: head.startswith((NUMPY, ZIP, b"PK\x05\x06"))
 )

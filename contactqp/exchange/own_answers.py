@@ -134,7 +134,7 @@ def is_json_answer(head: bytes) -> bool:
     return head.removeprefix(BOM_UTF8).replace(b"[", b" ", 1).lstrip()[:1] == b"{"
 
 
-JSON_READER = AnswerReader(JSON, (".json",), read_json_answer, known=is_json_answer)
+JSON_READER = AnswerReader(JSON, (".json",), read_json_answer, recognises=is_json_answer)
 
 # Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
 #
@@ -245,7 +245,7 @@ def _is_friction(table: Table, column: str) -> bool:
     return table.columns[0] == "contact" and FRICTION.fullmatch(column) is not None
 
 
-TABLE_READER = AnswerReader(TABLE, (".csv",), read_table_answer, known=lambda head: begins_with(head, KEYS))
+TABLE_READER = AnswerReader(TABLE, (".csv",), read_table_answer, recognises=lambda head: begins_with(head, KEYS))
 
 
 ARRAYS = "displacement or normal_force"
@@ -351,10 +351,10 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     return AnswerFile(parts, ledger, named, tie_names)
 
 
-ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, known=lambda head: head.startswith((ZIP, b"PK\x05\x06")))
+ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, recognises=lambda head: head.startswith((ZIP, b"PK\x05\x06")))
 ARRAY = AnswerReader(
     "an array (.npy, .mtx, text)",
     (".npy", ".mtx", ".txt"),
     read_array_answer,
-    known=lambda head: head.startswith(NUMPY) or is_matrix_market(head),
+    recognises=lambda head: head.startswith(NUMPY) or is_matrix_market(head),
 )

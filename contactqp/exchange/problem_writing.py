@@ -178,11 +178,11 @@ def write_problem(
         "signs": SIGNS,
         "files": files,
     }
-    said = dict(about or {})
-    clash = sorted(set(said) & set(data) - {"name", "description"})
+    statements = dict(about or {})
+    clash = sorted(set(statements) & set(data) - {"name", "description"})
     if clash:
         raise InvalidProblem(f"about: expected what the problem does not say itself, got {', '.join(clash)}")
-    _write_json(root / PROBLEM_FILE, data | said)
+    _write_json(root / PROBLEM_FILE, data | statements)
     for part in files:
         _write_matrix(root / f"{part}.mtx", part, values[part])
     if answer is not None:

@@ -64,8 +64,8 @@ def read_in_own_process(path: Path, kind: str, name: str) -> dict[str, Any]:
         if ended.returncode < 0:
             raise wrong(path, "content", name, f"a damaged one (its reader ended by signal {-ended.returncode})")
         if ended.returncode or not output.is_file():
-            said = ended.stderr.decode("utf-8", errors="replace").strip().splitlines()
-            raise wrong(path, "content", name, f"a damaged one ({said[-1] if said else 'no reason'!s:.200})")
+            lines = ended.stderr.decode("utf-8", errors="replace").strip().splitlines()
+            raise wrong(path, "content", name, f"a damaged one ({lines[-1] if lines else 'no reason'!s:.200})")
         return read_npz(output)
 
 
@@ -260,8 +260,8 @@ def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) 
         raise BackendFailed(f"CalculiX did not end within {time_limit:g} s and was stopped; what it printed: {log}")
     errors = [" ".join(line.split()) for line in printed.splitlines() if line.lstrip().startswith("*ERROR")]
     if code != 0 or errors:
-        said = f"signal {-code}" if code < 0 else f"exit code {code}"
-        raise BackendFailed(f"CalculiX ended with {said}: {one_line_of(errors)}; what it printed: {log}")
+        text = f"signal {-code}" if code < 0 else f"exit code {code}"
+        raise BackendFailed(f"CalculiX ended with {text}: {one_line_of(errors)}; what it printed: {log}")
     results = folder / f"{JOB}.dat"
     if not results.is_file() or not results.stat().st_size:
         raise BackendFailed(f"CalculiX ended without results in {results}; what it printed: {log}")
@@ -303,10 +303,10 @@ def _tail(log: FilePath) -> str:
 
 def _version(command: str) -> str:
     try:
-        said = subprocess.run([command, "-v"], capture_output=True, timeout=60, check=False).stdout.decode("latin-1")
+        text = subprocess.run([command, "-v"], capture_output=True, timeout=60, check=False).stdout.decode("latin-1")
     except (OSError, subprocess.TimeoutExpired):
-        said = ""
-    found = re.search(r"[Vv]ersion\s+(\S+)", said)
+        text = ""
+    found = re.search(r"[Vv]ersion\s+(\S+)", text)
     return f"CalculiX {found[1] if found else 'of unknown version'}"
 
 

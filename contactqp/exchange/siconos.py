@@ -46,13 +46,13 @@ class Words:
             raise wrong(path, "content", EXPECTED, "an empty file")
 
     @property
-    def left(self) -> int:
+    def unread(self) -> int:
         """Return how many words have not been read."""
         return len(self._words) - self._next
 
     def peek(self) -> str | None:
         """Return the next word, if there is one."""
-        return self._words[self._next] if self.left else None
+        return self._words[self._next] if self.unread else None
 
     def ahead(self, count: int) -> list[str]:
         """Return the next words, without taking them."""
@@ -66,8 +66,10 @@ class Words:
         InvalidProblem
             The text ends before.
         """
-        if count > self.left:
-            raise wrong(self.path, what, f"{count} {'value' if count == 1 else 'values'}", f"{self.left}, then the end")
+        if count > self.unread:
+            raise wrong(
+                self.path, what, f"{count} {'value' if count == 1 else 'values'}", f"{self.unread}, then the end"
+            )
         taken = self._words[self._next : self._next + count]
         self._next += count
         return taken
@@ -379,7 +381,7 @@ def _read(words: Words) -> LocalProblem | GlobalProblem:
     if rows != columns:
         raise wrong(words.path, "first matrix", "a square one (W or M)", matrix.shape)
     tail, bodies = (d + 1) * m, MATRIX_HEAD + rows + (d + 1) * m
-    if rows == d * m and words.left < bodies:
+    if rows == d * m and words.unread < bodies:
         _refuse_head_of_matrix(words, rows)
         q, mu = words.numbers(d * m, "q"), words.numbers(m, "mu")
         _end(words, f"the {tail} numbers of q and mu")
@@ -396,13 +398,17 @@ def _read(words: Words) -> LocalProblem | GlobalProblem:
 
 def _refuse_head_of_matrix(words: Words, size: int) -> None:
     """Refuse a global file that ends within H and must not pass for a local one; q is written with decimal points."""
-    if words.left >= MATRIX_HEAD and words.ahead(MATRIX_HEAD) in ([storage, f"{size}", f"{size}"] for storage in "012"):
+    if words.unread >= MATRIX_HEAD and words.ahead(MATRIX_HEAD) in (
+        [storage, f"{size}", f"{size}"] for storage in "012"
+    ):
         found = " ".join(words.ahead(MATRIX_HEAD))
         raise wrong(words.path, "after the first matrix", "q, or the whole of a second matrix", f"{found!r}, its head")
 
 
 def _end(words: Words, after: str) -> None:
-    if words.left == 1 and words.peek() in COMPLETE:
+    if words.unread == 1 and words.peek() in COMPLETE:
         return
-    if words.left:
-        raise wrong(words.path, f"after {after}", "the end", f"{words.left} more, beginning with {words.peek()!r:.40}")
+    if words.unread:
+        raise wrong(
+            words.path, f"after {after}", "the end", f"{words.unread} more, beginning with {words.peek()!r:.40}"
+        )

@@ -190,7 +190,7 @@ def is_matrix_market(head: bytes) -> bool:
     return head[: len(BANNER)].lower() == BANNER.lower()
 
 
-MATRIX_MARKET = MatrixReader(MATRIX_MARKET_NAME, (".mtx", ".mm"), read_matrix_market, known=is_matrix_market)
+MATRIX_MARKET = MatrixReader(MATRIX_MARKET_NAME, (".mtx", ".mm"), read_matrix_market, recognises=is_matrix_market)
 
 TEXT_NAME = "text or CSV"
 EXPECTED = "numbers in text or CSV"
@@ -468,6 +468,6 @@ HARWELL_BOEING = MatrixReader(
     HARWELL_BOEING_NAME,
     (".rua", ".rsa", ".rra", ".hb", ".rb", ".psa", ".matrix"),
     read_harwell_boeing,
-    known=_known,
+    recognises=_known,
     load=read_load,
 )

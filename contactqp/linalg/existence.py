@@ -370,8 +370,8 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
             moved = scaling.unknowns * motion
             largest = float(np.max(abs(moved)))
             found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
-            said = f"energy falls for ever: {describe_motion(problem, found.motion)}"
-            raise NoEquilibrium(f"the load drives a motion that nothing resists, and the {said}", found)
+            text = f"energy falls for ever: {describe_motion(problem, found.motion)}"
+            raise NoEquilibrium(f"the load drives a motion that nothing resists, and the {text}", found)
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:

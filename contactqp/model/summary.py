@@ -94,9 +94,9 @@ def headline(solution: Any, energy: float | None = None) -> list[str]:
     size = number(solution.energy if energy is None else energy)
     energy_text = f"energy {size}{_energy_unit(solution)}".replace(" ", UNBROKEN)
     first = f"{solution.method}: {verdict_of(certificate)}; {energy_text}; {1e3 * solution.seconds:.3g} ms"
-    said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
-    said += [f"free to move: {motion}" for motion in solution.free_motions]
-    return [*_first_lines(first), *wrapped(*said)]
+    sentences = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
+    sentences += [f"free to move: {motion}" for motion in solution.free_motions]
+    return [*_first_lines(first), *wrapped(*sentences)]
 
 
 def _first_lines(text: str) -> list[str]:
@@ -394,7 +394,7 @@ def local_summary(solution: Any) -> str:
     """Return verdict, forces and velocities of a local problem's contacts as a table of at most 80 columns."""
     certificate, (m, d) = solution.certificate, solution.force.shape
     verdict = "passed" if certificate.passed else "REFUSED"
-    said = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
+    sentences = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     shown = _most_telling(solution.contact_status, solution.force[:, 0])
     axes = ("N", "T") if d == 2 else ("N", "T1", "T2")
     columns = ("", "status", *(f"r_{axis}" for axis in axes), *(f"u_{axis}" for axis in axes))
@@ -404,7 +404,7 @@ def local_summary(solution: Any) -> str:
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
     title = _title_of_contacts(solution.contact_status, True, len(shown))
     first = f"{solution.method}: {verdict}; {1e3 * solution.seconds:.3g} ms"
-    lines = [*_first_lines(first), *wrapped(*said)]
+    lines = [*_first_lines(first), *wrapped(*sentences)]
     return "\n".join([*lines, Table(title, columns, rows).text()])
 
 

@@ -184,21 +184,21 @@ Location = tuple[int | str, ...]
 LONGEST_NAME, LONGEST_LIST = 80, 400
 
 
-def no_such(name: object, known: Iterable[str], what: str) -> str:
+def no_such(name: object, allowed: Iterable[str], what: str) -> str:
     """Say that there is none of a name, with the nearest name, or as many as a line holds where none is near.
 
     ``there is no node 'B1'; nearest: 'B'``.
     """
-    names, said = list(known), _in_quotes(name)
+    names, text = list(allowed), _in_quotes(name)
     near = difflib.get_close_matches(str(name)[:LONGEST_NAME], names, n=1)
     if near:
-        return f"there is no {what} {said}; nearest: {near[0]!r}"
-    return f"there is no {what} {said}; known: {_first_of(names) or 'none'}"
+        return f"there is no {what} {text}; nearest: {near[0]!r}"
+    return f"there is no {what} {text}; known: {_first_of(names) or 'none'}"
 
 
 def _in_quotes(name: object) -> str:
-    said = repr(name)
-    return said if len(said) <= LONGEST_NAME else f"{said[:LONGEST_NAME]}…"
+    text = repr(name)
+    return text if len(text) <= LONGEST_NAME else f"{text[:LONGEST_NAME]}…"
 
 
 def _first_of(names: Collection[str]) -> str:
@@ -210,7 +210,7 @@ def _first_of(names: Collection[str]) -> str:
     return ", ".join(quoted[:count]) + more
 
 
-def refuse_unknown(key: str, name: object, known: Collection[str], what: str) -> None:
+def refuse_unknown(key: str, name: object, allowed: Collection[str], what: str) -> None:
     """Raise SceneError unless a name is one that there is.
 
     Parameters
@@ -218,11 +218,11 @@ def refuse_unknown(key: str, name: object, known: Collection[str], what: str) ->
     key : str
         Where the name stands, as in ``bars[1].nodes[0] ('left')``.
     name : str
-    known : collection of str
+    allowed : collection of str
     what : what is called so, as in "node"
     """
-    if name not in known:
-        raise SceneError(f"{key}: {no_such(name, known, what)}")
+    if name not in allowed:
+        raise SceneError(f"{key}: {no_such(name, allowed, what)}")
 
 
 def key_path(location: Location, data: Mapping[str, Any]) -> str:

@@ -61,10 +61,10 @@ def print_case_line(console: Console, outcomes: Sequence[Judgement | Failure]) -
     """Print one line for all outcomes of a case, and below it the claims that are not met."""
     judgements = [outcome for outcome in outcomes if isinstance(outcome, Judgement)]
     scene, failed = outcomes[0].scene, len(outcomes) - len(judgements)
-    said = [_verdict_in_a_word(judgements[0]), met_in_words(judgements)] if judgements else []
-    said += [f"{failed} of {len(outcomes)} without an answer"] if failed else []
+    sentences = [_verdict_in_a_word(judgements[0]), met_in_words(judgements)] if judgements else []
+    sentences += [f"{failed} of {len(outcomes)} without an answer"] if failed else []
     name = (scene.file or Path(scene.title)).stem
-    console.print(f"{escape(name):32} {'; '.join(said)}", soft_wrap=True)
+    console.print(f"{escape(name):32} {'; '.join(sentences)}", soft_wrap=True)
     if judgements:
         _print_failures(console, judgements[0])
     _print_comparisons(console, judgements, ["method", "certificate"], unmet_alone=True)

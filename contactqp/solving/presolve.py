@@ -180,14 +180,14 @@ def presolved(problem: ContactProblem) -> Presolved | None:
         return None
     aside = np.setdiff1d(np.arange(problem.contacts), np.concatenate([contacts.kept, idle]))
     equal = np.diff(contacts.matrix.indptr)[aside] > 0
-    for rows, said in (
+    for rows, text in (
         (aside[~equal], "parallel to nearer ones"),
         (aside[equal], "parallel to equal ones"),
         (idle, "out of reach within bounds"),
     ):
         names = [problem.contact_name(int(i)) for i in rows[:NAMED]]
         if names:
-            notes.append(f"set aside: {', '.join(names)}{_more(len(rows), said)}")
+            notes.append(f"set aside: {', '.join(names)}{_more(len(rows), text)}")
     dropped = np.setdiff1d(np.arange(problem.ties), ties.kept)
     if dropped.size:
         names = [problem.tie_name(int(i)) for i in dropped[:NAMED]]
@@ -195,8 +195,8 @@ def presolved(problem: ContactProblem) -> Presolved | None:
     return Presolved(_with(problem, contacts.kept, ties.kept), contacts, ties, tuple(notes))
 
 
-def _more(count: int, said: str) -> str:
-    return f"{f' and {count - NAMED} more' if count > NAMED else ''}, {said}"
+def _more(count: int, text: str) -> str:
+    return f"{f' and {count - NAMED} more' if count > NAMED else ''}, {text}"
 
 
 def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], idle: Indices) -> Shares:
@@ -298,8 +298,8 @@ class PresolvedRun(Run):
     def _certified(self, started: float) -> tuple[Solution, bool]:
         solution, polished = super()._certified(started)
         certificate = solution.certificate
-        said = replace(certificate, notes=(*certificate.notes, *self._fewer.notes))
-        return replace(solution, certificate=said), polished
+        noted = replace(certificate, notes=(*certificate.notes, *self._fewer.notes))
+        return replace(solution, certificate=noted), polished
 
 
 WithoutFriction = Callable[[ContactProblem], tuple[Vector, Work]]

@@ -151,8 +151,8 @@ def _outcome(
     seconds: float,
     options: Mapping[str, Any],
 ) -> FileOutcome:
-    said = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
-    return FileOutcome(file, outline, solution, said[0], seconds, dict(options), said[1])
+    message = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
+    return FileOutcome(file, outline, solution, message[0], seconds, dict(options), message[1])
 
 
 def _read(file: str, ranks: Ranks) -> tuple[Outline, ProblemRows]:

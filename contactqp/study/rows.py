@@ -201,11 +201,11 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
         cells.append(
             (_with_knob(row), shown["error_displacement"], shown["error_force"], _milliseconds(row), row.verdict)
         )
-    said = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
+    sentences = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
     missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
-    said += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
+    sentences += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
     table = aligned(cells) if ran else ""
-    parts = [*_in_lines(_in_short(rows)), table, *wrapped(*said)]
+    parts = [*_in_lines(_in_short(rows)), table, *wrapped(*sentences)]
     return "\n".join([*filter(None, parts), *_in_lines(f"errors against: {truth}")])
 
 

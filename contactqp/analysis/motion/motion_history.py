@@ -106,8 +106,8 @@ class MotionHistory(History):
 
     def summary(self) -> str:
         """Return what `History.summary` does, and that the force of an impact depends on the step."""
-        said = wrapped(*(f"note: {text}" for text in _notes_on_impulses(self.motion)))
-        return "\n".join([super().summary(), *said])
+        sentences = wrapped(*(f"note: {text}" for text in _notes_on_impulses(self.motion)))
+        return "\n".join([super().summary(), *sentences])
 
     @property
     def displacements(self) -> Array:

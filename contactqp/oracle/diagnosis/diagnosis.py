@@ -174,8 +174,8 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
         text = "it is the right answer without the initial overlaps: where bodies overlap the gap was taken as zero"
         yield Question("overlap-ignored", text, problem.replace(gap=np.maximum(gap, 0.0)))
     if np.any(problem.load):
-        for factor, said in ((-1.0, "the load with the opposite sign"), (0.0, "no load"), (2.0, "twice the load")):
-            yield Question("load", f"it is the right answer to {said}", problem.replace(load=factor * problem.load))
+        for factor, words in ((-1.0, "the load with the opposite sign"), (0.0, "no load"), (2.0, "twice the load")):
+            yield Question("load", f"it is the right answer to {words}", problem.replace(load=factor * problem.load))
         yield Question("load", "it is the right answer to half the load", problem.replace(load=0.5 * problem.load))
     if problem.ties:
         text = "it is the right answer without the ties"
@@ -306,7 +306,7 @@ def diagnose(
 def _explained(evidence: Evidence) -> list[Explanation]:
     """Return what the first group of families that explains the answer says."""
     for group in GROUPS:
-        found = [one for family in group for one in family(evidence) if one.left <= LEFT]
+        found = [one for family in group for one in family(evidence) if one.error <= LEFT]
         if found:
             return found
     return []
@@ -324,10 +324,10 @@ def _others(right: Solution | None) -> Iterator[Finding]:
 
 def _best(found: list[Explanation]) -> list[Finding]:
     """Return the best explanation and those that are as good, one of a kind."""
-    least = min(one.left for one in found)
+    least = min(one.error for one in found)
     kept: dict[str, Explanation] = {}
     for one in found:
-        if one.left <= max(AS_GOOD * least, NOTHING_LEFT):
+        if one.error <= max(AS_GOOD * least, NOTHING_LEFT):
             kept.setdefault(one.finding.kind, one)
     return [finding for one in kept.values() for finding in (one.finding, *one.beside)]
 
@@ -378,15 +378,15 @@ def paragraph(
             causes[-1] += f", and {one.text}"
         elif one.cause:
             causes.append(one.text)
-    said = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
+    sentences = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
     if not causes:
-        said = [one.text for one in findings if one.kind != "several"] or list(certificate.failures)
+        sentences = [one.text for one in findings if one.kind != "several"] or list(certificate.failures)
         if worst is not None and worst.right_normal_force is not None:
             force, length = unit_of(problem.units.force), unit_of(problem.units.length)
             values = f"a force of {worst.right_normal_force:.6g}{force} at a gap of {worst.right_gap:.3g}{length}"
             more = f", and {others} other contact{'s are' if others > 1 else ' is'} wrong too" if others else ""
-            said.append(f"right would be {values} at {worst.name}{more}")
-    said += [one.text for one in findings if one.kind == "several"]
+            sentences.append(f"right would be {values} at {worst.name}{more}")
+    sentences += [one.text for one in findings if one.kind == "several"]
     if why_not is not None:
-        said.append(f"no right answer can be set beside it ({why_not})")
-    return "; ".join(said)
+        sentences.append(f"no right answer can be set beside it ({why_not})")
+    return "; ".join(sentences)

@@ -163,16 +163,16 @@ def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, lim
             "slipping without friction of mu l_N against the slip",
         ),
     )
-    for kind, measure, said, what in sizes:
+    for kind, measure, worded, what in sizes:
         beyond = np.flatnonzero(measure > limit)
         if not beyond.size:
             continue
         worst = beyond[np.argsort(-measure[beyond], kind="stable")]
         if len(worst) == 1:
             i = int(worst[0])
-            yield Finding(kind, f"{problem.contact_name(i)} is {what} ({said(i)})")
+            yield Finding(kind, f"{problem.contact_name(i)} is {what} ({worded(i)})")
             continue
-        named = ", ".join(f"{problem.contact_name(int(i))} ({said(int(i))})" for i in worst[:NAMED])
+        named = ", ".join(f"{problem.contact_name(int(i))} ({worded(int(i))})" for i in worst[:NAMED])
         more = f" and {len(worst) - NAMED} more contacts" if len(worst) > NAMED else ""
         yield Finding(kind, f"{named}{more} are {what}")
 
@@ -192,11 +192,11 @@ def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
         return ""
     force, moved = answer.friction_force[i], slip[i]
     size = float(np.linalg.norm(force) * np.linalg.norm(moved))
-    said = _friction_of(problem, answer, i)
+    text = _friction_of(problem, answer, i)
     if not 0 < size < np.inf:
-        return said
+        return text
     angle = float(np.degrees(np.arccos(np.clip(force @ moved / size, -1, 1))))
-    return f"{said}, {angle:.3g} degrees off" if angle >= 0.5 else said
+    return f"{text}, {angle:.3g} degrees off" if angle >= 0.5 else text
 
 
 def _part(bound: float) -> str:
@@ -222,7 +222,7 @@ class Explanation:
     """A cause, and how far from right the answer is once it is undone."""
 
     finding: Finding
-    left: float
+    error: float  # what is left of it
     beside: tuple[Finding, ...] = ()  # other causes that are needed too
 
 

@@ -129,8 +129,8 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     part = _multiple(r, problem.load)
     if part is not None and evidence.passes_with(load=(1 - part) * problem.load):
         factor = 1 - part
-        said = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
-        text = f"it is the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
+        words = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
+        text = f"it is the right answer to {words.get(round(factor, 6), f'{factor:.4g} times the load')}"
         yield Explanation(Finding("load", text, True), 0.0)
     missing = abs(r - problem.load) <= OBEYS * abs(problem.load)
     missing &= problem.load != 0
@@ -217,9 +217,9 @@ def _other_cone(evidence: Evidence, sliding: Mask, size: Vector, bound: Vector, 
         other = factor * problem.friction
         if evidence.passes_with(friction=other):
             values = np.unique(np.round(other[other > 0], 9))
-            said = f"mu = {values[0]:.4g}" if len(values) == 1 else f"{factor:.4g} times mu"
+            words = f"mu = {values[0]:.4g}" if len(values) == 1 else f"{factor:.4g} times mu"
             mine = f"{problem.friction[sliding][0]:.4g}"
-            text = f"it is the right answer with {said}, where the problem has mu = {mine}"
+            text = f"it is the right answer with {words}, where the problem has mu = {mine}"
             yield Explanation(Finding("friction-coefficient", text, True), 0.0)
             return
     if force.shape[1] > 1:
@@ -287,7 +287,7 @@ def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iter
     if np.sum(acting) < 2:
         return
     ratio = np.where(acting, force / np.where(acting, right, 1.0), 1.0)
-    for factor, said in ((0.5, "half"), (2.0, "twice")):
+    for factor, words in ((0.5, "half"), (2.0, "twice")):
         members = np.flatnonzero(abs(ratio - factor) <= LEFT)
         if not members.size or len(members) > FEWER * np.sum(acting):
             continue
@@ -297,7 +297,7 @@ def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iter
         left = evidence.apart(undone, evidence.right or evidence.answer)
         if evidence.explains(left):
             names = ", ".join(evidence.problem.contact_name(int(i)) for i in members[:NAMED])
-            text = f"{names} {'has' if len(members) == 1 else 'have'} {said} the right force, all others are right: "
+            text = f"{names} {'has' if len(members) == 1 else 'have'} {words} the right force, all others are right: "
             text += "a contact row that appears twice in the model?"
             yield Explanation(Finding("duplicate-row", text, True), left)
             return
@@ -415,10 +415,10 @@ def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
     undone = evidence.with_parts(**{name: getattr(evidence.given, name) / factor for name, factor in odd.items()})
     left = evidence.apart(undone, evidence.right or evidence.answer)
     if evidence.explains(left):
-        said = " and ".join(f"all {CALLED[name]} are {factor:.6g} times the right ones" for name, factor in odd.items())
+        text = " and ".join(f"all {CALLED[name]} are {factor:.6g} times the right ones" for name, factor in odd.items())
         area = next(iter(odd.values()))
         hint = f" (pressures, on areas of {1 / area:.4g}?)" if set(odd) <= FORCES_OF_CONTACTS and area > 0 else ""
-        yield Explanation(Finding("scaled", f"{said}, to {digits(left)}{hint}", True), left)
+        yield Explanation(Finding("scaled", f"{text}, to {digits(left)}{hint}", True), left)
 
 
 # Nodes that must have moved alike, and pushing contacts that must have one gap.

@@ -37,7 +37,7 @@ def orders(evidence: Evidence) -> Iterator[Explanation]:
         left = evidence.apart(undone, evidence.right)
         if evidence.explains(left):
             then = evidence.then(undone, left)
-            *others, last = [Finding(kind, said, True, i > 0) for i, (_, kind, said) in enumerate(found)]
+            *others, last = [Finding(kind, text, True, i > 0) for i, (_, kind, text) in enumerate(found)]
             last = replace(last, text=f"{last.text}: {then} in the problem's order")
             first, *beside = [*others, last]
             yield Explanation(first, left, tuple(beside))
@@ -61,17 +61,17 @@ def _of_contacts(evidence: Evidence) -> Order | None:
         changes["friction_force"] = evidence.given.friction_force[place]
     count = len(mine)
     if np.array_equal(place, np.arange(count)[::-1]):
-        said = "the contacts stand in reverse order"
+        words = "the contacts stand in reverse order"
     else:
         moved = np.flatnonzero(place != np.arange(count))
         names = [
             f"{evidence.problem.contact_name(int(i))} has the force of {evidence.problem.contact_name(int(j))}"
             for i, j in zip(place[moved[:2]], moved[:2], strict=True)
         ]
-        said = f"the contacts stand in another order ({', '.join(names)})"
+        words = f"the contacts stand in another order ({', '.join(names)})"
     if count <= WRITTEN:
-        said += f", contact_map={[int(i) for i in place]}"
-    return changes, "permuted", said
+        words += f", contact_map={[int(i) for i in place]}"
+    return changes, "permuted", words
 
 
 def _places(mine: Vector, right: Vector) -> Indices | None:
@@ -92,16 +92,16 @@ def _of_unknowns(evidence: Evidence) -> Order | None:
     if mine is None or evidence.right is None or evidence.part_apart("displacement", mine, _right(evidence)) <= LEFT:
         return None
     right = _right(evidence)
-    for place, said in _regular_orders(len(mine)):
+    for place, words in _regular_orders(len(mine)):
         if evidence.part_apart("displacement", mine[place], right) <= LEFT:
-            return {"displacement": mine[place]}, "permuted-unknowns", said
+            return {"displacement": mine[place]}, "permuted-unknowns", words
     general = _places(mine, right)
     if general is None or evidence.part_apart("displacement", mine[general], right) > LEFT:
         return None
-    said = "the unknowns stand in another order"
+    words = "the unknowns stand in another order"
     if len(mine) <= WRITTEN:
-        said += f", dof_map={[int(i) for i in general]}"
-    return {"displacement": mine[general]}, "permuted-unknowns", said
+        words += f", dof_map={[int(i) for i in general]}"
+    return {"displacement": mine[general]}, "permuted-unknowns", words
 
 
 def _right(evidence: Evidence) -> Vector:
@@ -141,11 +141,11 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
         (mine[:, ::-1] * [1.0, -1.0], "tangent-order", "the tangential directions are turned by a right angle"),
         (mine[:, ::-1] * [-1.0, 1.0], "tangent-order", "the tangential directions are turned by a right angle"),
     )
-    for changed, kind, said in tried:
+    for changed, kind, text in tried:
         undone = evidence.with_parts(friction_force=np.ascontiguousarray(changed))
         left = evidence.apart(undone, right)
         if evidence.explains(left):
-            yield Explanation(Finding(kind, f"{said}: undone, {evidence.then(undone, left)}", True), left)
+            yield Explanation(Finding(kind, f"{text}: undone, {evidence.then(undone, left)}", True), left)
             return
     yield from _of_angle(evidence, mine, right)
 
@@ -167,10 +167,10 @@ def _of_components(evidence: Evidence, mine: Array, right: Solution) -> Iterator
             left = evidence.apart(undone, right)
             if evidence.explains(left):
                 turned = " with the opposite sign" if sign < 0 else ""
-                said = (
+                message = (
                     f"the components of the contact forces are mixed up ({words[order[0]]} is the normal one{turned})"
                 )
-                text = f"{said}: undone, {evidence.then(undone, left)}"
+                text = f"{message}: undone, {evidence.then(undone, left)}"
                 yield Explanation(Finding("components", text, True), left)
                 return
 
@@ -189,8 +189,8 @@ def _of_angle(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Expl
     if evidence.explains(left):
         mirrored = np.linalg.det(turn) < 0
         angle = float(np.degrees(np.arctan2(turn[0, 1], turn[0, 0])))
-        said = "mirrored and turned" if mirrored else f"turned by {abs(angle):.4g} degrees"
-        text = f"the tangential directions are {said}: undone, {evidence.then(undone, left)}"
+        words = "mirrored and turned" if mirrored else f"turned by {abs(angle):.4g} degrees"
+        text = f"the tangential directions are {words}: undone, {evidence.then(undone, left)}"
         yield Explanation(Finding("tangent-turned", text, True), left)
 
 
@@ -222,11 +222,11 @@ def two_mistakes(evidence: Evidence, explained: Callable[[Evidence], list[Explan
         after = replace(evidence, given=undone.given, answer=completed.answer, certificate=found)
         others = explained(after)
         if any(one.finding.kind != "scaled" for one in others):
-            best = min(others, key=lambda one: one.left)
+            best = min(others, key=lambda one: one.error)
             beside = tuple(replace(one, together=True) for one in (best.finding, *best.beside))
             first, *rest = beside
             beside = (replace(first, text=f"with that undone, {first.text}"), *rest)
-            return [Explanation(Finding(undone.kind, undone.text, True), best.left, beside)]
+            return [Explanation(Finding(undone.kind, undone.text, True), best.error, beside)]
         if after.before <= min(ROUGHLY, evidence.before / NEARER):
             text = f"{undone.text}: with that undone it agrees with the right answer to {digits(after.before)} only"
             return [Explanation(Finding(undone.kind, text, True), after.before)]

@@ -345,7 +345,7 @@ class _Judging:
         along = np.zeros((1 + unknowns.shape[1], len(self.answer.u)))
         along[0, unknowns] = judged.direction
         for axis in range(unknowns.shape[1]):
-            along[1 + axis, unknowns[:, axis]] = judged.known[:, axis]
+            along[1 + axis, unknowns[:, axis]] = judged.measured[:, axis]
         return max(self.answer.noise_along(one) for one in along)
 
     def _mesh_errors(self, number: int, size: float) -> Errors:

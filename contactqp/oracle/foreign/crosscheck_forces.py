@@ -88,7 +88,7 @@ class PairNodes:
     direction : (q, d) array
         The normal of the master at each, or minus the slave's own where it has no partner; without the parts along
         which supports, ties or other pairs act on the node, and longer by as much, so that force n times it is force.
-    known : (q, d) array of bool
+    measured : (q, d) array of bool
         Where the force of the pair on a node is known along an axis: nothing else acts there.
     row : (q,) array of int
         The contact of each among those of the pair, -1 where it has none.
@@ -101,7 +101,7 @@ class PairNodes:
     contact: DeckContact
     nodes: Index
     direction: Array
-    known: Mask
+    measured: Mask
     row: Index
     contacts: Index
     alone: bool
@@ -130,7 +130,7 @@ class PairNodes:
     def forces(self, answer: ForeignAnswer) -> tuple[Vector, Array]:
         """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
         if self.alone:
-            vectors = np.where(self.known, answer.forces[self.unknowns], 0.0)
+            vectors = np.where(self.measured, answer.forces[self.unknowns], 0.0)
             return self.along(vectors), vectors
         force = np.where(self.contacts < 0, 0.0, answer.recovered[self.contacts])
         return force, force[:, None] * self.direction
@@ -223,5 +223,5 @@ def reference_forces(
         if not judged.alone and discretisation == "node-to-segment":
             found.append(np.where(judged.row < 0, 0.0, force[judged.row])[:, None] * judged.direction)
         else:
-            found.append(np.where(judged.known, on_bodies[judged.unknowns], 0.0))
+            found.append(np.where(judged.measured, on_bodies[judged.unknowns], 0.0))
     return found

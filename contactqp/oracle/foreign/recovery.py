@@ -280,7 +280,7 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     residual = residual - rows.friction_force(known.friction_force)
     everything = _Unknowns(problem, missing, np.arange(problem.contacts))
     pulls = np.arange(everything.rows.shape[0]) >= everything.normals
-    ahead = None if problem.tangent is not None else everything.left(known.displacement)
+    ahead = None if problem.tangent is not None else everything.missed_lengths(known.displacement)
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(known, found), how
@@ -317,7 +317,7 @@ class _Unknowns:
         none = sp.csr_matrix((0, problem.dimension))
         self.rows = sp.csr_matrix(sp.vstack([sp.csr_matrix(block) for block in blocks])) if blocks else none
 
-    def left(self, displacement: Vector) -> Vector:
+    def missed_lengths(self, displacement: Vector) -> Vector:
         """Return the lengths that the rows leave without friction: gaps, and what ties are open by."""
         rows, u = extended_rows(self._problem), extend(displacement)
         gap = (extend(self._problem.gap) - rows.normal @ u).double()[self._contacts]

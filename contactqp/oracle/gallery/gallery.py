@@ -142,12 +142,12 @@ def chosen_problems(
     return [problem(name) for name in dict.fromkeys(names)] if names else problems(kind, difficulty, count, seed)
 
 
-def refuse_unknown(what: str, value: object, known: tuple[str, ...]) -> None:
+def refuse_unknown(what: str, value: object, allowed: tuple[str, ...]) -> None:
     """Raise unless a word is None or known."""
-    if value is not None and value not in known:
-        near = get_close_matches(str(value), known, 1)
+    if value is not None and value not in allowed:
+        near = get_close_matches(str(value), allowed, 1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        raise InvalidProblem(f"gallery: {what}: expected one of {', '.join(known)}, got {shown(value)}{hint}")
+        raise InvalidProblem(f"gallery: {what}: expected one of {', '.join(allowed)}, got {shown(value)}{hint}")
 
 
 def _of_kind(kind: str, difficulty: str | None, count: int, seed: int) -> list[GalleryProblem]:
@@ -227,23 +227,23 @@ def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
     return root
 
 
-def summary(known: GalleryProblem) -> dict[str, Any]:
+def summary(exact: GalleryProblem) -> dict[str, Any]:
     """Return what a list of problems says of one."""
-    data = known.data
+    data = exact.data
     return {
-        "name": known.name,
-        "kind": known.kind,
-        "difficulty": known.difficulty,
-        "folder": known.name,
+        "name": exact.name,
+        "kind": exact.kind,
+        "difficulty": exact.difficulty,
+        "folder": exact.name,
         "unknowns": data.unknowns,
         "contacts": data.contacts,
         "directions_of_slip": data.directions,
         "ties": len(data.tie),
-        "unique_displacement": known.unique_displacement,
-        "unique_forces": known.unique_forces,
-        "description": known.description,
-        "formula": known.formula,
-        "source": known.source,
+        "unique_displacement": exact.unique_displacement,
+        "unique_forces": exact.unique_forces,
+        "description": exact.description,
+        "formula": exact.formula,
+        "source": exact.source,
     }
 
 

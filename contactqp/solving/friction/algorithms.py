@@ -273,7 +273,7 @@ def run_any(
                 form,
                 ALGORITHMS[name],
                 find("clarabel" if ALGORITHMS[name].convex else "active-set"),
-                replace(settings, max_iter=limit, time_limit=deadline.left),
+                replace(settings, max_iter=limit, time_limit=deadline.remaining),
                 from_best,
                 accepted,
             )

@@ -277,7 +277,7 @@ def solve_on_contacts(
     for size in _force_sizes(balanced):
         form = LocalForm(contacts.local, size)
         start = None if balanced is None else balanced / size
-        left = replace(settings, time_limit=deadline.left)
+        left = replace(settings, time_limit=deadline.remaining)
         try:
             return _on_form(problem, condensation, contacts, form, start, method, left, algorithm)
         except NotConverged as error:
@@ -350,7 +350,7 @@ def _near(
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
     for tried, combination in enumerate(every[nearest]):
-        if deadline.passed or (deadline.left is None and tried == most):
+        if deadline.passed or (deadline.remaining is None and tried == most):
             some = f"the {tried} nearest of {len(every)} combinations"
             return [], f"; {some} fail as well; a longer time_limit tries more"
         answer = contacts.answer_in(combination, plain)

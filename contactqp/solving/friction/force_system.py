@@ -62,7 +62,7 @@ class CombinationAnswer:
     motion: Vector  # (q,) a
     gap: Vector  # (m,) g - N x
     slip: Vector  # (m,) T x - o
-    left: float  # the largest residual of the system: not rounding where the combination has no answer
+    residual: float  # the largest residual of the system: not rounding where the combination has no answer
 
     def worst(self, coefficient: Vector) -> Vector:
         """Return by how much the signs of each contact fail (m,), negative where they hold."""

@@ -207,7 +207,7 @@ class Deadline:
         self._limit = limit
 
     @property
-    def left(self) -> float | None:
+    def remaining(self) -> float | None:
         """The seconds left, None without a limit."""
         return None if self._limit is None else max(self._end - time.perf_counter(), 0.0)
 

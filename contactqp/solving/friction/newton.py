@@ -158,7 +158,7 @@ def search(
             wrong = np.where(held_open, -np.inf, wrong)
         size = max(lengths.felt(status), float(np.max(found.normal, initial=0.0)))
         # A combination that has no answer may be passed through, and is none.
-        worst = max(float(np.max(wrong, initial=0.0)), found.left if found.left > DOUBTFUL * size else 0.0)
+        worst = max(float(np.max(wrong, initial=0.0)), found.residual if found.residual > DOUBTFUL * size else 0.0)
         if worst <= ROUNDING * size:
             return _not_drowned(system, lengths, found, held_open), steps
         if best is None or worst / size < best[0]:
@@ -186,7 +186,7 @@ def _not_drowned(
 ) -> CombinationAnswer:
     """Return an answer whose signs fail by rounding alone; refuse it where rounding is as large as the answer."""
     wrong = np.where(False if held_open is None else held_open, 0.0, found.worst(system.coefficient))
-    fails = max(float(np.max(wrong, initial=0.0)), found.left)
+    fails = max(float(np.max(wrong, initial=0.0)), found.residual)
     parts = (lengths.target, found.normal, found.friction, found.gap, found.slip)
     if fails > DROWNED * max(float(np.max(abs(part), initial=0.0)) for part in parts):
         raise NotConverged("newton: beside the displacement without contact forces nothing is left of the answer")
