@@ -222,7 +222,7 @@ def _felt(limits: Vector) -> Vector:
 
 
 def highs(cost: Vector, **constraints: Any) -> Any:
-    """Solve a linear program of `scipy.optimize.linprog` by the simplex method; None where it fails or costs too much."""
+    """Solve a linear program as `linprog` takes it by the simplex method; None where it fails or costs are high."""
     from scipy.optimize import linprog
 
     if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
