@@ -215,6 +215,8 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
         "Solution.plot": (solution.plot, {}),
         **{f"Solutions.{name}": (getattr(given.objects()["cases"], name), dict(i=0))
            for name in ("case", "displacement")},
+        **{f"Solutions.{name}": (getattr(given.objects()["cases"], name), arguments)
+           for name, arguments in (("plot", {}), ("table", {}), ("write_csv", dict(file=folder / "cases.csv")))},
         "Solution.derivative": (solution.derivative, dict(of="gap", with_respect_to="load", direction=np.ones(2))),
         "ExactSolution.derivative": (given.objects()["exact"][0].derivative, dict(of="gap", with_respect_to="load",
             direction=np.ones(2))),
@@ -326,6 +328,7 @@ def options() -> dict[str, tuple[Call, list[str]]]:
             "slip_origin", "tie", "tie_value", "dof_names", "contact_names", "units", "near_null_space"]),
         "History.plot": (history.plot, {}, ["title", "time_unit"]),
         "MotionHistory.plot": (motion.plot, {}, ["title", "time_unit"]),
+        "Solutions.plot": (given.objects()["cases"].plot, {}, ["title", "scale"]),
         "Solution.plot": (solution[0].plot, {}, ["title", "contacts", "scale"]),
         "compare": (cq.compare, dict(problem=problem, methods=["penalty"]), ["penalty"]),
         "exact": (cq.exact, dict(problem=problem), ["gap", "load", "stiffness"]),

@@ -1,13 +1,15 @@
-"""A history contact by contact, as rows to be printed, plotted or written to a file."""
+"""A history or many load cases contact by contact, as rows to be printed, plotted or written to a file."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Generic, TypeVar, overload
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
+from contactqp.model.problem_data import Units
 from contactqp.model.solution import Solution
 from contactqp.model.summary import Printed, Table, csv_text, number, without_rounding
 
@@ -36,19 +38,43 @@ class ContactRow:
 
 
 @dataclass(frozen=True)
-class ContactTable(Printed, Sequence[ContactRow]):
-    """The table of `History.table`: a row for each contact at each instant; `str` prints it."""
+class CaseRow:
+    """One contact in one load case, as `Solutions` has it; numbers are NaN where the case has no answer."""
+
+    case: int | str  # its number from 0 on, or its name
+    contact: str
+    status: str  # "open", "closed", "grazing", "stick", "slip" or, without an answer, "unknown"
+    normal_force: float  # positive in compression
+    friction_force: tuple[float, ...]  # (d-1,) l_T, what the body does to the obstacle; () without friction
+    gap: float  # positive when open
+    passed: bool  # the verdict on the case
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """Return the row's entries in the order of `ContactTable.columns`."""
+        return self.case, self.contact, self.status, self.normal_force, *self.friction_force, self.gap, self.passed
+
+
+Row = TypeVar("Row", ContactRow, CaseRow)
+
+
+@dataclass(frozen=True)
+class ContactTable(Printed, Sequence[Row], Generic[Row]):
+    """The table of `History.table` or `Solutions.table`: a row for each contact at each instant or in each load case.
+
+    `str` prints it.
+    """
 
     columns: tuple[str, ...]  # with units where the problem has them: "time [s]", "normal_force [N]"
-    rows: tuple[ContactRow, ...]
+    rows: tuple[Row, ...]
 
     @overload
-    def __getitem__(self, place: int) -> ContactRow: ...
+    def __getitem__(self, place: int) -> Row: ...
 
     @overload
-    def __getitem__(self, place: slice) -> tuple[ContactRow, ...]: ...
+    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
 
-    def __getitem__(self, place: int | slice) -> ContactRow | tuple[ContactRow, ...]:
+    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
         return self.rows[place]
 
     def __len__(self) -> int:
@@ -64,7 +90,8 @@ class ContactTable(Printed, Sequence[ContactRow]):
         )
         few = f", the first {len(shown)} shown; to_csv() has all" if len(shown) < len(self) else ""
         title = f"{len(self)} row{'' if len(self) == 1 else 's'}{few}"
-        headings = ("#", *(name.replace("_force", "") for name in self.columns[1:]))
+        first = "#" if self.columns[0] == "instant" else self.columns[0]
+        headings = (first, *(name.replace("_force", "") for name in self.columns[1:]))
         return Table(title, headings, cells).text()
 
     def to_dicts(self) -> list[dict[str, Any]]:
@@ -91,7 +118,7 @@ class ContactTable(Printed, Sequence[ContactRow]):
             ) from None
 
 
-def contact_table(history: Sequence[Solution], times: Sequence[float], time_label: str) -> ContactTable:
+def contact_table(history: Sequence[Solution], times: Sequence[float], time_label: str) -> ContactTable[ContactRow]:
     """Return the table of a history; its solutions are certified on the way.
 
     Parameters
@@ -102,13 +129,17 @@ def contact_table(history: Sequence[Solution], times: Sequence[float], time_labe
         The heading of the column of times, with their unit.
     """
     friction = history[0].friction_force if len(history) else None
-    components = 0 if friction is None else friction.shape[1]
-    names = ["friction_force"] if components == 1 else [f"friction_force_{k + 1}" for k in range(components)]
-    units = history[0].problem.units if len(history) else None
-    force, length = (f" [{unit}]" if unit else "" for unit in (units and units.force, units and units.length))
-    measured = [*(f"{name}{force}" for name in ("normal_force", *names)), f"gap{length}"]
+    measured = columns_of(history[0].problem.units if len(history) else Units(), friction)
     rows = (row for k, solution in enumerate(history) for row in _rows(k, float(times[k]), solution))
     return ContactTable(("instant", time_label, "contact", "status", *measured), tuple(rows))
+
+
+def columns_of(units: Units, friction: Array | None) -> list[str]:
+    """Return the headings of forces and gap, with units; `friction` (..., d-1) is the friction force, if there is."""
+    components = 0 if friction is None else friction.shape[-1]
+    names = ["friction_force"] if components == 1 else [f"friction_force_{k + 1}" for k in range(components)]
+    force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
+    return [*(f"{name}{force}" for name in ("normal_force", *names)), f"gap{length}"]
 
 
 def _rows(instant: int, time: float, solution: Solution) -> Iterator[ContactRow]:

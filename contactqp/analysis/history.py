@@ -18,7 +18,7 @@ from typing import Any, NoReturn, Protocol, overload
 
 import numpy as np
 
-from contactqp.analysis.contact_table import ContactTable, contact_table
+from contactqp.analysis.contact_table import ContactRow, ContactTable, contact_table
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
@@ -196,7 +196,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
     @checked
-    def table(self, time_label: str = "") -> ContactTable:
+    def table(self, time_label: str = "") -> ContactTable[ContactRow]:
         """Return time, status, normal force, friction and gap of every contact at every instant, a row each.
 
         `time_label` is the heading of the column of times where the default does not say their unit: "time [ms]".

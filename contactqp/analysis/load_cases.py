@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.analysis.contact_table import CaseRow, ContactTable, columns_of
 from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
+from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_names, read_only
 from contactqp.model.solution import Solution, Work
 from contactqp.model.summary import Printed, Table, number
 from contactqp.solving.solve import solve
@@ -268,6 +271,37 @@ class Solutions(ReadOnly, Printed):
             return Envelope(np.full(m, np.nan), np.full(m, -1), names)
         load = answered[np.argmax(self.normal_force[answered], axis=0)] if m else np.zeros(0, dtype=np.intp)
         return Envelope(self.normal_force[load, np.arange(m)], load, names)
+
+    def table(self, names: Sequence[str] | None = None) -> ContactTable[CaseRow]:
+        """Return status, normal force, friction, gap and verdict of every contact in every case, a row each.
+
+        `names` (N,) are what the cases are called; their numbers from 0 on by default.
+        """
+        called: Sequence[int | str] = range(len(self))
+        if names is not None:
+            called = read_names("names", names, len(self)) or ()
+        measured = columns_of(self.problem.units, self.friction_force)
+        return ContactTable(("case", "contact", "status", *measured, "passed"), tuple(self._rows(called)))
+
+    def _rows(self, called: Sequence[int | str]) -> Iterator[CaseRow]:
+        contacts = [self.problem.contact_name(j) for j in range(self.problem.contacts)]
+        for i, case in enumerate(called):
+            status, passed = [STATUS[k] for k in self._status[i].tolist()], bool(self.passed[i])
+            force, gap = self.normal_force[i].tolist(), self.gap[i].tolist()
+            friction = [[]] * len(contacts) if self.friction_force is None else self.friction_force[i].tolist()
+            for j, contact in enumerate(contacts):
+                yield CaseRow(case, contact, status[j], force[j], tuple(friction[j]), gap[j], passed)
+
+    def write_csv(self, file: str | Path, names: Sequence[str] | None = None) -> None:
+        """Write `table` to a file of comma-separated values; InvalidProblem where it cannot be written."""
+        self.table(names).write_csv(file)
+
+    def plot(self, file: str | Path | None = None, **options: Any) -> Any:
+        """Draw forces and gaps over the cases, into a file if one is given, and return the figure.
+
+        As `contactqp.draw(self, file, ...)`.
+        """
+        return import_module("contactqp.study.answer_pictures").draw(self, file, **options)
 
     def _has(self, i: int) -> bool:
         return -len(self) <= i < len(self)

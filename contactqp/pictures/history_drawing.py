@@ -1,4 +1,4 @@
-"""Pictures of load paths and motions: curves against time or load, with every event marked."""
+"""Pictures of load paths, motions and many load cases: curves against time, load or number, with events marked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.load_cases import Solutions
+from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.pictures import style
@@ -19,6 +21,9 @@ from contactqp.pictures.history_panels import (
     Curve,
     HistoryFields,
     Panel,
+    case_fields,
+    chosen_contacts,
+    contact_panels,
     history_fields,
     load_panel,
     time_label,
@@ -151,7 +156,7 @@ def event_handles(events: Sequence[Event], points: bool) -> list[Any]:
 def _apart(times: Array, least: float) -> Array:
     """Return the times without those that lie within `least` of another one."""
     times = np.unique(times)
-    if least <= 0:
+    if least <= 0 or not len(times):
         return times
     _, first = np.unique(np.floor((times - times[0]) / least), return_index=True)
     return times[first]
@@ -230,6 +235,35 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
     result.suptitle(style.headline(title, _headline(fields)))
     handles = event_handles(fields.events, points=load is not None)
     style.add_legend(result, handles, columns=max(len(handles), 1))
+    return result
+
+
+def cases_figure(many: Solutions, *, title: str = "") -> Figure:
+    """Return the figure of many load cases: gaps and forces of contacts over the numbers of the cases.
+
+    Curves are those of the contacts with the largest forces, and of all together. A case without an answer is a gap in
+    the curves and an upright line.
+
+    Raises InvalidProblem: the problem has no contacts.
+    """
+    if not many.problem.contacts:
+        raise InvalidProblem("draw: expected cases with contacts, got none; displacement(i) is that of case i")
+    fields = case_fields(many)
+    finite = fields.gap[np.isfinite(fields.gap)]
+    panels = contact_panels(fields, chosen_contacts(fields), float(np.max(abs(finite), initial=0.0)))
+    failed = np.flatnonzero(~many.passed)
+    result = style.new_figure(WIDTH, HEIGHT * len(panels) + TEXT)
+    axes = result.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+    for drawn, panel in zip(axes, panels, strict=True):
+        _draw_curves(drawn, panel, [fields.times] * len(panel.curves))
+        for case in _apart(failed.astype(float), ONE_LINE * len(many)).tolist():
+            drawn.axvline(case, color=style.PRESSURE, linewidth=0.8, zorder=1, gid="failed case")
+    axes[-1].set_xlabel("load case")
+    axes[-1].xaxis.get_major_locator().set_params(integer=True)
+    what = f"{counted('load case', len(many))}, {int(many.passed.sum())} passed"
+    result.suptitle(style.headline(title, what))
+    handle = style.line_handle(f"without a certified answer: {len(failed)}", color=style.PRESSURE, linewidth=0.8)
+    style.add_legend(result, [handle] if len(failed) else [], columns=1)
     return result
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.load_cases import Solutions
 from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index, Vector
@@ -177,26 +178,52 @@ class Panel:
 def time_panels(fields: HistoryFields, time_unit: str) -> list[Panel]:
     """Return the panels of displacements, velocities, gaps, forces and energies, as far as the history has them."""
     units, contacts = fields.problem.units, chosen_contacts(fields)
-    length, force = style.length_unit(units), style.force_unit(units)
-    unknowns = chosen_unknowns(fields, contacts)
-    moved, pushed = (_largest(values) for values in (fields.displacement, fields.normal_force))
+    length, unknowns = style.length_unit(units), chosen_unknowns(fields, contacts)
+    moved = _largest(fields.displacement)
     panels = [Panel(f"displacement [{length}]", _unknown_curves(fields, fields.displacement, unknowns), moved)]
     if fields.velocity is not None:
         label = f"velocity [{length}/{time_unit or 'time'}]"
         panels.append(Panel(label, _unknown_curves(fields, fields.velocity, unknowns)))
-    if fields.problem.contacts:
-        panels.append(Panel(f"gap [{length}]", _contact_curves(fields, fields.gap, contacts, "smallest"), moved))
-        panels.append(
-            Panel(f"normal force [{force}]", _contact_curves(fields, fields.normal_force, contacts, "sum"), pushed)
-        )
+    panels += contact_panels(fields, contacts, moved)
+    energies = tuple(Curve(name, value, ENERGIES.index(name)) for name, value in fields.energies.items())
+    panels.append(Panel(f"energy [{style.energy_unit(units)}]", energies))
+    return [panel for panel in panels if panel.curves]
+
+
+def contact_panels(fields: HistoryFields, contacts: Index, moved: float) -> list[Panel]:
+    """Return the panels of gaps, whose terms are of the size `moved` [length], and of normal and friction forces."""
+    if not fields.problem.contacts:
+        return []
+    length, force = style.length_unit(fields.problem.units), style.force_unit(fields.problem.units)
+    pushed = _largest(fields.normal_force)
+    panels = [
+        Panel(f"gap [{length}]", _contact_curves(fields, fields.gap, contacts, "smallest"), moved),
+        Panel(f"normal force [{force}]", _contact_curves(fields, fields.normal_force, contacts, "sum"), pushed),
+    ]
     if fields.friction_force is not None:
         in_plane = fields.friction_force.shape[2] == 1
         values = fields.friction_force[:, :, 0] if in_plane else np.linalg.norm(fields.friction_force, axis=2)
         label = "friction force" if in_plane else "friction force, size"
         panels.append(Panel(f"{label} [{force}]", _contact_curves(fields, values, contacts, "sum"), pushed))
-    energies = tuple(Curve(name, value, ENERGIES.index(name)) for name, value in fields.energies.items())
-    panels.append(Panel(f"energy [{style.energy_unit(units)}]", energies))
-    return [panel for panel in panels if panel.curves]
+    return panels
+
+
+def case_fields(many: Solutions) -> HistoryFields:
+    """Return the forces and gaps of many load cases over their numbers; displacements are left out."""
+    return HistoryFields(
+        problem=many.problem,
+        times=np.arange(len(many), dtype=float),
+        moving=False,
+        displacement=np.zeros((len(many), 0)),
+        velocity=None,
+        load=None,
+        gap=many.gap,
+        normal_force=many.normal_force,
+        friction_force=many.friction_force,
+        energies={},
+        events=(),
+        notes=(),
+    )
 
 
 def time_label(fields: HistoryFields, time_unit: str, stated: str) -> str:

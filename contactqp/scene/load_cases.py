@@ -18,7 +18,7 @@ from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.exchange.files import write_whole
 from contactqp.exchange.tables import CaseRows, read_case_rows
 from contactqp.model.problem import ContactProblem
-from contactqp.model.summary import csv_text, number
+from contactqp.model.summary import number
 from contactqp.scene.judging import Knob, Trial
 from contactqp.scene.scene import build_for
 from contactqp.scene.schema import SceneData
@@ -117,34 +117,9 @@ def _lines(answers: CaseAnswers) -> Iterator[list[str]]:
         yield [name, closed, number(many.normal_force[i, worst]), problem.contact_name(worst), verdict]
 
 
-def cases_table(answers: CaseAnswers) -> tuple[tuple[str, ...], list[list[Any]]]:
-    """Return the columns and the rows, one for each contact of each load case, numbers with all their digits."""
-    many, problem = answers.solutions, answers.solutions.problem
-    friction, status = many.friction_force, many.contact_status
-    width = 0 if friction is None else friction.shape[2]
-    shear = ["friction_force"] if width == 1 else [f"friction_force_{k + 1}" for k in range(width)]
-    units = problem.units
-    force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
-    columns = ("case", "contact", "status", *(f"{name}{force}" for name in ("normal_force", *shear)), f"gap{length}")
-    rows = [
-        [
-            name, problem.contact_name(j), str(status[i, j]), float(many.normal_force[i, j]),
-            *([] if friction is None else friction[i, j].tolist()), float(many.gap[i, j]), bool(many.passed[i]),
-        ]
-        for i, name in enumerate(answers.names)
-        for j in range(problem.contacts)
-    ]  # fmt: skip
-    return (*columns, "passed"), rows
-
-
 def write_cases(answers: CaseAnswers, file: str) -> None:
-    """Write `cases_table` as comma-separated values."""
-    text = csv_text(*cases_table(answers))
-    write_whole(Path(file), lambda beside: _write(beside, text))
-
-
-def _write(file: Path, text: str) -> None:
-    file.write_text(text, encoding="utf-8", newline="\n")
+    """Write a row for each contact of each load case as comma-separated values, numbers with all their digits."""
+    write_whole(Path(file), answers.solutions.table(answers.names).write_csv)
 
 
 def cases_data(answers: CaseAnswers) -> list[dict[str, Any]]:

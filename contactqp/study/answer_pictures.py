@@ -13,6 +13,7 @@ import numpy as np
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.analysis.load_cases import Solutions
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Membrane
 from contactqp.elements.structure import Assembly, System
@@ -25,7 +26,7 @@ from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields, contacts_of, fields_of_solid
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
-from contactqp.pictures.history_drawing import draw_history, history_figure
+from contactqp.pictures.history_drawing import cases_figure, draw_history, history_figure
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
@@ -188,7 +189,7 @@ def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scal
 
 @checked
 def draw(
-    answer: Solution | History,
+    answer: Solution | History | Solutions,
     file: str | Path | None = None,
     *,
     scene: SceneData | str | Path | None = None,
@@ -201,12 +202,12 @@ def draw(
     """Draw an answer: bodies and structures where their geometry is known, a history, else forces and gaps as bars.
 
     A solution of ``system.problem(...)`` knows its bodies, and one of `large_deformation` its solid, which is drawn
-    true to scale. A history is drawn over time or load.
+    true to scale. A history is drawn over time or load, many load cases over their numbers.
 
     Parameters
     ----------
-    answer : Solution or History
-        What `solve`, `run`, `follow_path`, `impact` or `large_deformation` return, or the `history` of a
+    answer : Solution, History or Solutions
+        What `solve`, `solve_many`, `run`, `follow_path`, `impact` or `large_deformation` return, or the `history` of a
         `NotConverged`. Of a history with geometry, and of one of a single instant, the last solution is drawn.
     file : str or Path, optional
         A file to write, which ends in .png, .pdf or .svg.
@@ -232,7 +233,7 @@ def draw(
     Raises
     ------
     InvalidProblem
-        The suffix is unknown, the folder does not exist, the answer is neither a Solution nor a History, or it is not
+        The suffix is unknown, the folder does not exist, the answer is no Solution, History or Solutions, or it is not
         one of this system or this scene.
     Unsupported
         Numbers so large or so far apart that matplotlib has no axes for them.
@@ -251,7 +252,11 @@ def draw(
     path = None if file is None else check_picture(file)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            if scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
+            if isinstance(answer, Solutions):
+                if scene is not None or system is not None:
+                    raise InvalidProblem("draw: many load cases are drawn as curves; with a scene or a system one [i]")
+                drawn = cases_figure(answer, title=title)
+            elif scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
                 drawn = history_figure(answer, title=title, time_unit=time_unit)
             else:
                 drawn = _drawn(answer, scene, system, contacts, title, scale)

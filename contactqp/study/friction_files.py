@@ -276,11 +276,12 @@ def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | No
     """Return a problem that states no units with names for them."""
     if units is None or not units.length:
         return problem
-    if isinstance(problem, LocalProblem) or problem.units.length:
-        local = isinstance(problem, LocalProblem)
-        has = "a problem in local form" if local else f"{problem.units.length} and {problem.units.force}"
-        raise InvalidProblem(f"--units: {file}: expected a deck or matrices without units, got {has}")
-    return problem.replace(units=units)
+    has = "a problem in local form"
+    if isinstance(problem, ContactProblem):
+        if not problem.units.length:
+            return problem.replace(units=units)
+        has = f"{problem.units.length} and {problem.units.force}"
+    raise InvalidProblem(f"--units: {file}: expected a deck or matrices without units, got {has}")
 
 
 def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dict[str, Any]:

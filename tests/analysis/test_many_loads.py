@@ -247,3 +247,36 @@ def test_functions_that_are_not_accurate_are_not_used(monkeypatch: pytest.Monkey
         alone = cq.solve(chain.replace(load=[0.0, 0.0, 0.0, i + 1.0]))
         assert many.normal_force[i] == pytest.approx(alone.normal_force, rel=1e-9)
     assert many.work.routes == ("influence functions: 0 of 4 cases",)
+
+
+def test_the_table_of_load_cases_has_a_row_for_every_contact_of_every_case(tmp_path):
+    problem, given = drawn(np.random.default_rng(7), "friction")
+    many = cq.solve_many(problem, **given)
+    table = many.table()
+    assert len(table) == 12 * problem.contacts
+    for i in (0, 5, 11):
+        for j, row in enumerate(table[i * problem.contacts : (i + 1) * problem.contacts]):
+            assert (row.case, row.contact, row.status) == (i, problem.contact_name(j), many.contact_status[i, j])
+            assert (row.normal_force, row.gap) == (many.normal_force[i, j], many.gap[i, j])
+            assert row.friction_force == tuple(many.friction_force[i, j])
+    many.write_csv(tmp_path / "cases.csv")
+    header, first, *more = (tmp_path / "cases.csv").read_text().splitlines()
+    assert header == "case,contact,status,normal_force,friction_force,gap,passed"
+    assert first.split(",")[0] == "0"
+    assert float(first.split(",")[3]) == many.normal_force[0, 0]
+    assert len(more) == len(table) - 1
+    assert str(table).splitlines()[1].split() == ["case", "contact", "status", "normal", "friction", "gap", "passed"]
+
+
+def test_load_cases_are_called_by_their_names_and_one_without_an_answer_is_unknown(tmp_path):
+    floating = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [0.0, 0.0], [[0.0, 1.0]], [0.1])
+    many = cq.solve_many(floating, loads=[[1.0, 0.0], [-1.0, 0.0]])
+    pressed, pulled = many.table(["pressed", "pulled"])
+    assert (pressed.case, pressed.normal_force, pressed.passed) == ("pressed", 1.0, True)
+    assert (pulled.case, pulled.status, pulled.passed) == ("pulled", "unknown", False)
+    assert np.isnan(pulled.normal_force)
+    for names, said in ((["a"], "expected 2 names, got 1"), (["a", "a"], "distinct names"), (3, "a sequence")):
+        with pytest.raises(cq.InvalidProblem, match=said):
+            many.write_csv(tmp_path / "cases.csv", names)
+    with pytest.raises(cq.InvalidProblem, match="expected a file that can be written"):
+        many.write_csv(tmp_path / "no" / "cases.csv")

@@ -109,3 +109,30 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(tmp_path) -> None:
         cq.draw(solution, scene="bar_wall")
     with pytest.raises(cq.InvalidProblem, match="draw: answer: expected a Solution or a History"):
         cq.draw([1.0])
+
+
+def test_load_cases_are_curves_over_their_numbers(tmp_path) -> None:
+    problem, phases = chain(6, friction=0.3), np.linspace(0, 3, 20)
+    many = cq.solve_many(problem, loads=[8 * np.sin(np.arange(12) / 3 + x) * np.sin(x) for x in phases])
+    figure = many.plot(tmp_path / "cases.png", title="a chain")
+    assert (tmp_path / "cases.png").read_bytes().startswith(b"\x89PNG")
+    assert figure.get_suptitle() == "a chain\n20 load cases, 20 passed"
+    assert [axes.get_ylabel() for axes in figure.axes] == ["gap\n[mm]", "normal force\n[kN]", "friction force\n[kN]"]
+    curves = {line.get_gid(): line.get_ydata() for line in panel(figure, "normal force").get_lines()}
+    assert len(curves) == 6  # five contacts, and all together
+    np.testing.assert_array_equal(curves["sum of all 6"], many.normal_force.sum(axis=1))
+    worst = int(np.argmax(many.normal_force.max(axis=0)))
+    np.testing.assert_array_equal(curves[f"foot.{worst}"], many.normal_force[:, worst])
+
+
+def test_load_cases_without_an_answer_are_upright_lines() -> None:
+    floating = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [0.0, 0.0], [[0.0, 1.0]], [0.1])
+    figure = cq.draw(cq.solve_many(floating, loads=[[1.0, 0.0], [-1.0, 0.0], [2.0, 0.0]]))
+    marks = [line for line in panel(figure, "normal force").get_lines() if line.get_gid() == "failed case"]
+    assert [mark.get_xdata()[0] for mark in marks] == [1.0]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without a certified answer: 1"]
+    free = cq.solve_many(floating.replace(normal=np.zeros((0, 2)), gap=[]), loads=[[1.0, -1.0]])
+    with pytest.raises(cq.InvalidProblem, match="expected cases with contacts"):
+        free.plot()
+    with pytest.raises(cq.InvalidProblem, match="many load cases are drawn as curves"):
+        cq.draw(cq.solve_many(floating, loads=[[1.0, 0.0]]), scene="bar_wall")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.scene.load_cases import cases_table, solve_cases
+from contactqp.scene.load_cases import solve_cases
 from tests.cli.commands import CASES, WALL, run
 
 
@@ -22,9 +22,9 @@ def test_rows_state_loads_and_gaps_and_the_rest_is_the_case(tmp_path):
     assert found.names == ("half", "full", "double", "near")
     assert found.met
     assert found.solutions.normal_force.ravel() == pytest.approx([0.0, 142.5, 442.5, 300.0])
-    columns, rows = cases_table(found)
-    assert columns == ("case", "contact", "status", "normal_force [kN]", "gap [m]", "passed")
-    assert rows[1] == ["full", "tip", "closed", pytest.approx(142.5), 0.0, True]
+    table = found.solutions.table(found.names)
+    assert table.columns == ("case", "contact", "status", "normal_force [kN]", "gap [m]", "passed")
+    assert table[1].cells == ("full", "tip", "closed", pytest.approx(142.5), 0.0, True)
     soft = solved(tmp_path, "case;1.x\nfull;300\n", method="penalty", penalty=1e5)
     assert soft.solutions.normal_force.ravel() == pytest.approx([5700 / 103])
     assert not soft.met
@@ -37,7 +37,7 @@ def test_coefficients_of_friction_and_bodies(tmp_path):
         alone = cq.solve(own.replace(friction=friction))
         assert found.solutions.normal_force[i] == pytest.approx(alone.normal_force)
         assert found.solutions.friction_force[i] == pytest.approx(alone.friction_force)
-    assert "friction_force [kN]" in cases_table(found)[0]
+    assert "friction_force [kN]" in found.solutions.table().columns
     block = solved(tmp_path, "case\nas it is\n", "patch_two_blocks")
     alone = cq.solve(block.solutions.problem)
     assert block.solutions.normal_force[0] == pytest.approx(alone.normal_force, rel=1e-9, abs=1e-12)
