@@ -236,8 +236,10 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
     _judge_parts_alone(judge, u, force)
     if posed:
         _judge_noisy(judge, u, force, tie)
-    for name, wrong_u, wrong in against_the_law(judge.posed.plain, u, force):
-        certificate = judge.certify(f"certify {name}", wrong_u, wrong, None, tie)
+    wrong = [(name, *parts, tie) for name, *parts in against_the_law(judge.posed.plain, u, force)]
+    wrong += [(name, u, *parts) for name, *parts in forces_added(judge.posed.plain, u, force, tie)]
+    for name, wrong_u, pushed, tied in wrong:
+        certificate = judge.certify(f"certify {name}", wrong_u, pushed, None, tied)
         if certificate is not None and certificate.passed:
             judge.found("forgery", f"certify {name}", "passed")
 
@@ -314,6 +316,30 @@ def against_the_law(problem: cq.ContactProblem, u: Array, force: Array) -> Itera
         moved = u.copy()
         moved[at] *= 1 + 1e3 * FORGED
         yield "one displacement off by 0.001", moved, force
+
+
+def forces_added(problem: cq.ContactProblem, u: Array, force: Array, tie: Array) -> Iterator[tuple[str, Array, Array]]:
+    """Forces with more at one contact that never closes, or at one tie, by 0.001 of the largest of all.
+
+    Forces are compared in the root of energy at their own unknowns, where all of these are stiff. Those of ties are
+    unique where the rows of ties and of closed contacts are independent.
+    """
+    compliance = np.divide(1.0, problem.diagonal, out=np.full(problem.dimension, np.nan), where=problem.diagonal > 0)
+
+    def felt(rows: Any) -> Array:
+        dense = rows.toarray()
+        return np.asarray(np.sqrt(np.sum(np.where(dense != 0, dense**2 * compliance, 0.0), axis=1)))
+
+    of_contact, of_tie = felt(problem.normal), felt(problem.tie)
+    largest = np.nanmax(np.append(of_contact * abs(force), of_tie * abs(tie)), initial=0.0)
+    for at in np.flatnonzero(np.isinf(problem.gap) & (of_contact > 0) & (largest > 0))[:1]:
+        yield "a force where nothing closes", force + np.eye(len(force))[at] * 1e-3 * largest / of_contact[at], tie
+    closed = problem.normal.toarray()[problem.gap - problem.normal @ u <= 1e-9 * (abs(problem.normal) @ abs(u))]
+    held = np.vstack([closed, problem.tie.toarray()])
+    held /= np.where(np.any(held, axis=1), np.max(abs(held), axis=1, initial=0.0), 1.0)[:, None]
+    if largest > 0 and np.min(np.linalg.svd(held, compute_uv=False), initial=1.0) > 1e-3 and len(held) <= held.shape[1]:
+        for at in np.flatnonzero(of_tie > 0)[-1:]:
+            yield "a tie force off by 0.001", force, tie + np.eye(len(tie))[at] * 1e-3 * largest / of_tie[at]
 
 
 def pushed_apart(problem: cq.ContactProblem, u: Array, force: Array) -> Array | None:

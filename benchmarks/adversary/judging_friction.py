@@ -145,6 +145,13 @@ def _forge_friction(judge: Judge, solution: Any) -> None:
         rubbing = friction.copy()
         rubbing[at] = (1 + 1e3 * FORGED) * mu * normal[at] * np.eye(friction.shape[1])[0]
         forged.append(("friction beyond its bound", u, normal, rubbing))
+    smooth = np.flatnonzero((np.asarray(judge.posed.plain.friction) == 0) & np.any(rows, axis=1))
+    for one in smooth[:1]:
+        rubbing = friction.copy()
+        rubbing[one] = 1e3 * FORGED * float(np.max(normal)) * np.eye(width)[0]
+        acting = abs(judge.posed.plain.tangent.toarray()[width * one]) * rubbing[one, 0]  # type: ignore[union-attr]
+        if np.any(acting > HARDLY_SEEN * floor):
+            forged.append(("friction where there is none", u, normal, rubbing))
     forged += _rougher(judge, sizes)
     for name, *parts in forged:
         certificate = judge.certify(f"certify {name}", *parts, tie)

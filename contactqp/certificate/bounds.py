@@ -111,8 +111,8 @@ class Bounds:
     relative_force_bound: Vector | None = None
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
-    # max |l*_i| |E_i D|, without friction; where bodies float |l*|_W would have a rigid response in it.
-    largest_force: float = 0.0
+    largest_force: float = 0.0  # max |l*_i| |E_i D|, without friction; |l*|_W has rigid responses in it, too
+    ties: tuple[float, float] = (0.0, 0.0)  # max |nu_i - nu*_i| |A_i D|, max |nu*_i| |A_i D|, if contacts have none
     rounding: float = 0.0  # what the refinement cannot tell from zero
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
@@ -302,7 +302,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         cleared=pair.cleared,
         undecided=pair.undecided,
     )
-    error, scale = _force_error(problem, condensation, pair, changes, bounds)
+    error, scale, ties = _force_error(problem, condensation, pair, changes, bounds)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -323,6 +323,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=0.0 if nothing_elastic else energy_error,
         force_error=0.0 if nothing_elastic else error + shared_part,
         force_scale=scale,
+        ties=ties,
         shared=shared_part,
         largest_force=largest,
         force_bound=force_bound,
@@ -351,16 +352,15 @@ def _force_error(
     pair: AdmissiblePair,
     changes: tuple[Extended, Extended],
     bounds: Bounds,
-) -> tuple[float, float]:
-    """Return the bound (3) on the distance of the answer's forces from the pair's relative to |l*|_W, and |l*|_W.
+) -> tuple[float, float, tuple[float, float]]:
+    """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
 
-    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair.
-
-    Forces beneath the rounding of the data are zero: one unit in the last place of a load changes |l*|_W by as much as
-    |u*|_K. Where ties act, W is also taken without them, of contact forces and those of ties together, which differ
-    from the true ones by |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these
-    norms know little where they are slender: there forces of independent ties are compared one by one, at their own
-    unknowns. The largest error is the bound.
+    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces beneath the rounding
+    of the data are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where ties act, W is
+    also taken without them, of contact forces and those of ties together, which differ from the true ones by
+    |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these norms know little where
+    they are slender: there forces of independent ties are compared one by one, at their own unknowns. The largest error
+    is the bound.
     """
     floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
@@ -380,9 +380,9 @@ def _force_error(
         largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        return max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed), size
+        return max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed), size, (missed, largest)
     errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
-    return max(missed / largest if largest > 0 else 0.0, *errors), size
+    return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:
@@ -474,6 +474,9 @@ def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
         if not value * size <= max(limit * size, bounds.rounding) + forgiven:
             cure = STATE_MOTIONS if name == "force_error" and bounds.shared > value / 2 else ""
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
+    missed, largest = bounds.ties
+    if missed > max(tolerance * largest, bounds.rounding, nothing):
+        yield f"force_error: a tie's force may be off by {missed:.3g} sqrt(energy), the largest being {largest:.3g}"
 
 
 def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
