@@ -84,8 +84,7 @@ from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Ans
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
-# Forces of this part of the displacement's energy norm, or a displacement of this part of the forces', have an absolute
-# error.
+# Forces of this part of the displacement's energy norm have an absolute error, and the other way round.
 NEXT_TO_NOTHING = 1e-12
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
@@ -359,8 +358,7 @@ def _force_error(
     of the data are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where ties act, W is
     also taken without them, of contact forces and those of ties together, which differ from the true ones by
     |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these norms know little where
-    they are slender: there forces of independent ties are compared one by one, at their own unknowns. The largest error
-    is the bound.
+    they are slender: there forces of independent ties are compared one by one. The largest error is the bound.
     """
     floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
