@@ -348,11 +348,18 @@ class Assembly:
     pairings: tuple[Pairing, ...]
 
     def under(self, load: Vector) -> System:
-        """Return the system with loads (f,) on its free unknowns as a problem of it states them [force]."""
+        """Return the system with loads (f,) on its free unknowns as a problem of it states them [force].
+
+        A multiple of its own load is one on held unknowns too, where others leave what is.
+        """
         if np.array_equal(load, self.system.f):
             return self.system
         free, whole = self.system.free, self.system.load.copy()
-        whole[free] = load + (self.system.structure.stiffness @ self.system.given)[free]
+        own, stated = whole[free], load + (self.system.structure.stiffness @ self.system.given)[free]
+        factor = float(stated @ own) / float(own @ own) if own.any() else 1.0
+        if abs(stated - factor * own).max(initial=0.0) <= ROUNDING * abs(stated).max(initial=0.0):
+            return replace(self.system, load=factor * whole)
+        whole[free] = stated
         return replace(self.system, load=whole)
 
 

@@ -95,6 +95,30 @@ def test_the_load_of_the_truss_is_an_arrow_that_ends_at_its_foot():
     assert "load, in all 60 and -100 kN along x and z, longest arrow 116.6 kN" in labels
 
 
+def of_loads(figure):
+    """Return the entries of loads in the legends of a figure."""
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts() if "load" in text.get_text()]
+
+
+@pytest.mark.parametrize(
+    ("case", "said"),
+    [("cantilever_stop", "0 and -20 kN along x and y"), ("string_over_floor", "0 and -2 N along x and z")],
+)
+def test_the_resultant_of_loads_has_the_part_that_supports_take_at_once(case, said):
+    figure = structure_figure(fields(case))  # 10 kN/m on 2 m, half of it at the root; 1 N/m on 2 m, held at both ends
+    assert [label.partition(", longest")[0] for label in of_loads(figure)] == [f"load, in all {said}"]
+
+
+def test_the_resultant_of_a_part_of_the_load_has_that_part_at_supports_too():
+    scene = SCENES["cantilever_stop"]
+    problem = scene.problem()
+    half = structure_figure(fields_of(scene, cq.solve(problem.replace(load=problem.load / 2))))
+    assert of_loads(half)[0].startswith("load, in all 0 and -10 kN along x and y")
+    other = structure_figure(fields_of(scene, cq.solve(problem.replace(load=[1.0, -1.0, 0.0]))))
+    assert of_loads(other)[0].startswith("load, in all 1 and -1 kN along x and y")  # no part of the scene's load
+    assert not of_loads(structure_figure(fields_of(scene, cq.solve(problem.replace(load=np.zeros(3))))))
+
+
 @pytest.mark.parametrize(("axis", "across"), [("x", 1), ("z", 0)])
 def test_a_bar_along_z_stands_upright(axis, across):
     scene = cq.Scene(

@@ -67,6 +67,18 @@ def test_a_solution_of_bodies_is_drawn_on_them_also_under_another_load() -> None
     assert any("load, in all -0.0001 and 0 MN" in text.get_text() for text in loaded.legends[0].get_texts())
 
 
+@pytest.mark.parametrize(("factor", "said"), [(1.0, "0 and -2 MN"), (1.5, "0 and -3 MN"), (0.0, "")])
+def test_the_load_of_bodies_is_told_with_what_acts_on_supports(factor: float, said: str) -> None:
+    block = cq.Body(cq.rectangle(1.0, 0.5, (4, 2)), cq.Material(1.0, 0.3), "plane-strain", name="block")
+    held = [cq.Support("block", "left", axis) for axis in (0, 1)]
+    system = cq.Structure([block]).assemble(held, [cq.Traction("block", "top", [0.0, -2.0])])
+    problem = system.problem([], units={"length": "m", "force": "MN"})
+    assert problem.load.sum() == pytest.approx(-1.75)  # a node at the end of the loaded side is held
+    drawn = cq.draw(cq.solve(problem.replace(load=factor * problem.load)))
+    labels = [text.get_text() for text in drawn.legends[0].get_texts() if "load" in text.get_text()]
+    assert labels == [] if not said else labels[0].startswith(f"load, in all {said} along x and y")
+
+
 @pytest.mark.parametrize("supported", [True, False])
 def test_a_solid_at_large_deformation_is_drawn_where_it_is(supported: bool) -> None:
     """A block between a plane that comes down by a tenth and its supports, or ties, which hold its lower side."""
