@@ -150,12 +150,9 @@ class RateSystem:
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
-    status : (m,) array of int
-        The combination: OPEN, STICK, SLIP_BACK or SLIP_ON.
-    answer : Parts
-        Displacements and forces whose rates are asked for.
+    condensation : Condensation, that of the problem
+    status : (m,) array of int, the combination: OPEN, STICK, SLIP_BACK or SLIP_ON
+    answer : Parts, displacements and forces whose rates are asked for
 
     Attributes
     ----------

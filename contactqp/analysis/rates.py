@@ -62,6 +62,9 @@ class NoRates(Exception):
 class Linearised:
     """An answer and the systems of its rates, which share its factorisation.
 
+    Raises Unsupported: bodies that are not factorised, and with friction not condensed; InvalidProblem: the answer is
+    not certified.
+
     Attributes
     ----------
     undecided : (q,) array
@@ -70,13 +73,6 @@ class Linearised:
         The states of the others.
     system : RateSystem or None
         None where some are undecided, or nothing is condensed.
-
-    Raises
-    ------
-    Unsupported
-        Bodies that are not factorised, and with friction not condensed.
-    InvalidProblem
-        The answer is not certified.
     """
 
     def __init__(self, solution: Solution) -> None:

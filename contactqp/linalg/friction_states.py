@@ -67,8 +67,7 @@ class Corrections(Protocol):
 
         Parameters
         ----------
-        load : (n,) array [force]
-            What is out of balance.
+        load : (n,) array [force], what is out of balance
         gap, slip, tie : (m,), ((d-1) m,), (k,) arrays [length]
             What gaps, slips and ties miss; those of open contacts and of slips that are free do not count.
 
@@ -113,13 +112,10 @@ class StateSystem:
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
+    condensation : Condensation, that of the problem
     rows : FrictionalRows
-    status : (m,) array of int
-        The combination.
-    directions : (m, d-1) array
-        Of slip, of unit length; zero where a contact does not slip.
+    status : (m,) array of int, the combination
+    directions : (m, d-1) array, of slip, of unit length; zero where a contact does not slip
     turning : (m,) array, optional
         mu l_N / |s| in scaled forces and lengths; None in the plane.
     independent : bool
@@ -195,7 +191,13 @@ class StateSystem:
     def correct(
         self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
     ) -> tuple[Vector, Vector, Array, Vector]:
-        """Return the corrections of `Corrections.correct`, or those of the transposed system."""
+        """Return the corrections of `Corrections.correct`, or those of the transposed system.
+
+        Parameters
+        ----------
+        load, gap, slip, tie : as in `Corrections.correct`
+        transposed : whether the system is the transposed one
+        """
         reduced, inner = self._condensation.reduce_residual(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
@@ -291,16 +293,12 @@ def refined_in(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : Condensation
-        That of the problem.
+    condensation : that of the problem
     rows : FrictionalRows
-    status : (m,) array of int
-        The combination.
+    status : (m,) array of int, the combination
     start : Answer
-    independent : bool
-        As in `StateSystem`.
-    left : Residuals, optional
-        Those of the start, where they are known.
+    independent : as in `StateSystem`
+    left : those of the start, where they are known
     """
     exact = extended_rows(problem)
 
@@ -337,16 +335,12 @@ def refined_by(
 
     Parameters
     ----------
-    make : function of slip directions (m, d-1) and their turning
-        Returns the system.
-    exact : ExtendedRows
-        Form the residuals.
+    make : function of slip directions (m, d-1) and their turning, returns the system
+    exact : form the residuals
     problem, rows, status, start, left
         As in `refined_in`.
-    sweeps : int
-        At most so many are made in the plane.
-    caution : float
-        Refinement goes on until this many times what it still has to do is negligible.
+    sweeps : at most so many are made in the plane
+    caution : refinement goes on until this many times what it still has to do is negligible
     """
     pushing = np.where(status != OPEN, start.normal_force, 0.0)
     sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
@@ -426,12 +420,9 @@ def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Exten
     Parameters
     ----------
     rows : ScaledRows
-    status : (m,) array of int
-        The combination.
-    slip : ((d-1) m,) array [length]
-        Of all contacts; in the plane it is not used.
-    force : Extended (m,)
-        Normal forces [force].
+    status : (m,) array of int, the combination
+    slip : ((d-1) m,) array [length], of all contacts; in the plane it is not used
+    force : Extended (m,), normal forces [force]
     """
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
@@ -453,8 +444,7 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
     ----------
     problem : ContactProblem
     rows : ScaledRows
-    answer, start : Answer
-        What refinement came to, and where it began.
+    answer, start : what refinement came to, and where it began
     """
     scale = unknown_scale(problem)
     far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))

@@ -116,13 +116,10 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
 
     Parameters
     ----------
-    problem : ContactProblem
-        Equilibrated.
+    problem : equilibrated
     answer : ExtendedAnswer
-    length : float [length]
-        d.
-    effort : Effort
-        Counts factorisations and back-substitutions.
+    length : float [length], d
+    effort : counts factorisations and back-substitutions
     """
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
@@ -292,13 +289,10 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
 
     Parameters
     ----------
-    problem : ContactProblem
-        Equilibrated.
+    problem : equilibrated
     answer : Answer
-    effort : Effort
-        Counts factorisations and back-substitutions.
-    driven : bool
-        Whether contacts are closed in addition, as above.
+    effort : counts factorisations and back-substitutions
+    driven : whether contacts are closed in addition, as above
     """
     start = ExtendedAnswer.of(answer)
     state = nearest_state(problem, _closed_in(problem, answer), start, effort)
@@ -337,8 +331,7 @@ def solved_from(
     ----------
     problem, answer, effort, driven
         As in `settled`.
-    claimed : bool
-        Whether the answer is more than a guess: from a guess nothing goes on but changes of its closed contacts.
+    claimed : whether the answer is more than a guess: from a guess nothing goes on but changes of its closed contacts
     """
     if not claimed:
         state = nearest_state(problem, _closed_in(problem, answer), ExtendedAnswer.of(answer), effort)

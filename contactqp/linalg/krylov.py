@@ -57,16 +57,11 @@ class ConjugateGradients:
 
     Parameters
     ----------
-    product : callable
-        K x.
-    precondition : callable
-        z = M r, symmetric positive definite.
-    x, residual : (n,) arrays
-        Where it starts, rows closed, and f - K x there; both are changed in place.
-    rows : Projections
-        Of the rows that x must keep.
-    dot : callable
-        a'b of two vectors.
+    product : callable, K x
+    precondition : callable, z = M r, symmetric positive definite
+    x, residual : (n,) arrays, where it starts, rows closed, and f - K x there; both are changed in place
+    rows : Projections, of the rows that x must keep
+    dot : callable, a'b of two vectors
     """
 
     def __init__(
@@ -161,10 +156,8 @@ class IndependentRows:
 
     Parameters
     ----------
-    entries : (a, c) CSR matrix
-        E.
-    compliance : (c,) array
-        The diagonal of C.
+    entries : (a, c) CSR matrix, E
+    compliance : (c,) array, the diagonal of C
     """
 
     def __init__(self, entries: Any, compliance: Vector) -> None:
@@ -213,11 +206,9 @@ class AssembledRows:
     Parameters
     ----------
     entries : (a, c) CSR matrix
-    columns : (c,) array of int
-        The unknowns.
+    columns : (c,) array of int, the unknowns
     limit : (a,) array [length]
-    compliance : (c,) array
-        1/K_jj of these unknowns.
+    compliance : (c,) array, 1/K_jj of these unknowns
     """
 
     def __init__(self, entries: Any, columns: NDArray[np.intp], limit: Vector, compliance: Vector) -> None:

@@ -81,12 +81,9 @@ class SparseSaddle:
 
     Parameters
     ----------
-    problem : ContactProblem
-        Equilibrated: entries of K and the rows are at most about one.
-    closed : (c,) array of int
-        The closed contacts.
-    regularisation : float
-        d, added to the diagonal of K and subtracted from the zeros below it.
+    problem : ContactProblem, equilibrated: entries of K and the rows are at most about one
+    closed : (c,) array of int, the closed contacts
+    regularisation : float, d, added to the diagonal of K and subtracted from the zeros below it
     """
 
     def __init__(self, problem: ContactProblem, closed: Indices, regularisation: float) -> None:
@@ -174,21 +171,14 @@ def factorised(
 ) -> Callable[[Vector], Vector]:
     """Return a function that solves with a sparse matrix, by PARDISO where it is installed and pays, else SuperLU.
 
+    Raises BackendFailed: the solver ran out of memory, or met a pivot of zero.
+
     Parameters
     ----------
-    matrix : (p, p) sparse matrix
-        Its first rows are those of the unknowns.
-    kind : int
-        `pardiso.INDEFINITE` and the like.
-    order : EliminationOrder
-        Of the unknowns of the stiffness.
-    unknowns : (q,) array of int
-        Those of the stiffness that the matrix contains.
-
-    Raises
-    ------
-    BackendFailed
-        The solver ran out of memory, or met a pivot of zero.
+    matrix : (p, p) sparse matrix, its first rows are those of the unknowns
+    kind : `pardiso.INDEFINITE` and the like
+    order : EliminationOrder, of the unknowns of the stiffness
+    unknowns : (q,) array of int, those of the stiffness that the matrix contains
     """
     if not matrix.shape[0]:
         return np.copy
@@ -385,7 +375,15 @@ def factors_of_saddle(problem: ContactProblem) -> pardiso.Pardiso | None:
 
 
 def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
-    """Return the factorised saddle point; the last of a stiffness is kept for the certificate."""
+    """Return the factorised saddle point; the last of a stiffness is kept for the certificate.
+
+    Parameters
+    ----------
+    problem : equilibrated
+    closed : (m,) mask, the contacts that are closed
+    regularisation : what is added to the diagonal of the system
+    effort : counts the factorisation, where one is made
+    """
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     key = closed.tobytes(), regularisation
     if key not in kept:
