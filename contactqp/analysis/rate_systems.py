@@ -156,12 +156,9 @@ class RateSystem:
 
     Attributes
     ----------
-    status : (m,) array of int
-        The combination.
-    regular : bool
-        Whether the system has one solution for all data.
-    redundant : bool
-        Whether rows depend on others, so that forces are not unique.
+    status : (m,) array of int, the combination
+    regular : bool, whether the system has one solution for all data
+    redundant : bool, whether rows depend on others, so that forces are not unique
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:

@@ -67,12 +67,9 @@ class Linearised:
 
     Attributes
     ----------
-    undecided : (q,) array
-        Contacts at the border of two states.
-    status : (m,) array
-        The states of the others.
-    system : RateSystem or None
-        None where some are undecided, or nothing is condensed.
+    undecided : (q,) array, contacts at the border of two states
+    status : (m,) array, the states of the others
+    system : RateSystem or None, None where some are undecided, or nothing is condensed
     """
 
     def __init__(self, solution: Solution) -> None:

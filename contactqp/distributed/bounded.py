@@ -48,12 +48,9 @@ class BoundUnknowns:
 
     Attributes
     ----------
-    problem : DistributedProblem
-        The problem in u.
-    rows : Rows
-        Contacts, then ties.
-    pivot : (a,) array of int
-        The column of each row's unknown p; NONE of rows that touch nothing.
+    problem : the problem in u
+    rows : contacts, then ties
+    pivot : (a,) array of int, the column of each row's unknown p; NONE of rows that touch nothing
     """
 
     problem: DistributedProblem

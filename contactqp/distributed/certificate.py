@@ -49,10 +49,8 @@ class CuttingPlanes:
 
     Attributes
     ----------
-    best : (p,) array
-        The a with the least h(a) / |w'a| so far.
-    done : bool
-        Whether `best` is the minimum, to NEAR.
+    best : (p,) array, the a with the least h(a) / |w'a| so far
+    done : bool, whether `best` is the minimum, to NEAR
     """
 
     def __init__(self, weight: Vector) -> None:

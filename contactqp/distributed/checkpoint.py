@@ -42,8 +42,7 @@ class Checkpoint:
 
     Attributes
     ----------
-    steps : int
-        The number of steps that are solved, the start included.
+    steps : int, the number of steps that are solved, the start included
     """
 
     def __init__(self, folder: str | Path, digest: str, ranks: Ranks) -> None:

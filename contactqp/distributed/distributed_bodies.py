@@ -52,20 +52,13 @@ class DistributedBodyModel(ContactEntries):
 
     Attributes
     ----------
-    contacts : tuple of PairedContact
-        The contacts, with rows over the unknowns of `surfaces`.
-    scene : Scene
-        The scene.
-    ranks : Ranks
-        The processes.
-    system : PieceSystem
-        The pieces of this rank with their supports.
-    surfaces : ContactSurfaces
-        The surfaces that may touch.
-    supports : tuple of Support
-        The supports of the scene.
-    load : (k d,) array
-        The load on own unknowns at full value, or at the end of the load path [force].
+    contacts : tuple of PairedContact, the contacts, with rows over the unknowns of `surfaces`
+    scene : Scene, the scene
+    ranks : the processes
+    system : the pieces of this rank with their supports
+    surfaces : the surfaces that may touch
+    supports : tuple of Support, the supports of the scene
+    load : (k d,) array, the load on own unknowns at full value, or at the end of the load path [force]
     loads : mapping of name to (k d,) array
         Each load by itself, where a load path applies them one after another [force].
     """

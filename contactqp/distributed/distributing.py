@@ -76,8 +76,7 @@ class Numbering:
 
     Attributes
     ----------
-    owner : (blocks of the share,) array
-        The rank that each block goes to.
+    owner : (blocks of the share,) array, the rank that each block goes to
     """
 
     def __init__(self, ranks: Ranks, stiffness: Any, size: int) -> None:

@@ -29,16 +29,11 @@ class Nodes:
 
     Attributes
     ----------
-    ranks : Ranks
-        The processes.
-    numbers : (N,) array of int
-        The numbers in the whole structure, body after body as one process has them.
-    owners : (N,) array of int
-        The rank that owns each node.
-    place : (N,) array of int
-        The place in PETSc's order: rank after rank, those of a rank by their numbers.
-    first : int
-        The place of the first node that this rank owns.
+    ranks : the processes
+    numbers : (N,) array of int, the numbers in the whole structure, body after body as one process has them
+    owners : (N,) array of int, the rank that owns each node
+    place : (N,) array of int, the place in PETSc's order: rank after rank, those of a rank by their numbers
+    first : the place of the first node that this rank owns
     """
 
     ranks: Ranks
@@ -135,16 +130,12 @@ class ContactSurfaces:
 
     Attributes
     ----------
-    structure : Structure
-        The pieces of this rank.
-    firsts : (bodies + 1,) array of int
-        The number of each body's first node in the whole structure.
+    structure : the pieces of this rank
+    firsts : (bodies + 1,) array of int, the number of each body's first node in the whole structure
     numbers, place, owners : (t,) arrays of int
         The number of each node in the whole structure, its place in PETSc's order, and the rank that owns it.
-    points : (t, d) array
-        Coordinates of the nodes [length].
-    facets : mapping of (body, side) to (p, k) array of int
-        The nodes of each facet, as places in `numbers`.
+    points : (t, d) array, coordinates of the nodes [length]
+    facets : mapping of (body, side) to (p, k) array of int, the nodes of each facet, as places in `numbers`
     """
 
     structure: Structure

@@ -201,12 +201,9 @@ class StiffnessParts:
 
     Attributes
     ----------
-    free : PETSc.Mat
-        K with nothing but the diagonal in rows and columns of constrained unknowns.
-    support_product : (k d,) array
-        K u_prescribed on all own unknowns [force].
-    constrained_rows : Rows
-        The rows of K of this rank's constrained unknowns.
+    free : PETSc.Mat, K with nothing but the diagonal in rows and columns of constrained unknowns
+    support_product : (k d,) array, K u_prescribed on all own unknowns [force]
+    constrained_rows : the rows of K of this rank's constrained unknowns
     """
 
     free: Any

@@ -32,12 +32,9 @@ class Share:
 
     Attributes
     ----------
-    kind : Reference
-        The reference element.
-    nodes : (E, n) array of int
-        Codes of the nodes: whole numbers in the order of the node numbers of the whole mesh.
-    marks : (E, facets) array of int
-        Bits of each facet: OUTSIDE, and those of the sides.
+    kind : the reference element
+    nodes : (E, n) array of int, codes of the nodes: whole numbers in the order of the node numbers of the whole mesh
+    marks : (E, facets) array of int, bits of each facet: OUTSIDE, and those of the sides
     """
 
     kind: Reference
@@ -57,8 +54,7 @@ class LatticeSource:
 
     Attributes
     ----------
-    sides, node_sets : tuple of str
-        The names of the sides and of the node sets.
+    sides, node_sets : tuple of str, the names of the sides and of the node sets
     """
 
     def __init__(self, ranks: Ranks, lattice: Lattice) -> None:
@@ -280,20 +276,14 @@ class MeshPiece(Mesh):
 
     Attributes
     ----------
-    boundary : (p, 2) array of int
-        Pairs (element, local facet) on the boundary of the whole mesh.
+    boundary : (p, 2) array of int, pairs (element, local facet) on the boundary of the whole mesh
     own : mapping of name to (k,) arrays of int
         The nodes that this rank owns of every set and side of the whole mesh, ascending.
-    faceless : tuple of str
-        Node sets that hold no whole facet, on any rank.
-    numbers : (N,) array of int
-        The numbers of the nodes in the whole mesh.
-    owners : (N,) array of int
-        The rank that owns each node.
-    owned : int
-        The number of nodes that this rank owns.
-    total : int
-        The number of nodes of the whole mesh.
+    faceless : tuple of str, node sets that hold no whole facet, on any rank
+    numbers : (N,) array of int, the numbers of the nodes in the whole mesh
+    owners : (N,) array of int, the rank that owns each node
+    owned : the number of nodes that this rank owns
+    total : the number of nodes of the whole mesh
     """
 
     boundary: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))

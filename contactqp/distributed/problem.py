@@ -41,26 +41,19 @@ class DistributedProblem:
 
     Attributes
     ----------
-    ranks : Ranks
-        The processes.
+    ranks : the processes
     stiffness : PETSc.Mat
         K (n, n), in the blocks of its nodes, symmetric: MPIBAIJ, or MPIAIJ where nodes have one unknown.
-    load : (n_here,) array
-        Forces f on the unknowns of this rank [force].
-    normal, tie : Rows
-        E_N (m_here, n) and A (k_here, n).
-    gap, tie_value : (m_here,) and (k_here,) arrays
-        g and b [length].
-    constrained : (n_here,) array of bool
-        Which unknowns supports constrain.
+    load : (n_here,) array, forces f on the unknowns of this rank [force]
+    normal, tie : E_N (m_here, n) and A (k_here, n)
+    gap, tie_value : (m_here,) and (k_here,) arrays, g and b [length]
+    constrained : (n_here,) array of bool, which unknowns supports constrain
     body : (n_here,) array of int
         The number of the body, a connected part of K, that each unknown belongs to; the same on all ranks.
-    near_null_space : (n_here, q) array
-        Motions that cost a body little energy; zero at constrained unknowns.
+    near_null_space : (n_here, q) array, motions that cost a body little energy; zero at constrained unknowns
     dof_number, contact_number, tie_number : arrays of int
         The place of each unknown, contact and tie in the ContactProblem of one process; -1 of constrained unknowns.
-    tangent : Rows, optional
-        E_T ((d-1) m_here, n), contact-major, on the rank of its contact.
+    tangent : E_T ((d-1) m_here, n), contact-major, on the rank of its contact
     friction : (m_here,) array, optional
         Coefficients of friction.
     slip_origin : (m_here, d-1) array, optional
@@ -68,12 +61,9 @@ class DistributedProblem:
     rigid_motions : (n_here, r) array, optional
         Motions that nothing resists where they are known, each body's from the first column on. A body that floats in
         a way that is no combination of these and `near_null_space` is taken for supported.
-    units : Units
-        The units of messages and tables.
-    dof_name, contact_name, tie_name : functions
-        Return the name in messages of a place on this rank.
-    computed : Computed
-        Results that `dataclasses.replace` hands on.
+    units : the units of messages and tables
+    dof_name, contact_name, tie_name : functions, return the name in messages of a place on this rank
+    computed : results that `dataclasses.replace` hands on
     """
 
     ranks: Ranks
@@ -170,12 +160,9 @@ class Bodies:
 
     Attributes
     ----------
-    numbers : (q,) array of int
-        The bodies with unknowns on this rank.
-    index : (n_here,) array of int
-        The place in `numbers` of each unknown's body.
-    count : int
-        The number of bodies that have their home here.
+    numbers : (q,) array of int, the bodies with unknowns on this rank
+    index : (n_here,) array of int, the place in `numbers` of each unknown's body
+    count : int, the number of bodies that have their home here
     """
 
     def __init__(self, ranks: Ranks, body: Index) -> None:

@@ -136,16 +136,11 @@ class StoredRows:
 
     Attributes
     ----------
-    size : int
-        The number of unknowns of a block.
-    first : int
-        The number of this rank's first block among those of all ranks.
-    here : StoredBlocks
-        The entries in columns of this rank.
-    away : StoredBlocks
-        The entries in the columns `others`.
-    others : array of int
-        Numbers of blocks of other ranks, ascending.
+    size : the number of unknowns of a block
+    first : the number of this rank's first block among those of all ranks
+    here : the entries in columns of this rank
+    away : the entries in the columns `others`
+    others : array of int, numbers of blocks of other ranks, ascending
     """
 
     size: int

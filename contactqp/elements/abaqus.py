@@ -37,10 +37,8 @@ class Cells:
 
     Attributes
     ----------
-    points : (N, 2 or 3) array
-        Coordinates [length].
-    cells : sequence of (kind, nodes)
-        A kind of `reference.REFERENCES`, or ``"node"``; nodes (E, n) of int.
+    points : (N, 2 or 3) array, coordinates [length]
+    cells : sequence of (kind, nodes), a kind of `reference.REFERENCES`, or ``"node"``; nodes (E, n) of int
     groups : mapping of name to one index array for each entry of `cells`
     node_sets : mapping of name to node numbers
     """

@@ -61,14 +61,10 @@ class ContactState:
 
     Attributes
     ----------
-    gap : (m,) array
-        The gaps now, positive when open [length].
-    normal : (m, n) sparse array
-        E_N = -d gap / d u, now.
-    tangent : ((d-1) m, n) sparse array, or None
-        E_T, contact-major, now.
-    rounding : (m,) array
-        What rounding may make of the gaps [length].
+    gap : (m,) array, the gaps now, positive when open [length]
+    normal : (m, n) sparse array, E_N = -d gap / d u, now
+    tangent : ((d-1) m, n) sparse array, or None, E_T, contact-major, now
+    rounding : (m,) array, what rounding may make of the gaps [length]
     """
 
     gap: Vector

@@ -38,10 +38,8 @@ class Patch:
     ----------
     axes : sequence of (2 c + 1,) arrays of int
         The keys along each of its d directions, c cells each; the directions are right-handed in space.
-    columns : sequence of int
-        The component of the key that each direction runs through.
-    fixed : mapping of component to value
-        The other components that are not 0.
+    columns : sequence of int, the component of the key that each direction runs through
+    fixed : mapping of component to value, the other components that are not 0
     """
 
     axes: Sequence[Index]

@@ -259,10 +259,8 @@ class NodalPressure(ReadOnly):
     ----------
     collected : (p, q) sparse array
         C, the functions psi in those of the nodes, and so also the mean at each node of the values beside it [-].
-    integral : (p,) array
-        a, the nodal forces of a unit pressure [area].
-    near, far : (p, q) sparse arrays
-        The two D, from the middle of each function to the node [-].
+    integral : (p,) array, a, the nodal forces of a unit pressure [area]
+    near, far : (p, q) sparse arrays, the two D, from the middle of each function to the node [-]
     """
 
     collected: Any

@@ -302,8 +302,7 @@ class Pattern:
 
     Attributes
     ----------
-    indptr, indices : arrays of int
-        Row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending.
+    indptr, indices : arrays of int, row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending
     slots : (total of E n^2,) array of int
         The place in `indices` of every pair (first node, second node) of every element, element by element.
     """

@@ -369,11 +369,9 @@ class FreeContacts:
 
     Attributes
     ----------
-    kept : (m,) array of int
-        Their places among the rows of all pairings.
+    kept : (m,) array of int, their places among the rows of all pairings
     normal : (m, f) sparse array
-    gap : (m,) array
-        gap - E_N u_prescribed [length].
+    gap : (m,) array, gap - E_N u_prescribed [length]
     names : list of str
     tangent : ((d-1) m, f) sparse array, optional
     friction : (m,) array, optional

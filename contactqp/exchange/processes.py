@@ -205,10 +205,8 @@ class CalculixRun:
     ----------
     results : path
         The .dat file with the displacements.
-    version : str
-        ``"CalculiX 2.20"``.
-    warnings : tuple of str
-        The first lines of its own warnings, each once.
+    version : ``"CalculiX 2.20"``
+    warnings : tuple of str, the first lines of its own warnings, each once
     """
 
     results: FilePath

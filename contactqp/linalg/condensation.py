@@ -66,8 +66,7 @@ class Condensation:
     ----------
     expand : function
         The full displacement (n,) from that of the retained unknowns (p,) and what `reduce_load` gave besides.
-    solver : str
-        Whose factors they are.
+    solver : whose factors they are
     """
 
     expand: Callable[[Vector, Vector], Vector]

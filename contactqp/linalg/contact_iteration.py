@@ -40,14 +40,10 @@ class ContactIteration(ABC):
 
     Attributes
     ----------
-    krylov_iterations : int
-        Steps of conjugate gradients so far.
-    least_eigenvalue : float
-        The least Ritz value of M K that any run has found, on held rows or without.
-    longest_run : int
-        The steps of the longest of them.
-    floating : FloatingMotions
-        The rigid motions of bodies that nothing but contacts and ties holds.
+    krylov_iterations : int, steps of conjugate gradients so far
+    least_eigenvalue : float, the least Ritz value of M K that any run has found, on held rows or without
+    longest_run : int, the steps of the longest of them
+    floating : the rigid motions of bodies that nothing but contacts and ties holds
     """
 
     floating: FloatingMotions

@@ -259,17 +259,13 @@ class FrictionalRows:
 
     Attributes
     ----------
-    S : (p, p) array
-        The condensed stiffness, its diagonal one.
-    normal, tangent, tie : (m, p), ((d-1) m, p), (k, p) arrays
-        Rows of unit length, tangents contact by contact.
-    width : int
-        d-1, tangential rows a contact.
+    S : (p, p) array, the condensed stiffness, its diagonal one
+    normal, tangent, tie : (m, p), ((d-1) m, p), (k, p) arrays, rows of unit length, tangents contact by contact
+    width : int, d-1, tangential rows a contact
     slides : (m,) array of bool
         Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
         within its bound would do; it is given none.
-    coefficient : (m,) array
-        mu r_T / r_N: friction bounds in scaled forces.
+    coefficient : (m,) array, mu r_T / r_N: friction bounds in scaled forces
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:

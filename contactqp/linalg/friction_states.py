@@ -124,10 +124,8 @@ class StateSystem:
 
     Attributes
     ----------
-    regular : bool
-        Whether the matrix has an inverse; without one, the least correction that fits best is taken.
-    redundant : bool
-        Whether rows depend on others (where `independent` was asked for).
+    regular : bool, whether the matrix has an inverse; without one, the least correction that fits best is taken
+    redundant : bool, whether rows depend on others (where `independent` was asked for)
     """
 
     def __init__(

@@ -112,14 +112,10 @@ class FrictionRows:
 
     Attributes
     ----------
-    iteration : ContactIteration
-        The iteration on these rows.
-    m, width, plain : int
-        The numbers of contacts, of tangential rows of each, and of contacts and ties.
-    friction : (m,) array
-        mu, which is zero also where no unknown feels the tangential rows.
-    limit : (m + k + (d-1) m,) array
-        The limits [length].
+    iteration : the iteration on these rows
+    m, width, plain : int, the numbers of contacts, of tangential rows of each, and of contacts and ties
+    friction : (m,) array, mu, which is zero also where no unknown feels the tangential rows
+    limit : (m + k + (d-1) m,) array, the limits [length]
     """
 
     def __init__(self, problem: FrictionalLimits, iteration: ContactIteration) -> None:

@@ -249,12 +249,9 @@ class Iteration(ContactIteration):
 
     Attributes
     ----------
-    matrix : (n, n) sparse matrix
-        K, in blocks where it has them.
-    rows, touched : (m + k, t) CSR matrix and (t,) array of int
-        Contacts, then ties, over the unknowns that they touch.
-    rigid : RigidMotions
-        The rigid motions of bodies that float.
+    matrix : (n, n) sparse matrix, K, in blocks where it has them
+    rows, touched : (m + k, t) CSR matrix and (t,) array of int, contacts, then ties, over the unknowns that they touch
+    rigid : the rigid motions of bodies that float
     """
 
     solver = "pyamg"

@@ -73,13 +73,11 @@ class Hierarchy:
     motions : (n, q) array, optional
         B, motions that cost little energy: the rigid-body motions of elastic bodies. By default the constants, one for
         each unknown of a block where K comes in blocks of three or two. Columns of zeros are left out.
-    coarsest : int, optional
-        Unknowns of the coarsest level at most; by default COARSEST.
+    coarsest : unknowns of the coarsest level at most; by default COARSEST
 
     Attributes
     ----------
-    bodies : (n,) array
-        The number of the connected part of K that each unknown belongs to.
+    bodies : (n,) array, the number of the connected part of K that each unknown belongs to
     held : (number of bodies,) array
         The least energy b'Kb / b'Db of a motion b out of B, body by body: rounding where the body floats.
     soft : (number of bodies,) array of int

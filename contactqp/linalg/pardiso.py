@@ -112,10 +112,8 @@ class Pardiso:
     kind : int, POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC
     order : (n,) array of int, optional
         The unknowns in the order in which they are eliminated, where none is retained; by default `ordering` finds one.
-    most_entries : float, optional
-        How many entries factors in a stated order may have.
-    ordering : int, optional
-        NESTED_DISSECTION or MINIMUM_DEGREE.
+    most_entries : how many entries factors in a stated order may have
+    ordering : NESTED_DISSECTION or MINIMUM_DEGREE
 
     Raises
     ------
@@ -255,12 +253,9 @@ class _Analysis:
 
     Attributes
     ----------
-    kind : int
-        POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC.
-    handle, settings : (64,) arrays of int
-        PARDISO's pt and iparm.
-    chosen : (n,) array of int
-        Its perm.
+    kind : POSITIVE_DEFINITE, INDEFINITE or UNSYMMETRIC
+    handle, settings : (64,) arrays of int, PARDISO's pt and iparm
+    chosen : (n,) array of int, its perm
     second : callable, optional
         What gives the factors of a second matrix back; None where there are none.
     """

@@ -224,14 +224,11 @@ class ClosedState:
 
     Attributes
     ----------
-    problem : ContactProblem
-        The equilibrated problem, in whose units everything here is.
-    closed : (m,) array of bool
-        The contacts that are held.
+    problem : the equilibrated problem, in whose units everything here is
+    closed : (m,) array of bool, the contacts that are held
     answer : ExtendedAnswer
     left : Residuals
-    force, length : float
-        The largest force that meets at an unknown, the largest length.
+    force, length : the largest force that meets at an unknown, the largest length
     force_residual, length_residual : float
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
     unmet : float

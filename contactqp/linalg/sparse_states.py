@@ -112,14 +112,10 @@ class StateSystem(ABC):
 
     Attributes
     ----------
-    status : (m,) array
-        The combination.
-    back_substitutions : int
-        How many it has taken.
-    regular : bool
-        Whether it has an inverse.
-    drag : (m,) array
-        Friction over normal force of contacts that slip, with the sign of their slip; zero for others.
+    status : (m,) array, the combination
+    back_substitutions : int, how many it has taken
+    regular : whether it has an inverse
+    drag : (m,) array, friction over normal force of contacts that slip, with the sign of their slip; zero for others
     """
 
     redundant = False  # where rows depend on others the system is not regular

@@ -41,8 +41,7 @@ class QuadraticProgram:
     q : (n,) array
     G, h : (m, n) matrix and (m,) array, or None
     A, b : (k, n) matrix and (k,) array, or None
-    lb, ub : (n,) arrays, or None
-        Infinite where an unknown has no bound.
+    lb, ub : (n,) arrays, or None, infinite where an unknown has no bound
     """
 
     P: Any

@@ -148,12 +148,10 @@ class BodyFields:
     ----------
     body : Body
     displacement : (N, d) array [length]
-    stress : (N, 6) array
-        (xx, yy, zz, xy, yz, zx), tension positive, averaged at nodes [force / length^2].
+    stress : (N, 6) array, (xx, yy, zz, xy, yz, zx), tension positive, averaged at nodes [force / length^2]
     contact_force : (N, d) array
         Forces of contact on the body at each node, -(E_N' l_N + E_T' l_T) [force]; zero away from contact.
-    load : (N, d) array
-        Nodal loads: point loads, tractions, pressures and weights [force].
+    load : (N, d) array, nodal loads: point loads, tractions, pressures and weights [force]
     """
 
     body: Body
@@ -180,10 +178,8 @@ class PairingFields:
     Attributes
     ----------
     name : str
-    body, node : (p,) arrays of int
-        The body of each contact, as its place in ContactFields.bodies, and its node.
-    position : (p, d) array
-        Initial position of the node [length].
+    body, node : (p,) arrays of int, the body of each contact, as its place in ContactFields.bodies, and its node
+    position : (p, d) array, initial position of the node [length]
     displacement : (p, d) array [length]
     direction : (p, d) array
         The unit normal out of the obstacle or the master surface, along which the contact pushes the body.
@@ -198,15 +194,12 @@ class PairingFields:
         without friction.
     shear : (p, d) array or None
         `Pairing.per_area` of that, component by component [force / length^2]; None without friction or area.
-    gap : (p,) array
-        Gap under the load, positive when open [length].
-    initial_gap : (p,) array
-        Gap before any displacement [length].
+    gap : (p,) array, gap under the load, positive when open [length]
+    initial_gap : (p,) array, gap before any displacement [length]
     status : (p,) array of str
         "open", "closed", "grazing", "stick" or "slip"; "held" where every node of the contact is supported, so that
         the contact is not in the problem.
-    on_obstacle : bool
-        Whether the partner is a rigid obstacle and not another body.
+    on_obstacle : whether the partner is a rigid obstacle and not another body
     """
 
     name: str

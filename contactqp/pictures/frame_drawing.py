@@ -30,12 +30,10 @@ class Member:
 
     Attributes
     ----------
-    kind : str
-        "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called.
+    kind : "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called
     nodes : tuple of int
         The nodes that it connects, as places in FrameFields.nodes; a single one is connected to the ground.
-    path, displacement : (k, d) arrays
-        Points along the element and their displacements [length].
+    path, displacement : (k, d) arrays, points along the element and their displacements [length]
     """
 
     kind: str
@@ -51,16 +49,11 @@ class FrameContact:
     Attributes
     ----------
     name : str
-    nodes : tuple of int
-        One against an obstacle, or two.
-    push : (1 or 2, d) array
-        The force on each of the nodes by a unit contact force, -E_N [-].
-    force : float
-        Contact force lambda_N, positive in compression [force].
-    gap, initial_gap : float
-        Gap under the load and before it, positive when open [length].
-    status : str
-        "open", "closed", "grazing", "stick" or "slip".
+    nodes : tuple of int, one against an obstacle, or two
+    push : (1 or 2, d) array, the force on each of the nodes by a unit contact force, -E_N [-]
+    force : contact force lambda_N, positive in compression [force]
+    gap, initial_gap : gap under the load and before it, positive when open [length]
+    status : "open", "closed", "grazing", "stick" or "slip"
     friction : (1 or 2, d) array or None
         The friction force on each of the nodes, -E_T' l_T [force]; None without friction.
     """
@@ -81,15 +74,11 @@ class FrameFields:
 
     Attributes
     ----------
-    axes : tuple of str
-        The names of the d components among x, y, z.
-    nodes : tuple of str
-        Names of the nodes.
+    axes : tuple of str, the names of the d components among x, y, z
+    nodes : tuple of str, names of the nodes
     position, displacement : (N, d) arrays [length]
-    held : (N, d) array of bool
-        Whether a support fixes each displacement.
-    load : (N, d) array
-        Loads on the nodes, without those on supports and without moments [force].
+    held : (N, d) array of bool, whether a support fixes each displacement
+    load : (N, d) array, loads on the nodes, without those on supports and without moments [force]
     members, contacts, units
     """
 

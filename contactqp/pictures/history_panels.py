@@ -30,24 +30,16 @@ class HistoryFields:
 
     Attributes
     ----------
-    problem : ContactProblem
-        The problem at the last instant, for names, units and rows.
+    problem : the problem at the last instant, for names, units and rows
     times : (k,) array
-    moving : bool
-        Whether it is a motion, and `times` are times.
+    moving : whether it is a motion, and `times` are times
     displacement : (k, n) array [length]
-    velocity : (k, n) array or None
-        Velocities of a motion [length / time].
-    load : (k, n) array or None
-        Loads of a load path [force].
-    gap : (k, m) array
-        Gaps, positive when open [length].
-    normal_force : (k, m) array
-        Contact forces, positive in compression [force].
-    friction_force : (k, m, d-1) array or None
-        Friction forces [force]; None without friction.
-    energies : mapping of str to (k,) array
-        The energies that are not always zero [force * length].
+    velocity : (k, n) array or None, velocities of a motion [length / time]
+    load : (k, n) array or None, loads of a load path [force]
+    gap : (k, m) array, gaps, positive when open [length]
+    normal_force : (k, m) array, contact forces, positive in compression [force]
+    friction_force : (k, m, d-1) array or None, friction forces [force]; None without friction
+    energies : mapping of str to (k,) array, the energies that are not always zero [force * length]
     events : tuple of Event
     notes : tuple of str
     """

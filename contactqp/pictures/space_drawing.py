@@ -347,12 +347,9 @@ class MembraneFields:
     Attributes
     ----------
     meshes : tuple of Mesh
-    deflections : tuple of (N,) arrays
-        Displacements along z of the nodes of each mesh [length].
-    position : (p, 2) array
-        Places of the contacts in the plane [length].
-    force : (p,) array
-        Contact forces lambda_N, positive in compression [force].
+    deflections : tuple of (N,) arrays, displacements along z of the nodes of each mesh [length]
+    position : (p, 2) array, places of the contacts in the plane [length]
+    force : (p,) array, contact forces lambda_N, positive in compression [force]
     status : (p,) array of str
     units : Units
     """

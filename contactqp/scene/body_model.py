@@ -70,8 +70,7 @@ class PairedContact:
     Attributes
     ----------
     name : str
-    body : str
-        The body or membrane that touches; of two bodies the slave.
+    body : the body or membrane that touches; of two bodies the slave
     pairing : Pairing
     friction : Fraction
     """

@@ -171,11 +171,9 @@ class FrictionRun(Run):
     problem : ContactProblem
     answer : Answer, what the algorithm found
     name : str, the algorithm, and the convex method where it takes steps of one
-    meter : Meter, optional
-        What has counted the cost so far.
+    meter : what has counted the cost so far
     history : tuple of float, the algorithm's own measure of progress, one number an iteration
-    iterations : int, optional
-        Of the algorithm; without it one more than the history has.
+    iterations : of the algorithm; without it one more than the history has
     exact : bool, whether the algorithm promises Coulomb's answer; the associated relaxation does not
     """
 

@@ -64,13 +64,10 @@ class Card:
     Attributes
     ----------
     keyword : Keyword
-    parameters : dict
-        Names without blanks to values; a parameter without a value has the empty string.
+    parameters : dict, names without blanks to values; a parameter without a value has the empty string
     lines : sequence of Line
-    head : Line
-        Where the keyword stands.
-    columns : int
-        How many characters of a number are read.
+    head : where the keyword stands
+    columns : how many characters of a number are read
     """
 
     keyword: Keyword
@@ -318,22 +315,16 @@ class Keyword:
 
     Attributes
     ----------
-    name : str
-        As it is written, in upper case.
+    name : as it is written, in upper case
     effect : Effect
-    why : str
-        Why it is refused, or changes nothing.
-    where : str
-        Where it may stand.
+    why : why it is refused, or changes nothing
+    where : where it may stand
     parameters : dict
         Names without blanks to what is offered: None is any value, ``"idle"`` changes nothing, ``"refused"``, or the
         values that are offered, apart by ``|``.
-    names : dict
-        The same names as they are written.
-    any_parameter : bool
-        Parameters are not looked at: what the keyword asks for changes nothing, whatever it is.
-    cures : dict
-        What to do about a parameter that is refused.
+    names : dict, the same names as they are written
+    any_parameter : parameters are not looked at: what the keyword asks for changes nothing, whatever it is
+    cures : dict, what to do about a parameter that is refused
     """
 
     name: str

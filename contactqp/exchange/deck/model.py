@@ -172,13 +172,10 @@ class Interaction:
     Attributes
     ----------
     name, place : str
-    stated : bool
-        Whether there is a *SURFACE BEHAVIOR; HARD is assumed where there is none.
-    stiffness : float, optional
-        Of LINEAR [force / length^3]; None for HARD.
+    stated : whether there is a *SURFACE BEHAVIOR; HARD is assumed where there is none
+    stiffness : of LINEAR [force / length^3]; None for HARD
     friction : float
-    stick : float, optional
-        The stick slope of *FRICTION [force / length^3], which CalculiX alone reads.
+    stick : the stick slope of *FRICTION [force / length^3], which CalculiX alone reads
     """
 
     name: str
@@ -197,8 +194,7 @@ class ContactPair:
     ----------
     slave, master : str
     interaction : str
-    type : str
-        ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``.
+    type : ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``
     adjust : float or array of int, optional
         Slave nodes nearer than this, or these, are moved onto the master surface.
     place : str
@@ -235,17 +231,12 @@ class DeckModel:
     ----------
     file : str
     ledger : Ledger
-    labels : (N,) array of int
-        Of the nodes, ascending.
+    labels : (N,) array of int, of the nodes, ascending
     points : (N, 3) array
-    clearances : mapping of (slave, master) to length
-        What *CLEARANCE puts in the place of the distances.
-    steps : list of Loading
-        What acts at the end of each step; the last one is that of the deck.
-    end : float
-        The time at the end of the last step.
-    long_numbers : list of str
-        Where numbers of more characters stand than CalculiX reads.
+    clearances : mapping of (slave, master) to length, what *CLEARANCE puts in the place of the distances
+    steps : list of Loading, what acts at the end of each step; the last one is that of the deck
+    end : the time at the end of the last step
+    long_numbers : list of str, where numbers of more characters stand than CalculiX reads
     """
 
     file: str

@@ -44,10 +44,8 @@ class LooseRates:
 
     Attributes
     ----------
-    empty : bool
-        Whether there is none, which is proven.
-    forces_known : bool
-        Whether all of them have the same contact forces.
+    empty : bool, whether there is none, which is proven
+    forces_known : bool, whether all of them have the same contact forces
     """
 
     def __init__(self, system: System, motion: fmpq_mat, forces: fmpq_mat, rooms: Rooms) -> None:

@@ -36,8 +36,7 @@ class ForeignAnswer:
     ----------
     deck : Deck
     u : (n,) array [length]
-    unit : (n,) array
-        What the last printed digit of each is worth [length].
+    unit : (n,) array, what the last printed digit of each is worth [length]
     """
 
     deck: Deck
@@ -82,20 +81,17 @@ class PairNodes:
 
     Attributes
     ----------
-    contact : DeckContact
-        Node to segment.
+    contact : node to segment
     nodes : (q,) array of int
     direction : (q, d) array
         The normal of the master at each, or minus the slave's own where it has no partner; without the parts along
         which supports, ties or other pairs act on the node, and longer by as much, so that force n times it is force.
     measured : (q, d) array of bool
         Where the force of the pair on a node is known along an axis: nothing else acts there.
-    row : (q,) array of int
-        The contact of each among those of the pair, -1 where it has none.
+    row : (q,) array of int, the contact of each among those of the pair, -1 where it has none
     contacts : (q,) array of int
         The contact of each among those of the problem, -1 where it has none or where nothing moves it.
-    alone : bool
-        Nothing but the pair acts on these nodes along their normals, so that their forces are known one by one.
+    alone : nothing but the pair acts on these nodes along their normals, so that their forces are known one by one
     """
 
     contact: DeckContact

@@ -36,12 +36,9 @@ class Found:
     Attributes
     ----------
     judged : PairNodes
-    force, truth : (q,) arrays
-        Normal forces of the other code, and of the reference [force].
-    gap : (q,) array
-        In the answer of the other code, NaN where a node has no partner [length].
-    size : float
-        The resultant that errors are measured by [force].
+    force, truth : (q,) arrays, normal forces of the other code, and of the reference [force]
+    gap : (q,) array, in the answer of the other code, NaN where a node has no partner [length]
+    size : the resultant that errors are measured by [force]
     """
 
     judged: PairNodes

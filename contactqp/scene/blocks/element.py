@@ -98,10 +98,8 @@ class Line:
 
     Attributes
     ----------
-    nodes : tuple of str
-        Those it connects; a single one is connected to the ground.
-    path, displacement : (k, dimension) arrays
-        Points along the element, and what they move by [length].
+    nodes : tuple of str, those it connects; a single one is connected to the ground
+    path, displacement : (k, dimension) arrays, points along the element, and what they move by [length]
     """
 
     nodes: tuple[str, ...]

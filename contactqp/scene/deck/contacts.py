@@ -47,14 +47,10 @@ class DeckContact:
     ----------
     pair : ContactPair
     interaction : Interaction
-    slave, master : Surface
-        Their unknowns are those of the deck, held ones included.
-    pairing : Pairing
-        Rows over these unknowns.
-    labels : (m,) array of int
-        The slave node of each contact, by its label.
-    discretisation : str
-        ``"node-to-segment"``, ``"mortar"`` or ``"points"``.
+    slave, master : their unknowns are those of the deck, held ones included
+    pairing : rows over these unknowns
+    labels : (m,) array of int, the slave node of each contact, by its label
+    discretisation : str, ``"node-to-segment"``, ``"mortar"`` or ``"points"``
     """
 
     pair: ContactPair

@@ -286,10 +286,8 @@ class DeckContacts:
 
     Attributes
     ----------
-    pairs : sequence of DeckContact
-        Their rows are over the unknowns of all nodes.
-    prescribed : (n,) array
-        Prescribed displacements, NaN at free unknowns.
+    pairs : sequence of DeckContact, their rows are over the unknowns of all nodes
+    prescribed : (n,) array, prescribed displacements, NaN at free unknowns
     """
 
     pairs: Sequence[DeckContact]

@@ -50,12 +50,10 @@ class Group:
     type : str
     kind : Reference
     labels : (E,) array of int
-    nodes : (E, n) array of int
-        Their nodes, counted among the nodes that have unknowns.
+    nodes : (E, n) array of int, their nodes, counted among the nodes that have unknowns
     model : str
     material : DeckMaterial
-    thickness : float
-        1 in space and in axial symmetry.
+    thickness : 1 in space and in axial symmetry
     section : Section
     """
 
@@ -111,13 +109,10 @@ class Topology:
     Attributes
     ----------
     model : DeckModel
-    active : (N,) array of int
-        The nodes with unknowns, as places in `model.labels`: those of elements and of equations.
+    active : (N,) array of int, the nodes with unknowns, as places in `model.labels`: those of elements and of equations
     groups : sequence of Group
-    links : sequence of (Elements, sizes)
-        Trusses and springs with the area or the stiffness of each.
-    expanded : bool
-        Whether elements of plane stress are those of CalculiX, with unknown thicknesses behind all displacements.
+    links : sequence of (Elements, sizes), trusses and springs with the area or the stiffness of each
+    expanded : whether elements of plane stress are those of CalculiX, with unknown thicknesses behind all displacements
     """
 
     model: DeckModel

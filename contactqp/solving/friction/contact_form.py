@@ -52,16 +52,11 @@ class ContactOperator:
 
     Attributes
     ----------
-    H : (d m, p) array
-        Rows of approach, reversed, and of slip, contact by contact.
-    basis, motions : (p, y), (y, z) arrays
-        B and Z, orthonormal; B is a sparse identity where nothing is tied.
-    spread : (y, p) array
-        B'.
-    compliance : (y, y) array
-        C.
-    delassus, rigid : (d m, d m), (d m, z) arrays
-        W and V.
+    H : (d m, p) array, rows of approach, reversed, and of slip, contact by contact
+    basis, motions : (p, y), (y, z) arrays, B and Z, orthonormal; B is a sparse identity where nothing is tied
+    spread : (y, p) array, B'
+    compliance : (y, y) array, C
+    delassus, rigid : (d m, d m), (d m, z) arrays, W and V
     """
 
     def __init__(self, condensation: Condensation, rows: FrictionalRows) -> None:
@@ -171,8 +166,7 @@ class ContactForm:
 
     Attributes
     ----------
-    local : LocalProblem
-        In scaled forces and lengths.
+    local : LocalProblem, in scaled forces and lengths
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> None:

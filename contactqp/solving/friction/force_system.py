@@ -77,10 +77,8 @@ class ForceSystem:
     Attributes
     ----------
     rows : FrictionalRows
-    coefficient : (m,) array
-        mu in scaled forces, 0 where a contact cannot slide at all.
-    slope : (2m + k, 2m + k + q) array
-        R x = R S^+ f + slope (l, a).
+    coefficient : (m,) array, mu in scaled forces, 0 where a contact cannot slide at all
+    slope : (2m + k, 2m + k + q) array, R x = R S^+ f + slope (l, a)
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:

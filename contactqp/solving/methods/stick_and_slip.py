@@ -57,12 +57,9 @@ class StatusRows:
 
     Attributes
     ----------
-    held, pushed : (r, n) csr_arrays
-        [A; E_N; E_T] and [A; E_s; E_T], E_s = E_N where a contact sticks.
-    values : (r,)
-        [b; g; o].
-    ties, closed, stuck : index arrays
-        Which ties and contacts the rows are.
+    held, pushed : (r, n) csr_arrays, [A; E_N; E_T] and [A; E_s; E_T], E_s = E_N where a contact sticks
+    values : (r,), [b; g; o]
+    ties, closed, stuck : index arrays, which ties and contacts the rows are
     """
 
     problem: ContactProblem

@@ -318,10 +318,8 @@ class Running:
 
     Parameters
     ----------
-    jobs : int, optional
-        Processes side by side; all cores by default, 0 for none but this process.
-    dask : str, optional
-        Address of a Dask scheduler, whose workers take the place of processes here.
+    jobs : processes side by side; all cores by default, 0 for none but this process
+    dask : address of a Dask scheduler, whose workers take the place of processes here
     fresh : bool, discard the results of an interrupted study
     time_limit : float, seconds after which one cell is stopped
     shown : bool, show progress on stderr

@@ -394,7 +394,7 @@ def run_study(
     Parameters
     ----------
     axes : sequence of Axis
-    methods : sequence of names or None, none for all
+    methods : sequence of names or None, None for all
     workers : Workers
     journal : Journal
     bar : Progress
