@@ -209,3 +209,32 @@ def test_the_certificate_of_an_instant_is_of_what_the_history_holds(scheme: str)
     force.setflags(write=True)
     force[0] *= 1.001
     assert not history[pushing].certificate.passed
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("name", ["displacement", "velocity", "normal_force"])
+@pytest.mark.parametrize(
+    ("scheme", "options"),
+    [
+        ("moreau-jean", {}),
+        ("modified-mass-central", {}),
+        ("paoli-schatzman", {}),
+        ("newmark", {}),
+        ("penalty", dict(penalty=1e3)),
+    ],
+)
+def test_what_no_later_step_sees_is_what_the_scheme_makes_of_the_answer(
+    scheme: str, options: dict[str, float], name: str
+) -> None:
+    """Where the certificate's own unknown is another, 1e-6 of a displacement, velocity or spring force is refused."""
+    history = thrown_rod(scheme, 20, duration=0.7, courant=0.4, **options)[0]
+    pushing = int(np.flatnonzero(history.normal_forces[:, 0])[2])
+    for k in (pushing, len(history) - 1):
+        assert history[k].certificate.passed
+    again = thrown_rod(scheme, 20, duration=0.7, courant=0.4, **options)[0]
+    values = getattr(again.motion.states[pushing], name)
+    values.setflags(write=True)
+    values[int(np.argmax(abs(values)))] *= 1 + 3e-6
+    refused = again[pushing].certificate
+    assert not refused.passed
+    assert refused.failures

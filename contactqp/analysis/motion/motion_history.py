@@ -28,6 +28,8 @@ from contactqp.model.summary import wrapped
 BLOCK = 256
 # Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
 SLIPS = PENETRATES = 1e-9
+# A state is what its scheme makes of a step's answer to this part, and to the rounding of displacements' differences.
+SAME, ROUNDED = 1e-9, 64 * np.finfo(float).eps
 # Energy that comes from nowhere is noted from this part of what was there or was put in on: central differences, which
 # keep it on average, fluctuate by a few thousandths where vibrations are resolved.
 GROWS = 0.05
@@ -172,6 +174,9 @@ def _solution_at(motion: Motion, k: int) -> Moving:
     friction = None if step.slip_origin is None else _shaped(found.friction, step)
     certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
     status = contact_status(step, certificate)
+    strangers = tuple(_not_of_step(motion, k))
+    if strangers:
+        certificate = replace(certificate, passed=False, failures=(*certificate.failures, *strangers))
     deepest = _deepest(problem, [state.displacement])
     if deepest is not None:
         note = f"judged is the problem that {motion.scheme.name} posed for this step; {_penetrates(motion, deepest)}"
@@ -196,6 +201,28 @@ def _solution_at(motion: Motion, k: int) -> Moving:
         step_problem=step,
         step_unknown=found.unknown,
     )
+
+
+def _not_of_step(motion: Motion, k: int) -> Iterator[str]:
+    """Yield what of instant k is not what its scheme makes of the answer of the step, which alone is certified."""
+    if k == 0:
+        return
+    scheme, before, state = motion.scheme, motion.states[k - 1], motion.states[k]
+    made, h, problem = scheme.accept(before, scheme.answered(before, state)), scheme.body.step, scheme.body.problem
+    moved = abs(state.displacement) + abs(before.displacement)
+    fast = abs(state.velocity) + abs(before.velocity)
+    pushes = np.full(len(state.normal_force), np.max(abs(made.normal_force), initial=0.0))
+    for name, size, named in (
+        ("displacement", SAME * moved + SAME * h * fast, problem.dof_name),
+        ("velocity", SAME * fast + ROUNDED / h * moved, problem.dof_name),
+        ("normal_force", SAME * pushes, problem.contact_name),
+    ):
+        found, expected = getattr(state, name), getattr(made, name)
+        off = np.flatnonzero(~(abs(found - expected) <= size))
+        if len(off):
+            i = int(off[0])
+            what = f"{name.replace('_', ' ')} of {named(i)}"
+            yield f"{what}: {found[i]:.6g}, but {scheme.name} makes {expected[i]:.6g} of the answer of its step"
 
 
 def notes_on_motion(motion: Motion) -> Iterator[str]:
