@@ -12,7 +12,7 @@ import pytest
 import contactqp as cq
 from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck
 from tests.cli.commands import run as command
-from tests.decks import STACK, needs_calculix, write
+from tests.decks import STACK, needs_calculix, two_blocks, write
 
 
 def printed(deck: pathlib.Path, displacement: np.ndarray, time_: float = 1.0, name: str = "model.dat") -> pathlib.Path:
@@ -58,6 +58,27 @@ def test_the_springs_that_a_deck_states_are_told_apart(tmp_path: pathlib.Path) -
     assert any("that of the springs that the deck states" in one for one in found.pairs[0].causes)
     assert cq.crosscheck(deck, results, reference="penalty").passed
     assert cq.crosscheck(deck, results, error_tolerance=0.1).passed
+
+
+def test_friction_that_yields_is_wrong_where_the_normal_forces_are_right(tmp_path: pathlib.Path) -> None:
+    text = two_blocks("hex8", "NODE TO SURFACE", "LINEAR\n1e9", divisions=((2, 2, 1), (3, 3, 1)), push=3e-5,
+                      friction="0.3, 1e5")  # fmt: skip
+    deck = write(tmp_path, text)
+    problem = cq.read_deck(deck).problem
+    yielding, right = cq.solve(problem("penalty")), exact(deck)
+    results = printed(deck, yielding.displacement[: len(right)])
+    found = cq.crosscheck(deck, results)
+    (pair,) = found.pairs
+    assert pair.node_error < 1e-2
+    assert pair.reference_friction == pytest.approx(np.linalg.norm(cq.solve(problem()).friction_force, axis=1).sum())
+    assert pair.friction == pytest.approx(np.linalg.norm(yielding.friction_force, axis=1).sum(), rel=1e-4)
+    assert pair.friction < 0.9 * pair.reference_friction
+    assert found.word == "wrong"
+    assert f"friction at all nodes {pair.friction:.6g}, exact {pair.reference_friction:.6g}" in found.summary()
+    assert any("friction yields on the stick slope that the deck states" in one for one in pair.causes)
+    assert cq.crosscheck(deck, results, reference="penalty").passed
+    assert cq.crosscheck(deck, printed(deck, right)).passed
+    assert judged(tmp_path).pairs[0].friction is None
 
 
 def test_units_are_words(tmp_path: pathlib.Path) -> None:

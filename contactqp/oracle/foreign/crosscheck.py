@@ -57,10 +57,11 @@ def crosscheck(
 ) -> CrossCheck:
     """Judge the contact of a deck as CalculiX solves it, pair by pair.
 
-    A pair is right where its resultant, the vector of its forces and the force of every node are within
-    `error_tolerance` times the resultant of the reference; forces of nodes, where a deck asks for contact of faces,
-    also within what two exact discretisations of its mesh differ by. The verdict says what parts the answers: springs
-    in the place of contact, nodes that pull, numbers that were cut off, contact that was not found.
+    A pair is right where its resultant, the vector of its forces, the sum of the sizes of its friction forces and the
+    normal force of every node are within `error_tolerance` times the resultant of the reference; forces of nodes, where
+    a deck asks for contact of faces, also within what two exact discretisations of its mesh differ by. The verdict says
+    what parts the answers: springs in the place of contact, nodes that pull, numbers that were cut off, contact that
+    was not found.
 
     Parameters
     ----------
@@ -279,6 +280,9 @@ class _Judging:
         each = np.maximum(abs(force - truth) - digits, 0.0)
         size = max(float(truth.sum()), float(np.maximum(abs(force) - digits, 0.0).sum()))
         error = max(abs(float(force.sum() - truth.sum())), float(np.linalg.norm((vectors - truth_vectors).sum(axis=0))))
+        along = judged.friction(vectors), judged.friction(truth_vectors)
+        rounding = float(np.linalg.norm(self.answer.noise[judged.unknowns], axis=1).sum())
+        error = max(error, abs(along[0] - along[1]) - rounding)
         noise = self._noise(judged)
         if size <= NEGLIGIBLE * self.tolerance * self.scale:  # nothing touches, but for the printed digits
             error, each, noise, size = 0.0, np.zeros(1), 0.0, 1.0
@@ -302,7 +306,7 @@ class _Judging:
             other_resultant=next((float(judged.along(one).sum()) for one in self._others(number)), None),
             mesh_error=mesh.resultant,
             mesh_node_error=mesh.node,
-            causes=() if word == "right" else tuple(self._causes(found, number)),
+            causes=() if word == "right" else tuple(self._causes(found, number, vectors)),
             labels=self.deck.assembly.topology.labels[judged.nodes[kept]],
             force=force[kept],
             reference_force=truth[kept],
@@ -310,6 +314,8 @@ class _Judging:
             points=judged.contact.slave.points[judged.nodes[kept]],
             area=(judged.shares @ judged.area)[kept],
             notes=(*judged.contact.pairing.notes, *self._stress_across(number, size)),
+            friction=along[0] if judged.rubs else None,
+            reference_friction=along[1] if judged.rubs else None,
         )
 
     def _stress_across(self, number: int, size: float) -> Iterator[str]:
@@ -330,14 +336,19 @@ class _Judging:
             "answer in plane stress", lambda: reference_forces(plain, self._nodes, "exact", "node-to-segment")
         )
 
-    def _causes(self, found: Found, number: int) -> Iterator[str]:
-        """Yield in words what parts the answer of a pair from the reference."""
+    def _causes(self, found: Found, number: int, vectors: Forces) -> Iterator[str]:
+        """Yield in words what parts the answer of a pair, with these forces on its nodes, from the reference."""
+        judged = found.judged
         yield from causes_of(found, self.tolerance)
         if self.reference == "exact" and self._springs:
-            springs = found.judged.shares @ found.judged.along(self._springs[number])
+            springs = judged.shares @ judged.along(self._springs[number])
             apart, off = (float(abs(found.force - one).max()) for one in (springs, found.truth))
             if apart < off / 3:
                 yield f"of the difference {1 - apart / off:.0%} is that of the springs that the deck states"
+            rubbing = (judged.friction(one) for one in (vectors, self._springs[number], self._truth[number]))
+            theirs, yielding, right = rubbing
+            if WORTH * self.tolerance * found.size < abs(theirs - right) > 3 * abs(theirs - yielding):
+                yield f"friction yields on the stick slope that the deck states: on it the nodes have {yielding:.6g}"
 
     def _noise(self, judged: PairNodes) -> float:
         """Return what the printed digits leave of the resultant of a pair, and of its vector [force]."""
@@ -354,7 +365,8 @@ class _Judging:
         resultant = node = 0.0
         for other in self._others(number):
             apart = judged.shares @ judged.along(other - self._truth[number])
-            resultant = max(resultant, abs(float(apart.sum())))
+            along = judged.friction(other), judged.friction(self._truth[number])
+            resultant = max(resultant, abs(float(apart.sum())), abs(along[0] - along[1]))
             node = max(node, float(abs(apart).max(initial=0.0)))
         return Errors(resultant / size, node / size)
 

@@ -135,6 +135,18 @@ class PairNodes:
         """Return the parts of vectors (q, d) along the normals, (q,)."""
         return np.asarray(np.einsum("qd,qd->q", vectors, self.direction))
 
+    @property
+    def rubs(self) -> bool:
+        """Return whether there is friction, and the forces along the surface are known."""
+        return self.alone and self.contact.interaction.friction > 0
+
+    def friction(self, vectors: Array) -> float:
+        """Return the sum of the sizes of the parts of vectors (q, d) along the surface, 0 without friction [force]."""
+        if not self.rubs:
+            return 0.0
+        size = (self.direction**2).sum(axis=1, keepdims=True)
+        return float(np.linalg.norm(vectors - self.along(vectors)[:, None] * self.direction / size, axis=1).sum())
+
     @cached_property
     def shares(self) -> Any:
         """Return how the forces of nodes are shared before they are compared, (q, q) CSR: each is its own as a rule.

@@ -167,6 +167,9 @@ class PairVerdict(ReadOnly):
         The share of the slave surface that belongs to each [area].
     notes : tuple of str
         What the mesh is too coarse for.
+    friction, reference_friction : float, optional
+        The sums of the sizes of the forces along the surface; None without friction, and where other forces act on the
+        nodes [force].
     """
 
     name: str
@@ -191,6 +194,8 @@ class PairVerdict(ReadOnly):
     points: Array
     area: Vector
     notes: tuple[str, ...] = ()
+    friction: float | None = None
+    reference_friction: float | None = None
 
     @property
     def worst(self) -> Index:
@@ -211,6 +216,8 @@ class PairVerdict(ReadOnly):
             "error": self.error,
             "node_error": self.node_error,
             "noise": self.noise,
+            "friction": self.friction,
+            "reference_friction": self.reference_friction,
             "penalty_resultant": self.penalty_resultant,
             "other_resultant": self.other_resultant,
             "mesh_error": self.mesh_error,
@@ -329,6 +336,10 @@ def _of_pair(pair: PairVerdict, reference: str, tolerance: float, units: Units) 
         f"    resultant {pair.resultant:.6g}{units.force and f' {units.force}'}, {reference} "
         f"{pair.reference_resultant:.6g}, difference {difference:.3g}{_others(pair, reference)}",
     ]
+    if pair.friction is not None and pair.reference_friction is not None:
+        apart = pair.friction - pair.reference_friction
+        along = f"{pair.friction:.6g}{units.force and f' {units.force}'}, {reference} {pair.reference_friction:.6g}"
+        lines.append(f"    friction at all nodes {along}, difference {apart:.3g}")
     if pair.noise > 0.1 * tolerance:
         lines.append(f"    the printed digits leave {pair.noise:.2g} of the resultant open")
     if pair.mesh_node_error > 0.1 * tolerance:
