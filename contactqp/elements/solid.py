@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -216,26 +216,6 @@ class Body(ReadOnly):
         return np.stack(motions, axis=1)
 
 
-class PointStress(NamedTuple):
-    """The stresses at the quadrature points of one block of elements."""
-
-    positions: Array  # (E, q, d) [length]
-    stress: Array  # (E, q, 6) [force / length^2]
-
-
-def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStress, ...]:
-    """Return sigma = D B u at the quadrature points of the stiffness, one entry for each block of the mesh.
-
-    Raises InvalidProblem: the displacement is not (N d,).
-    """
-    u = _displacement(body, displacement)
-    found = []
-    for block in body.mesh.blocks:
-        geometry = Geometry(block.kind, body.mesh.points[block.nodes], body.stiffness_rule(block).points)
-        found.append(PointStress(geometry.positions, _stress(body, block, geometry, u)))
-    return tuple(found)
-
-
 def stress_at_nodes(body: Body, displacement: ArrayLike) -> Array:
     """Return (N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the
     elements.
@@ -255,7 +235,7 @@ def stress_sums(body: Body, displacement: ArrayLike, blocks: Sequence[Block]) ->
     total, count = np.zeros((N, 6)), np.zeros((N, 1))
     for block in blocks:
         geometry = Geometry(block.kind, body.mesh.points[block.nodes], _SAMPLES[block.kind.name].points)
-        continued = np.matmul(_continuation(block.kind), _stress(body, block, geometry, u))
+        continued = np.matmul(_continuation(block.kind), stress_in(body, block, geometry, u))
         total += sum_at_nodes(block, continued, N)
         count += sum_at_nodes(block, np.ones((*block.nodes.shape, 1)), N)
     return total, count
@@ -272,7 +252,16 @@ def von_mises(stress: ArrayLike) -> Array:
     return np.asarray(np.sqrt(squares))
 
 
-def _stress(body: Body, block: Block, geometry: Geometry, u: Array) -> Array:
+def stress_in(body: Body, block: Block, geometry: Geometry, u: Array) -> Array:
+    """Return sigma = D B u (E, q, 6) at the points of a geometry of the elements of a block.
+
+    Parameters
+    ----------
+    body : Body
+    block : elements of its mesh
+    geometry : their geometry at q points
+    u : (N d,) array, the displacement of the body
+    """
     strain = strains(geometry, body.model, u.reshape(body.mesh.points.shape)[block.nodes])
     return np.asarray(strain @ body.material.stress_matrix(body.model).T)
 

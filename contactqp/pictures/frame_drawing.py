@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -134,33 +133,16 @@ WIDTH, LEAST, TEXT, MOST_UPRIGHT = 9.0, 1.6, 1.5, 0.75
 CLOSE = 0.02
 
 
-def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None = None, title: str = "") -> None:
+def structure_figure(fields: FrameFields, *, scale: float | None = None, title: str = "") -> Figure:
     """Draw the undeformed and the deformed members, supports, loads, and contacts with their force or gap.
 
-    Raises InvalidProblem: the suffix is unknown, the scale is not positive, or the folder does not exist;
-    BackendMissing: matplotlib is not installed.
-
-    Parameters
-    ----------
-    fields : FrameFields
-    file : str or Path
-        A file that ends in .png, .pdf or .svg.
-    scale : float, optional
-        How many times displacements are magnified; by default as many as make them visible. The title states it.
-    title : the title of the picture
-
-    Notes
-    -----
     An obstacle is a symbol, drawn at `scale` times the initial gap from the undeformed node, so that the deformed node
     meets it exactly where the contact is closed. In 1D the deformed line is drawn below the undeformed one; along y
-    or z they stand upright beside each other.
+    or z they stand upright beside each other. By default displacements are magnified until they are visible; the title
+    states the scale.
+
+    Raises InvalidProblem: the scale is not positive; BackendMissing: matplotlib is not installed.
     """
-    path = style.check_picture(file)
-    style.save(structure_figure(fields, scale=scale, title=title), path)
-
-
-def structure_figure(fields: FrameFields, *, scale: float | None = None, title: str = "") -> Figure:
-    """Return the figure that `draw_structure` writes."""
     size = _size(fields)
     pairs = [(contact.initial_gap, contact.gap) for contact in fields.contacts if len(contact.nodes) == 2]
     initial_gap, gap = np.array(pairs).reshape(-1, 2).T

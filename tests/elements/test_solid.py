@@ -5,6 +5,8 @@ Stresses are exact for uniform and for linear fields.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -14,13 +16,22 @@ from contactqp.elements import reference_elements
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import mesh_from_arrays
 from contactqp.elements.mesh_files import mesh_from_skfem
-from contactqp.elements.reference_elements import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES, Geometry
 from contactqp.elements.shapes import ball, box, disc, rectangle
-from contactqp.elements.solid import Body, assemble, pattern, stress_at_nodes, stress_at_quadrature, von_mises
+from contactqp.elements.solid import Body, assemble, pattern, stress_at_nodes, stress_in, von_mises
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import MODELS, STEEL, body, distorted
 
 GRADIENTS = {2: np.array([[1.0, 0.4], [-0.3, 0.7]]), 3: np.array([[1.0, 0.4, 0.2], [-0.3, 0.7, 0.5], [0.1, -0.6, 0.9]])}
+
+
+def stress_at_quadrature(b, u):
+    """Return positions (E, q, d) and stresses (E, q, 6) at the points of the stiffness, block by block."""
+    found = []
+    for block in b.mesh.blocks:
+        geometry = Geometry(block.kind, b.mesh.points[block.nodes], b.stiffness_rule(block).points)
+        found.append(SimpleNamespace(positions=geometry.positions, stress=stress_in(b, block, geometry, u)))
+    return found
 
 
 def constant_strain(b):

@@ -8,7 +8,8 @@ import pytest
 import contactqp as cq
 from contactqp.elements.members import beam_displacements
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.pictures.frame_drawing import draw_structure, structure_figure
+from contactqp.pictures.frame_drawing import structure_figure
+from contactqp.pictures.style import check_picture, save
 from contactqp.study.answer_pictures import fields_of
 from tests.shipped_cases import SCENES
 
@@ -237,12 +238,12 @@ def test_an_obstacle_far_away_is_left_to_the_legend():
 
 @pytest.mark.slow
 def test_the_file_is_written(tmp_path):
-    draw_structure(fields("bar_wall"), tmp_path / "case.pdf")
+    save(structure_figure(fields("bar_wall")), check_picture(tmp_path / "case.pdf"))
     assert (tmp_path / "case.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path):
     with pytest.raises(InvalidProblem, match=r"a.gif: expected a file name that ends in .png or .pdf or .svg"):
-        draw_structure(fields("bar_wall"), tmp_path / "a.gif")
+        check_picture(tmp_path / "a.gif")
     with pytest.raises(InvalidProblem, match="scale: expected a positive number, got -1"):
-        draw_structure(fields("bar_wall"), tmp_path / "a.png", scale=-1.0)
+        structure_figure(fields("bar_wall"), scale=-1.0)

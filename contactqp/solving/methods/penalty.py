@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, FreeMotion, Solution
@@ -241,31 +241,6 @@ def without_contact_springs(problem: ContactProblem, solution: Solution, name: s
         method=f"{name} by {solution.method}",
         raw=None,
     )
-
-
-def sliders(
-    problem: ContactProblem, solution: Solution, penalty: ArrayLike, tangential_penalty: ArrayLike | None = None
-) -> Array:
-    """Return the sliders of a penalised solution: E_T u - l_T / beta_T, or where they stick their origin,
-    (m, d-1) [length].
-
-    They are the next step's slip origin. A slider whose contact is open hangs on a spring without force, E_T u.
-
-    Raises InvalidProblem as `with_contact_springs` does.
-
-    Parameters
-    ----------
-    problem : with tangential rows
-    solution : its answer by the method "penalty"
-    penalty, tangential_penalty : numbers or (m,) arrays [force / length]
-        The stiffnesses that it was made with; the tangential one is the normal one by default.
-    """
-    if problem.tangent is None or problem.slip_origin is None or solution.friction_force is None:
-        raise InvalidProblem(f"{SLIDERS}: expected a problem with tangential rows, got {shown(problem)}")
-    _, tangential = _stiffnesses(problem.contacts, penalty, tangential_penalty)
-    moved = (problem.tangent @ solution.displacement).reshape(problem.slip_origin.shape)
-    stuck = solution.contact_status[:, None] == "stick"
-    return np.where(stuck, problem.slip_origin, moved - solution.friction_force / tangential[:, None])
 
 
 def _stiffnesses(contacts: int, penalty: Any, tangential_penalty: Any) -> tuple[Vector, Vector]:
