@@ -56,7 +56,7 @@ def unknown_names_of(body: Deformable) -> tuple[str, ...] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class ContactState:
+class LinearisedContacts:
     """The contacts at one displacement; to first order E_N (u_new - u) <= gap and slip E_T (u_new - u).
 
     Attributes
@@ -81,7 +81,7 @@ class ContactGeometry(Protocol):
     def contacts(self) -> int:
         """Return the number of contacts m."""
 
-    def state(self, displacement: Vector) -> ContactState:
+    def state(self, displacement: Vector) -> LinearisedContacts:
         """Return gaps and rows at a displacement; InvalidProblem where a contact has lost its pair."""
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
@@ -224,12 +224,12 @@ class SupportedContact:
         """Return the number of free unknowns."""
         return self.support.dimension
 
-    def state(self, displacement: Vector) -> ContactState:
+    def state(self, displacement: Vector) -> LinearisedContacts:
         """Return the gaps, and the rows of the free unknowns."""
         found = self.geometry.state(self.support.expand(displacement))
         free = self.support.free
         tangent = None if found.tangent is None else sp.csr_array(found.tangent[:, free])
-        return ContactState(found.gap, sp.csr_array(found.normal[:, free]), tangent, found.rounding)
+        return LinearisedContacts(found.gap, sp.csr_array(found.normal[:, free]), tangent, found.rounding)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
         """Return the curvature on the free unknowns, or None where it is not known."""
@@ -308,7 +308,7 @@ class ObstacleContact(ReadOnly):
             raise InvalidProblem(f"displacement: expected the {self.dimension} unknowns, got shape {u.shape}")
         return np.asarray(self.points + u[self.unknowns])
 
-    def state(self, displacement: Vector) -> ContactState:
+    def state(self, displacement: Vector) -> LinearisedContacts:
         """Return gaps and rows at a displacement.
 
         Raises
@@ -319,7 +319,7 @@ class ObstacleContact(ReadOnly):
         x = self.positions(displacement)
         found = paired(x, self.obstacle, self.unknowns, self.dimension)
         size = np.max(abs(x), axis=1, initial=0.0) + abs(found.gap) + float(getattr(self.obstacle, "radius", 0.0))
-        return ContactState(found.gap, found.normal, found.tangent, ROUNDING * size)
+        return LinearisedContacts(found.gap, found.normal, found.tangent, ROUNDING * size)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
         """Return minus the sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
@@ -364,14 +364,14 @@ class ContactGroup:
         """Return the number of contacts of all geometries."""
         return sum(part.contacts for part in self.parts)
 
-    def state(self, displacement: Vector) -> ContactState:
+    def state(self, displacement: Vector) -> LinearisedContacts:
         """Return gaps and rows of all geometries."""
         states = [part.state(displacement) for part in self.parts]
         widths = {state.normal.shape[1] for state in states}
         if len(widths) > 1:
             raise InvalidProblem(f"contact group: expected rows over the same unknowns, got {sorted(widths)}")
         smooth = any(state.tangent is None for state in states)
-        return ContactState(
+        return LinearisedContacts(
             np.concatenate([state.gap for state in states]),
             sp.csr_array(sp.vstack([state.normal for state in states], format="csr")),
             None if smooth else sp.csr_array(sp.vstack([state.tangent for state in states], format="csr")),

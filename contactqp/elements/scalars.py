@@ -148,13 +148,3 @@ def _near_one(vector: Array) -> Array:
     _, power = np.frexp(np.max(np.abs(vector), initial=0.0))
     scaled: Array = np.ldexp(vector, -power)
     return scaled
-
-
-def lengths(vectors: Array) -> Array:
-    """Return the Euclidean lengths of the rows, whose squares may be beyond the floats.
-
-    >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
-    ['5e+200', '5e-200']
-    """
-    together: Array = np.hypot.reduce(vectors, axis=-1)
-    return together

@@ -61,8 +61,12 @@ Vectors = Array  # (m, d)
 
 
 def lengths(vectors: Vectors) -> Vector:
-    """Return |v| of every row, infinite where an entry is, and correct where squares exceed doubles."""
-    return np.asarray(np.hypot.reduce(vectors, axis=1, initial=0.0))
+    """Return |v| of every row, infinite where an entry is, and correct where squares exceed doubles.
+
+    >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
+    ['5e+200', '5e-200']
+    """
+    return np.asarray(np.hypot.reduce(vectors, axis=-1, initial=0.0))
 
 
 def directions(vectors: Vectors) -> Vectors:

@@ -186,14 +186,14 @@ def _most_telling(status: Any, force: Vector, gap: Vector | None = None) -> Sequ
 def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
     """Return how many contacts there are in each state, and how many of them are shown."""
     if not frictional:
-        return f"{_counted('contact', len(status), shown)}; {closed_contacts(status)} closed"
+        return f"{_counted('contact', len(status), shown)}; {count_closed(status)} closed"
     count = {name: int(np.sum(np.asarray(status) == name)) for name in ("slip", "stick", "open", "closed", "grazing")}
     told = [f"{n} {name}" for name, n in count.items() if n or name in ("slip", "stick", "open")]
     few = f"; {shown} shown, slip first" if shown < len(status) else ""
     return f"{counted('contact', len(status))}: {', '.join(told)}{few}"
 
 
-def closed_contacts(status: Any) -> int:
+def count_closed(status: Any) -> int:
     """Return how many of the statuses are those of a contact that is closed, whether it sticks or slips."""
     return int(np.sum(np.isin(status, ("closed", "stick", "slip"))))
 
@@ -335,7 +335,7 @@ def _instant(solution: Any, states: Sequence[str], noise: float) -> list[str]:
     """Return how many contacts are in each state, the largest normal force and where, and the largest friction."""
     status, force = np.asarray(solution.contact_status), solution.normal_force
     count = {name: int(np.sum(status == name)) for name in ("slip", "stick")}
-    count["closed"] = closed_contacts(status)
+    count["closed"] = count_closed(status)
     count["open"] = len(status) - count["closed"]
     at = int(np.argmax(force)) if len(force) else -1
     largest = float(np.max(force, initial=0.0))

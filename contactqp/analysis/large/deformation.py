@@ -22,7 +22,7 @@ from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 
 if TYPE_CHECKING:  # imported where something deforms: this module also says what is no large deformation
-    from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
+    from contactqp.elements.deformable import ContactGeometry, Deformable, LinearisedContacts
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING = 64 * np.finfo(float).eps
@@ -48,7 +48,7 @@ class Instant:
 
     displacement: Vector  # (n,)
     internal: Vector  # (n,) the gradient of the energy
-    contact: ContactState
+    contact: LinearisedContacts
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +109,12 @@ class LoadedBody:
         """
         return Instant(u, np.asarray(self.body.internal_force(u)), self._contact(u))
 
-    def _contact(self, u: Vector) -> ContactState:
+    def _contact(self, u: Vector) -> LinearisedContacts:
         if self.contact is None:
-            from contactqp.elements.deformable import ContactState
+            from contactqp.elements.deformable import LinearisedContacts
 
             none = np.zeros(0)
-            return ContactState(none, sp.csr_array((0, self.dimension)), None, none)
+            return LinearisedContacts(none, sp.csr_array((0, self.dimension)), None, none)
         return self.contact.state(u)
 
     def no_forces(self) -> Forces:

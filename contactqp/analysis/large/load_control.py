@@ -20,7 +20,7 @@ from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolu
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.certificate.figures import contact_status
-from contactqp.elements.deformable import ContactGeometry, ContactState
+from contactqp.elements.deformable import ContactGeometry, LinearisedContacts
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Work
@@ -305,7 +305,7 @@ class HeldOpen:
         """Return the number of contacts m."""
         return self.geometry.contacts
 
-    def state(self, displacement: Vector) -> ContactState:
+    def state(self, displacement: Vector) -> LinearisedContacts:
         """Return the contacts at a displacement, with the wider gaps."""
         state = self.geometry.state(displacement)
         return replace(state, gap=state.gap + self.offset)
