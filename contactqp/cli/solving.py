@@ -163,7 +163,7 @@ def run_command(
         speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
-            data += _print_files(solved, as_json)
+            data += _print_files(solved, as_json, verbose)
             for file in [] if files is None else write_files(solved, files.plot, files.csv):
                 click.echo(f"written: {file}", err=as_json)
     if as_json and speakers.speaks:
@@ -388,7 +388,7 @@ def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path
     return files.write(found) if speakers.speaks else []
 
 
-def _print_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
+def _print_files(solved: Sequence[FileOutcome], as_json: bool, verbose: bool) -> list[Any]:
     """Print the outcomes of problems in files of other codes; with `as_json`, return the data to be printed."""
     from contactqp.study.friction_files import outcome_data, print_outcomes
 
@@ -396,5 +396,5 @@ def _print_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
         complain(message)
     if as_json:
         return [outcome_data(outcome) for outcome in solved]
-    print_outcomes(console(), solved)
+    print_outcomes(console(), solved, verbose=verbose)
     return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,16 +36,16 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
-from contactqp.exchange.files import naming, write_whole
+from contactqp.exchange.files import Ledger, naming, write_whole
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
-from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
+from contactqp.exchange.problem_files import is_deck, is_of_matrices, is_problem_file, read_problem_with_ledger
 from contactqp.linalg.runtime import within_time
 from contactqp.model.arrays import Array
 from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
-from contactqp.scene.tables import ENDLESS, print_noted
+from contactqp.scene.tables import ENDLESS, print_noted, print_wrapped
 from contactqp.scene.units import Quantity, UnitSystem, number
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
@@ -76,6 +76,7 @@ class FileOutcome:
     seconds: float  # of solving
     options: Mapping[str, Any] = field(default_factory=dict)
     code: str | None = None  # that of the error, where there is a failure
+    ledger: Ledger | None = None  # what was read, assumed and without effect, of files of bodies
 
     @property
     def passed(self) -> bool:
@@ -95,15 +96,20 @@ def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
 
     A problem of matrices stays as it is.
     """
-    problem = read_problem(file)
+    return read_solvable(file)[0]
+
+
+def read_solvable(file: str | Path) -> tuple[LocalProblem | ContactProblem, Ledger]:
+    """Return what `solvable_form` returns, and what was read, converted, assumed and ignored of the file."""
+    problem, ledger = read_problem_with_ledger(file)
     if isinstance(problem, ContactProblem) and is_of_matrices(file):
-        return problem
+        return problem, ledger
     try:
         with naming(file):
-            return local_form_of(problem)
+            return (problem if isinstance(problem, LocalProblem) else local_form_of(problem)), ledger
     except SingularMatrix:
         if isinstance(problem, ContactProblem):
-            return problem
+            return problem, ledger
         raise
 
 
@@ -255,7 +261,8 @@ def run_file(
     """
     if engine != SERIAL:
         return run_file_on_ranks(file, method or DEFAULT_METHOD, _in_units(file, None, options or {}))
-    problem = _called(file, solvable_form(file), units)
+    read, ledger = read_solvable(file)
+    problem = _called(file, read, units)
     chosen = _in_units(file, problem.units if isinstance(problem, ContactProblem) else None, options or {})
     if drawn and isinstance(problem, LocalProblem):
         raise Unsupported(f"{file}: --plot and --csv need displacements; a problem in local form has forces in --json")
@@ -269,7 +276,8 @@ def run_file(
         solution, failure = error.solution, error
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         failure = error
-    return _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
+    found = _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
+    return replace(found, ledger=ledger)
 
 
 def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | None) -> LocalProblem | ContactProblem:
@@ -341,6 +349,8 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
         "met": outcome.passed,
         "seconds": outcome.seconds,
     }
+    if outcome.ledger is not None:
+        data["ledger"] = outcome.ledger.data()
     if outcome.failure is not None:
         data |= {"failure": outcome.failure, "code": outcome.code}
     if solution is not None:
@@ -391,12 +401,21 @@ MOST_CONTACTS = 10
 PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
 
 
-def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
+def print_outcomes(console: Console, outcomes: Sequence[FileOutcome], *, verbose: bool = False) -> None:
     """Print one row per file and method: sizes, the worst of each figure, the errors that other codes publish.
 
     Of energies without friction: the energy, and what is proven of it. Of a single answer with displacements that is
-    its own table, the largest displacements and forces.
+    its own table, the largest displacements and forces. Below is what was assumed of decks; with `verbose` all that
+    became of their cards.
     """
+    _print_tables(console, outcomes)
+    ledgers = {outcome.file: outcome.ledger for outcome in outcomes if outcome.ledger and is_deck(outcome.file)}
+    for ledger in ledgers.values():
+        lines = [f"  {kind}: {line}" for kind, line in ledger if verbose or kind == "assumed"]
+        print_wrapped(console, lines)
+
+
+def _print_tables(console: Console, outcomes: Sequence[FileOutcome]) -> None:
     energies = [outcome for outcome in outcomes if outcome.problem.is_energy]
     if len(outcomes) == 1 and isinstance(outcomes[0].solution, Solution):
         energy = f": energy {outcomes[0].solution.energy:.12g}" if outcomes[0].problem.is_energy else ""

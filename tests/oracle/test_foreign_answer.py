@@ -280,3 +280,15 @@ def test_one_wrong_force_among_a_few_right_values_is_named_with_its_right_value(
     )
     both = cq.certify(problem, solution.displacement, solution.normal_force * [1.01, 0.98])
     assert both.diagnosis.endswith("at contact 1, and 1 other contact is wrong too")
+
+
+def test_gaps_that_are_rounding_stand_as_zero_beside_wrong_ones() -> None:
+    rng = np.random.default_rng(3)
+    shape = rng.standard_normal((12, 12))
+    problem = cq.ContactProblem(shape @ shape.T + np.eye(12), 5 * rng.standard_normal(12), rng.standard_normal((6, 12)),
+                                np.full(6, 0.01))  # fmt: skip
+    right = cq.solve(problem)
+    judged = cq.certify(problem, 1.001 * right.displacement, right.normal_force)
+    closed = [one for one in judged.contacts if right.contact_status[one.index] == "closed"]
+    assert any(right.gap[one.index] != 0 for one in closed)
+    assert [one.right_gap for one in closed] == [0.0] * len(closed)

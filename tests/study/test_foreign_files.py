@@ -407,3 +407,17 @@ def test_names_of_units_that_fit_nothing_are_refused_in_one_line(capsys, folder)
     ):
         code, _, error = run(capsys, "run", *arguments)
         assert (code, said in error, len(error.splitlines())) == (2, True, 1), error
+
+
+def test_run_tells_what_of_a_deck_was_assumed_and_all_of_it_with_verbose(capsys, folder):
+    text = STACK.replace("*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n1e4\n", "")
+    Path(folder.parent / "deck.inp").write_text(text)
+    short, long = run(capsys, "run", "deck.inp")[1], run(capsys, "run", "deck.inp", "--verbose")[1]
+    assumed = "  assumed: deck.inp: line 37: no *SURFACE BEHAVIOR: HARD"
+    assert assumed in short
+    assert assumed in long
+    for line in ("  read: 16 nodes, 2 C3D8", "  ignored: deck.inp: line 1: *HEADING: words"):
+        assert line in long
+        assert line not in short
+    ledger = json.loads(run(capsys, "run", "deck.inp", "--json")[1])[0]["ledger"]
+    assert "deck.inp: line 1: *HEADING: words" in ledger["ignored"]

@@ -19,6 +19,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
+from contactqp.model.summary import without_rounding
 from contactqp.oracle.foreign.recovery import slips
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
@@ -117,6 +118,7 @@ def judged_contacts(
     wrong = np.flatnonzero(largest > certificate.tolerance)
     order = wrong[np.argsort(-largest[wrong], kind="stable")]
     gap, slip = problem.gap - problem.normal @ answer.displacement, slips(problem, answer.displacement)
+    beside = None if right is None else without_rounding(right)
     return tuple(
         JudgedContact(
             name=problem.contact_name(int(i)),
@@ -127,10 +129,10 @@ def judged_contacts(
             gap=float(gap[i]),
             friction_force=_of(answer.friction_force, i),
             slip=_of(slip, i),
-            right_normal_force=None if right is None else float(right.normal_force[i]),
-            right_gap=None if right is None else float(right.gap[i]),
-            right_friction_force=None if right is None else _of(right.friction_force, i),
-            right_slip=None if right is None else _of(right.slip, i),
+            right_normal_force=None if beside is None else float(beside.normal_force[i]),
+            right_gap=None if beside is None else float(beside.gap[i]),
+            right_friction_force=None if beside is None else _of(beside.friction_force, i),
+            right_slip=None if beside is None else _of(beside.slip, i),
         )
         for i in order
     )
