@@ -219,7 +219,7 @@ def _measured(
                 problem, answer, systems, factorization, candidates
             )
         found = violations(problem, answer, residual, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        out_of_balance, law = balance(problem, answer, rigid) if rigid.count else 0.0, None
+        out_of_balance, law = balance(problem, answer, rigid, found.nothing.force) if rigid.count else 0.0, None
         if problem.frictional:
             law = coulomb_residual(problem, answer, found)
             others = uniqueness(problem, answer, found, condensation, tolerance)
@@ -233,9 +233,12 @@ def _measured(
             bounds = bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
         state = state or StateVerdict(bounds.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
-    if problem.frictional and (
-        any(failed_errors(bounds, error_tolerance, nothing)) or fails_force_bound(bounds, error_tolerance, nothing)
-    ):
+    off = fails_force_bound(bounds, error_tolerance, 0.0)
+    if off:  # beside a gap that a body crosses rigidly S is far more than what presses it
+        pushed = float(np.max(problem.own_scale * problem.load_size, initial=0.0))
+        smooth = pushed > 0 and not problem.frictional
+        off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
+    if problem.frictional and (any(failed_errors(bounds, error_tolerance, nothing)) or off):
         bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     dependent: tuple[tuple[int, Indices], ...] = ()
     if condensation is not None and problem.ties > 1:
@@ -251,7 +254,7 @@ def _measured(
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
         ),
-        fails_force_bound(bounds, error_tolerance, nothing),
+        off,
         grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
         dependent,
         others,

@@ -81,12 +81,13 @@ ROUNDING_OF_SUMS = 4e-6
 NOTABLE = 1e-6
 
 
-def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: Vector | None = None) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
 
     By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
     moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
-    depends on no choice of basis, unit or scale.
+    depends on no choice of basis, unit or scale. Of a problem without load it is zero where no force exceeds `none`
+    (n,), what counts as none at each unknown: what rounding leaves of zero forces need not balance.
     """
     if not rigid.count:
         return 0.0
@@ -96,6 +97,8 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
     stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
     size = outer_forces(problem, answer)
+    if none is not None and not problem.load_size.any() and np.all(size <= none):
+        return 0.0
     body, moved = bodies(problem), that_move(problem, rigid.motions)
     # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
     # there are none.
@@ -237,6 +240,7 @@ def violations(
     """
     elastic, size, F = _kept(problem, answer, "sizes", partial(_meeting, problem, answer, rigid), rigid)
     none = nothing(problem, answer, elastic, size, rounding)
+    least = none.force if none.contact_force is None else none.contact_force
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
@@ -252,7 +256,7 @@ def violations(
         Sizes(
             meeting=F,
             push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
-            felt=force_measure(problem.normal, answer.normal_force, F, none.force, normal),
+            felt=force_measure(problem.normal, answer.normal_force, F, least, normal),
             lengths=normal.lengths(moved) + abs(problem.gap),
             tie_lengths=tie_lengths,
             tangential_lengths=np.zeros(problem.contacts) if coulomb is None else lengths_across(problem, elastic),
@@ -385,7 +389,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
     found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
     if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
         return False
-    return balance(problem, answer, rigid) <= HOLDS
+    return balance(problem, answer, rigid, found.nothing.force) <= HOLDS
 
 
 def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:

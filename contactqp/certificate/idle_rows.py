@@ -205,9 +205,8 @@ class ActingRows:
             if tangent.size:
                 across[self.contacts] = tangent.reshape(len(self.contacts), shape[1])
             tangent = across.ravel()
-        return Nothing(
-            nothing.force, self._contacts(nothing.normal), tangent, _spread(whole.ties, self.ties, nothing.tie)
-        )
+        tie = _spread(whole.ties, self.ties, nothing.tie)
+        return Nothing(nothing.force, self._contacts(nothing.normal), tangent, tie, nothing.contact_force)
 
     def _failures(self, found: Violations, answer: Answer, tolerance: float) -> Iterator[str]:
         whole, idle = self.whole, _others(self.whole.contacts, self.contacts)

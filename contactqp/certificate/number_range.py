@@ -152,6 +152,7 @@ class NearOne:
             np.ldexp(few.normal, normal),
             np.ldexp(few.tangent, np.repeat(slip, width)),
             np.ldexp(few.tie, self.length + self.ties),
+            None if few.contact_force is None else np.ldexp(few.contact_force, force),
         )
         return replace(
             found,

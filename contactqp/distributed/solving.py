@@ -329,6 +329,7 @@ def _whole_violations(found: Violations, part: DistributedProblem, gather: Gathe
         normal=gather(none.normal, part.contact_number),
         tangent=tangent,
         tie=gather(none.tie, part.tie_number),
+        contact_force=None if none.contact_force is None else gather(none.contact_force, part.dof_number),
     )
     return Violations(**whole, intrinsic_size=found.intrinsic_size, nothing=nothing)
 

@@ -67,10 +67,11 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
         problem.tie_value - tie.lengths(u),
     )
     near = normal.at_touched(F)
+    least = normal.at_touched(none.force if none.contact_force is None else none.contact_force)
     sizes = Sizes(
         meeting=F,
         push=force_measure(normal.entries, answer.normal_force, near),
-        felt=force_measure(normal.entries, answer.normal_force, near, normal.at_touched(none.force)),
+        felt=force_measure(normal.entries, answer.normal_force, near, least),
         lengths=normal.length_sizes(elastic) + abs(problem.gap),
         tangential_lengths=_tangential_lengths(problem, elastic),
         tie_lengths=tie.length_sizes(elastic) + abs(problem.tie_value),
@@ -117,7 +118,22 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
     longest, tangent = _longest_length(problem, u, along=False), np.zeros(0)
     if problem.tangent is not None:
         tangent = least(problem.tangent, _longest_length(problem, u, along=True))
-    return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest))
+    of_contacts = _least_contact_force(problem, u, elastic, size, part, force)
+    return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest), of_contacts)
+
+
+def _least_contact_force(
+    problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float, none: Vector
+) -> Vector | None:
+    """Return the forces (n_here,) up to which a contact pushes or pulls nothing, or None if they are `none`, those of
+    residuals; as `contactqp.linalg.measures` does. Collective.
+    """
+    pushed = problem.ranks.max(float(np.max(reciprocal(np.sqrt(problem.diagonal)) * abs(problem.load), initial=0.0)))
+    if not 0 < OF_ALL_LENGTHS * pushed < size:
+        return None
+    acting = max(pushed, float(np.sqrt(max(problem.ranks.dot(elastic, problem.product(elastic)), 0.0))))
+    loaded = np.where(problem.diagonal > 0, OF_ALL_LENGTHS * part * acting * np.sqrt(problem.diagonal), np.inf)
+    return np.asarray(np.minimum(none, np.maximum(loaded, HELD_BY_DOUBLES * problem.product_sizes(abs(u)))))
 
 
 def _longest_length(problem: DistributedProblem, displacement: Vector, along: bool) -> float:

@@ -19,6 +19,11 @@ the lengths there are. So no length counts as nothing above 1000 t = 1e-9 of the
 motions |E||u| of the part's rows, each over |E_i D|, where one of the first two is not zero; a slip, likewise, of the
 longest among these, the slip origins and the slips.
 
+Where a body crosses a gap rigidly before it is pressed, S is what that gap would strain, and says nothing of its loads.
+So where loads act, no force of a contact counts as nothing above 1e-9 of the largest D_j |f|_j of its part and of the
+strain |u_e|_K there, over D_j, or above a rounding of |K||u|. Without load, forces that are all nothing need not
+balance.
+
 The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
 the forces themselves: those that redundant contacts and ties exert on each other may be of any size and excuse nothing.
 Parts of a problem that no stiffness, contact or tie connects have a size each, at least a tolerance (1e-9) of the
@@ -175,19 +180,21 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u, D = abs(answer.displacement), scale_through_rows(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
-    force = np.maximum(force, HELD_BY_DOUBLES * (problem.stiffness_sizes @ u))
+    held = HELD_BY_DOUBLES * (problem.stiffness_sizes @ u)
+    force, of_contacts = np.maximum(force, held), _least_contact_force(problem, elastic, size, part, held)
     if elastic is not answer.displacement:
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
     force[_untouched(problem)] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
 
     def lengths(rows: Any, size: Vector) -> Vector:
-        held = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
-        return np.asarray(np.maximum(part * of_rows(problem, rows, size), held))
+        rounded = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
+        return np.asarray(np.maximum(part * of_rows(problem, rows, size), rounded))
 
     across, tangent = _beside_lengths(problem, u, size, along=False), np.zeros(0)
     if problem.tangent is not None:
         tangent = lengths(problem.tangent, _beside_lengths(problem, u, size, along=True))
-    return Nothing(force, lengths(problem.normal, across), tangent, lengths(problem.tie, across))
+    of_contacts = None if of_contacts is None else np.minimum(force, of_contacts)
+    return Nothing(force, lengths(problem.normal, across), tangent, lengths(problem.tie, across), of_contacts)
 
 
 def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector, along: bool) -> Vector:
@@ -213,6 +220,26 @@ def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector,
 def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) -> None:
     """Raise the largest length of each part to those of rows (r,), in the root of energy."""
     np.maximum.at(largest, part[of_row.first], in_energy(length, of_row.compliance)[of_row.touching])
+
+
+def _least_contact_force(
+    problem: ContactProblem, elastic: Vector, size: Vector, part: float, held: Vector
+) -> Vector | None:
+    """Return the forces (n,) up to which a contact pushes or pulls nothing, or None if they are those of residuals.
+
+    Redundant contacts may pull and push each other, which no bound sees. Where a body crosses a gap rigidly before it
+    is pressed, S is far more than its loads: of them 1000 t is nothing, and `held` (n,), what rounding u makes of
+    forces.
+    """
+    D, of_part = scale_through_rows(problem), parts(problem)
+    acting = np.zeros(int(of_part.max(initial=-1)) + 1)
+    np.maximum.at(acting, of_part, D * problem.load_size)
+    if not ((acting > 0)[of_part] & (size > OF_ALL_LENGTHS * acting[of_part])).any():
+        return None
+    strain = np.bincount(of_part, weights=elastic * (problem.stiffness_rows @ elastic), minlength=len(acting))
+    acting = np.where(acting > 0, np.maximum(acting, np.sqrt(np.maximum(strain, 0.0))), np.inf)[of_part]
+    pushed = np.divide(OF_ALL_LENGTHS * part * acting, D, out=np.full_like(D, np.inf), where=D > 0)
+    return np.asarray(np.maximum(pushed, held))
 
 
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:

@@ -37,6 +37,7 @@ class Nothing(ReadOnly):
     normal: Vector  # (m,) in the normal rows [length]
     tangent: Vector  # (m (d-1),) in the tangential rows [length]
     tie: Vector  # (k,) in the ties [length]
+    contact_force: Vector | None = None  # (n,) of contacts at unknowns, where less than `force` [force]
 
 
 # The arrays that an answer consists of, in the order in which messages and tables name them.

@@ -29,6 +29,25 @@ def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) 
     assert any(failure.startswith("state: ") for failure in certificate.failures)
 
 
+@pytest.mark.parametrize(("axial", "status"), [(0.0, "stick"), (1.0, "slip")])
+@pytest.mark.parametrize("part", [0.5, 1e-4, 3e-6])
+def test_a_contact_force_half_as_large_again_under_a_slender_cantilever_is_refused(
+    part: float, axial: float, status: str
+) -> None:
+    """400 elements on a rough stop at the tip: its stiffness hides the residual of a force that is 50 % off."""
+    elements = 400
+    tip, load, normal, tangent = 3 * (elements - 1), *np.zeros((3, 3 * elements))
+    load[1::3], load[tip], normal[tip + 1], tangent[tip] = -1 / elements, axial, -1.0, 1.0
+    problem = cq.ContactProblem(beam(elements, 1, 300.0), load, [normal], [0.01], tangent=[tangent], friction=0.3)
+    solution = cq.solve(problem)
+    assert solution.certificate.basis == "state"
+    assert solution.contact_status.tolist() == [status]
+    certificate = cq.certify(problem, *forged(problem, solution, part))
+    assert _worst_figure(certificate) <= certificate.tolerance
+    assert not certificate.passed
+    assert certificate.distance == pytest.approx(part, rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_right_answers_of_slender_bodies_pass_to_rounding(family: str) -> None:

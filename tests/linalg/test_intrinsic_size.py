@@ -53,13 +53,68 @@ def struck_rod(elements: int = 300) -> cq.ContactProblem:
     return cq.ContactProblem(1e5 * K, load, rows, [1e-6, 0.0])
 
 
-@pytest.mark.parametrize("problem", [rail(), rail(tie=True), struck_rod()], ids=["rail", "tied rail", "struck rod"])
-def test_answers_that_decay_to_nothing_are_accepted(problem: cq.ContactProblem) -> None:
-    for method in ("active-set", "osqp", "lagrange-multiplier"):
-        solution = cq.solve(problem, method)
-        assert solution.certificate.proven
-        u = abs(solution.displacement)
-        assert np.min(u[u > 0]) < 1e-17 * np.max(u)
+def pile(nodes: int = 151) -> cq.ContactProblem:
+    """A pile of 30 m in soil that a hammer presses at its head onto a stop, with bearings in the depth."""
+    spring, soil = 1e8, 1e8
+    K = np.diag(np.r_[1.0, np.full(nodes - 2, 2.0), 1.0] * spring + soil)
+    K -= spring * (np.eye(nodes, k=1) + np.eye(nodes, k=-1))
+    load = np.zeros(nodes)
+    load[0] = 1e6
+    return cq.ContactProblem(K, load, np.eye(nodes)[[0, 40, nodes - 1]], [5e-3, 0.0, 0.0])
+
+
+def block_half_on_springs(high: int = 24) -> cq.ContactProblem:
+    """A lattice of three nodes by 24 whose upper half stands on stiff springs, pressed onto seats at its foot."""
+    nodes = np.array([(x, y) for y in range(high) for x in range(3)], dtype=float)
+    K = np.diag(np.repeat(np.where(nodes[:, 1] >= high / 2, 1e8, 0.0), 2))
+    for a in range(len(nodes)):
+        for b in range(a):
+            along = nodes[a] - nodes[b]
+            if (length := np.hypot(*along)) < 1.5:
+                row = np.zeros(len(K))
+                row[2 * a : 2 * a + 2], row[2 * b : 2 * b + 2] = along / length, -along / length
+                K += 1e6 * np.outer(row, row)
+    load = np.zeros(len(K))
+    load[:6] = 500.0, -1e3, 500.0, -1e3, 500.0, -1e3
+    rows = np.zeros((6, len(K)))
+    rows[np.arange(3), [1, 3, 5]], rows[np.arange(3, 6), len(K) - np.array([5, 3, 1])] = -1.0, 1.0
+    return cq.ContactProblem(K, load, rows, [2e-4] * 3 + [0.0] * 3)
+
+
+DECAYING = {
+    "rail": rail,
+    "tied rail": lambda: rail(tie=True),
+    "pile": pile,
+    "block": block_half_on_springs,
+    "struck rod": struck_rod,
+    "struck rod of 500 elements": lambda: struck_rod(500),
+}
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("kind", DECAYING)
+@pytest.mark.parametrize("method", ["active-set", "osqp", "lagrange-multiplier"])
+def test_answers_that_decay_to_nothing_are_accepted(kind: str, method: str) -> None:
+    solution = cq.solve(DECAYING[kind](), method)
+    assert solution.certificate.proven
+    u = abs(solution.displacement)
+    assert np.min(u[u > 0]) < 1e-16 * np.max(u)
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-10, 1e-14])
+@pytest.mark.parametrize("kind", ["rail", "block"])
+def test_paths_that_begin_small_are_accepted_and_wrong_forces_at_their_first_step_are_not(
+    kind: str, size: float
+) -> None:
+    problem = DECAYING[kind]()
+    history = cq.follow_path(problem, [size * problem.load, problem.load], steps=2)
+    assert all(solution.certificate.proven for solution in history)
+    first, begun = history[2], problem.replace(load=size * problem.load)
+    assert 0 < np.max(abs(first.displacement)) < 10 * size * np.max(abs(history[-1].displacement))
+    for i in (0, problem.contacts - 1):
+        pulled = first.normal_force.copy()
+        pulled[i] -= pulled[i] + 1e-6 * size * np.max(abs(problem.load))
+        assert not cq.certify(begun, first.displacement, pulled).passed
 
 
 @pytest.mark.parametrize("tie", [False, True])
@@ -75,25 +130,29 @@ def test_answers_of_plain_linear_solvers_are_accepted(tie: bool) -> None:
         assert cq.certify(problem, u, right.normal_force, tie_force=right.tie_force).passed
 
 
-def test_what_is_planted_among_nothing_is_seen() -> None:
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("kind", DECAYING)
+def test_what_is_planted_among_nothing_is_seen(kind: str) -> None:
     """1e-6 of what counts there, S/D_j of forces and S|E_i D| of lengths, where 1e-12 of it is excused."""
-    problem = rail()
+    problem = DECAYING[kind]()
     right = cq.solve(problem)
-    u, force = right.displacement, right.normal_force
+    u, force, tie = right.displacement, right.normal_force, right.tie_force
     D = 1 / np.sqrt(problem.diagonal)
     strain = np.sqrt(u @ (problem.stiffness @ u))
-    stop = int(problem.normal.indices[FAR])
-    assert abs(u[stop]) < 1e-17 * np.max(abs(u))
+    far = problem.contacts - 1
+    stop = int(problem.normal.indices[far])
+    down = problem.normal.data[far]
+    assert abs(u[stop]) < 1e-15 * np.max(abs(u))
     pulled = force.copy()
-    pulled[FAR] = -1e-6 * strain / D[stop]
-    assert cq.certify(problem, u, pulled).tension > 1e-9
+    pulled[far] = -1e-6 * strain / D[stop]
+    assert cq.certify(problem, u, pulled, tie_force=tie).tension > 1e-9
     sunk = u.copy()
-    sunk[stop] -= 1e-6 * strain * D[stop]
-    assert cq.certify(problem, sunk, force).penetration > 1e-9
-    assert cq.certify(problem, sunk, force).equilibrium > 1e-9
+    sunk[stop] += down * 1e-6 * strain * D[stop]
+    assert cq.certify(problem, sunk, force, tie_force=tie).penetration > 1e-9
+    assert cq.certify(problem, sunk, force, tie_force=tie).equilibrium > 1e-9
     turned = u.copy()
-    turned[stop + 1] += 1e-6 * strain * D[stop + 1]
-    certificate = cq.certify(problem, turned, force)
+    turned[stop - 1] += 1e-6 * strain * D[stop - 1]
+    certificate = cq.certify(problem, turned, force, tie_force=tie)
     assert certificate.equilibrium > 1e-9
     assert not certificate.passed
 
@@ -135,6 +194,36 @@ def test_a_rigid_motion_hides_no_tension() -> None:
     assert not pulled.passed
 
 
+@pytest.mark.parametrize("part", [0.5, 9e-4, 2.5e-6])
+@pytest.mark.parametrize("gap", [1e-3, 1.0])
+def test_a_rigid_motion_hides_no_force_that_contacts_of_one_node_exert_on_each_other(gap: float, part: float) -> None:
+    """Twin supports may not pull and push each other, nor may a support be pushed by a wall that is 3 m away."""
+    K = 1e9 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    for other, far in ((1.0, gap), (-1.0, 3.0)):
+        problem = cq.ContactProblem(K, [1.0, 1.0], [[1.0, 0.0], [0.0, 1.0], [0.0, other]], [gap, gap, far])
+        assert cq.certify(problem, [gap, gap], [1.0, 1.0, 0.0]).passed
+        forged = cq.certify(problem, [gap, gap], [1.0, 1.0 + part, -other * part])
+        assert max(forged.tension, forged.complementarity) > 1e-7
+        assert not forged.passed
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke", "daqp", "clarabel", "osqp", "lagrange-multiplier"])
+def test_a_free_bar_falls_onto_its_supports_and_is_pushed_out_of_a_wall(method: str) -> None:
+    """By 1 mm, under loads that act where it is held or under none: the answer is a rigid motion to the last digit."""
+    bar = cq.ContactProblem(1e8 * np.array([[1.0, -1.0], [-1.0, 1.0]]), [600.0, 400.0], np.eye(2), [1e-3, 1e-3])
+    fallen = cq.solve(bar, method)
+    assert fallen.certificate.proven
+    assert fallen.displacement == pytest.approx([1e-3, 1e-3], rel=1e-14)
+    assert fallen.normal_force == pytest.approx([600.0, 400.0], rel=1e-9)
+    shifted = cq.solve(bar.replace(load=np.zeros(2), gap=[-1e-3, 1e-3]), method)
+    assert shifted.certificate.proven
+    assert shifted.displacement == pytest.approx([-1e-3, -1e-3], rel=1e-14)
+    assert not cq.certify(bar, [1e-3, 1e-3 + 1e-9], fallen.normal_force).passed
+    assert not cq.certify(bar, fallen.displacement, [600.0 + 1e-3, 400.0 - 1e-3]).passed
+    assert not cq.certify(shifted.problem, shifted.displacement * (1 - 1e-6), [0.0, 0.0]).passed
+    assert not cq.certify(shifted.problem, shifted.displacement, [1e-6, 0.0]).passed
+
+
 @pytest.mark.sampled(10)
 @pytest.mark.parametrize("gap", [1e-3, -1e-3, 0.37, 0.0, 12.0])
 @pytest.mark.parametrize("stiffness", [3e2, 7e8])
@@ -160,6 +249,10 @@ def test_where_nothing_moves_rounding_is_nothing_and_more_is_not() -> None:
     unloaded = held.replace(load=np.zeros(2), gap=np.array([1e-3]))
     assert cq.certify(unloaded, [1e-25, -2e-25], [0.0]).passed
     assert not cq.certify(unloaded, [1e-12, 0.0], [0.0]).passed
+    rough = cq.ContactProblem(K, [50.0, 10.0], held.normal, [0.0], tangent=[[0.0, 1.0]], friction=0.3)
+    assert cq.certify(rough, [1e-25, -2e-25], [50.0], [10.0]).passed
+    assert not cq.certify(rough, [0.0, 1e-12], [50.0], [10.0]).passed
+    assert not cq.certify(rough, [1e-25, -2e-25], [50.0], [10.0 + 1e-6]).passed
     nothing_given = held.replace(load=np.zeros(2))
     assert not cq.certify(nothing_given, [1e-25, -2e-25], [0.0]).passed
     assert cq.certify(nothing_given, [0.0, 0.0], [0.0]).passed
