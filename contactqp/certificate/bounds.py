@@ -53,6 +53,7 @@ from contactqp.certificate.energy_norm import (
     energy_norms,
     force_norm,
     free_distance,
+    own_forces,
     residual_noise,
     rigid_rounding,
     shared_by_rounding,
@@ -75,7 +76,6 @@ from contactqp.linalg.measures import (
     lengths_that_meet,
     outer_forces,
     own_compliance,
-    own_forces,
     parts,
 )
 from contactqp.model.arrays import Indices, Mask, Vector

@@ -13,7 +13,7 @@ from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import REGULAR, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, RIGID_FORCE, RigidMotions
-from contactqp.linalg.measures import forces_that_meet, rigid_part
+from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -323,3 +323,12 @@ def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
     forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
     return np.asarray(forces @ rigid_part(problem, displacement, condensation.rigid))
+
+
+def own_forces(problem: ContactProblem, push: Vector, tie_force: Vector) -> Vector:
+    """Return |l_i| |E_i D| (m + k,), the size of each contact's and tie's force at its own unknowns [root of energy].
+
+    D = 1/sqrt(K_jj), as where all other unknowns are held.
+    """
+    compliance = np.concatenate([row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tie)])
+    return np.asarray(np.sqrt(compliance) * abs(np.concatenate([push, tie_force])))

@@ -86,8 +86,16 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
 
     By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
     moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
-    depends on no choice of basis, unit or scale. Of a problem without load it is zero where no force exceeds `none`
-    (n,), what counts as none at each unknown: what rounding leaves of zero forces need not balance.
+    depends on no choice of basis, unit or scale.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    rigid : RigidMotions
+        The null space of K.
+    none : (n,) array, optional
+        The forces up to which there is none at an unknown. Without load, forces that are no more need not balance.
     """
     if not rigid.count:
         return 0.0

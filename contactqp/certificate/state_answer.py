@@ -31,7 +31,7 @@ import numpy as np
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm
+from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, own_forces
 from contactqp.certificate.state_bodies import (
     Bodies,
     CondensedBodies,
@@ -44,7 +44,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, residuals
 from contactqp.linalg.iteration import Systems, iterated, iteration, systems_of
-from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, own_forces, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, row_sizes
 from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths

@@ -19,9 +19,9 @@ the lengths there are. So no length counts as nothing above 1000 t = 1e-9 of the
 motions |E||u| of the part's rows, each over |E_i D|, where one of the first two is not zero; a slip, likewise, of the
 longest among these, the slip origins and the slips.
 
-Where a body crosses a gap rigidly before it is pressed, S is what that gap would strain, and says nothing of its loads.
-So where loads act, no force of a contact counts as nothing above 1e-9 of the largest D_j |f|_j of its part and of the
-strain |u_e|_K there, over D_j, or above a rounding of |K||u|. Without load, forces that are all nothing need not
+Where a body crosses a gap rigidly before it is pressed, S says nothing of its loads, and redundant contacts may push
+and pull each other, which no bound sees. So where loads act, no force of a contact is nothing above 1e-9 of the largest
+of D_j |f|_j and |u_e|_K of its part, over D_j, or a rounding of |K||u|. Without load, forces all nothing need not
 balance.
 
 The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
@@ -43,7 +43,6 @@ from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
 
@@ -225,11 +224,9 @@ def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) 
 def _least_contact_force(
     problem: ContactProblem, elastic: Vector, size: Vector, part: float, held: Vector
 ) -> Vector | None:
-    """Return the forces (n,) up to which a contact pushes or pulls nothing, or None if they are those of residuals.
+    """Return the forces (n,) up to which contacts push and pull nothing, or None where that is what residuals may be.
 
-    Redundant contacts may pull and push each other, which no bound sees. Where a body crosses a gap rigidly before it
-    is pressed, S is far more than its loads: of them 1000 t is nothing, and `held` (n,), what rounding u makes of
-    forces.
+    Beside a gap that a body crosses rigidly these are 1000 t of its loads, or `held` (n,), a rounding of |K||u|.
     """
     D, of_part = scale_through_rows(problem), parts(problem)
     acting = np.zeros(int(of_part.max(initial=-1)) + 1)
@@ -408,15 +405,6 @@ def force_size(problem: ContactProblem, force: Vector) -> float:
     return float(np.linalg.norm(problem.own_scale * resultant))
 
 
-def own_forces(problem: ContactProblem, push: Vector, tie_force: Vector) -> Vector:
-    """Return |l_i| |E_i D| (m + k,), the size of each contact's and tie's force at its own unknowns [root of energy].
-
-    D = 1/sqrt(K_jj), as where all other unknowns are held.
-    """
-    compliance = np.concatenate([row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tie)])
-    return np.asarray(np.sqrt(compliance) * abs(np.concatenate([push, tie_force])))
-
-
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
@@ -438,20 +426,6 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     if (length <= least * size.max(initial=0.0)).any():
         length = at_rest_infinite(rows, length, least, largest_of_bodies(problem, size))
     return np.asarray(length)
-
-
-def tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
-    """Return |L| (m,) of each contact's tangential rows [length]; a row at rest adds none where another one moves."""
-    if problem.tangent is None or problem.slip_origin is None:
-        return np.full(problem.contacts, np.inf)
-    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement)
-    return lengths_of_pairs(meeting.reshape(problem.slip_origin.shape))
-
-
-def lengths_of_pairs(meeting: Array) -> Vector:
-    """Return |L| (m,) of the lengths (m, d-1) that meet along each contact's tangential rows, infinite at rest."""
-    finite = np.where(np.isfinite(meeting), meeting, 0.0)
-    return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
 
 def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) -> Vector:

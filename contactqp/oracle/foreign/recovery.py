@@ -36,7 +36,7 @@ from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm
-from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
+from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
@@ -162,6 +162,19 @@ NOTHING = 1e-9
 SIDES = 32
 
 
+def _tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
+    """Return |L| (m,) of each contact's tangential rows [length]; a row at rest adds none where another one moves.
+
+    It is infinite where all are at rest.
+    """
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.full(problem.contacts, np.inf)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement)
+    meeting = meeting.reshape(problem.slip_origin.shape)
+    finite = np.where(np.isfinite(meeting), meeting, 0.0)
+    return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
+
+
 def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied: bool) -> Answer | None:
     """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
 
@@ -179,7 +192,7 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
     gap = problem.gap - problem.normal @ known.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, known.displacement)
     touching = gap <= NOTHING * length
-    moving = lengths(slip) > NOTHING * tangential_lengths(problem, known.displacement)
+    moving = lengths(slip) > NOTHING * _tangential_lengths(problem, known.displacement)
     contacts, ways = _edges(touching, moving, directions(slip))
     drag = problem.friction[contacts, None] * ways
     columns = (width * contacts[:, None] + np.arange(width)).ravel()
