@@ -25,6 +25,12 @@ STEPS = {
         "*BOUNDARY\nTOP, 3, 3, -0.02",
         "*BOUNDARY, OP=NEW\nBOTTOM, 1, 3\nALL, 1, 2\n*CLOAD\nTOP, 3, -3.",
     ],
+    "forces are taken away without others": ["*CLOAD\nTOP, 3, -1.\n15, 3, -1.", "*CLOAD, OP=NEW"],
+    "pressures are taken away without others": ["*DLOAD\n2, P2, 30.", "*DLOAD, OP=NEW"],
+    "supports are taken away, and stated by another card": [
+        "*BOUNDARY\nTOP, 3, 3, -0.02",
+        "*BOUNDARY, OP=NEW\n*BOUNDARY\nBOTTOM, 1, 3\nALL, 1, 2\n15, 3, 3, -0.03",
+    ],
     "an amplitude ends with its step": ["*CLOAD, AMPLITUDE=A\nTOP, 3, -1.", ""],
 }  # fmt: skip
 PERIODS = [1.0, 2.0, 4.0]

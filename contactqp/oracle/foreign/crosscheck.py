@@ -342,9 +342,12 @@ class _Judging:
         yield from causes_of(found, self.tolerance)
         if self.reference == "exact" and self._springs:
             springs = judged.shares @ judged.along(self._springs[number])
-            apart, off = (float(abs(found.force - one).max()) for one in (springs, found.truth))
-            if apart < off / 3:
-                yield f"of the difference {1 - apart / off:.0%} is that of the springs that the deck states"
+            off = [found.force - one for one in (springs, found.truth)]
+            of_nodes, of_sums = [float(abs(one).max()) for one in off], [abs(float(one.sum())) for one in off]
+            for apart, whole in (of_nodes, of_sums):
+                if apart < whole / 3 and whole > WORTH * self.tolerance * found.size:
+                    yield f"of the difference {1 - apart / whole:.0%} is that of the springs that the deck states"
+                    break
             rubbing = (judged.friction(one) for one in (vectors, self._springs[number], self._truth[number]))
             theirs, yielding, right = rubbing
             if WORTH * self.tolerance * found.size < abs(theirs - right) > 3 * abs(theirs - yielding):
