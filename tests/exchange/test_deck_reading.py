@@ -84,6 +84,16 @@ MISTAKES = {
     "an element type with one point": ("C3D8,", "C3D8R,", "elements C3D8R: its forces against hourglasses"),
     "an element with too few nodes": ("16, 17, 18\n", "16, 17\n", "expected a label and 8 nodes for each C3D8"),
     "large displacements": ("*STEP", "*STEP, NLGEOM", "expected NLGEOM=NO or OFF"),
+    "faces as elements beside bodies": (
+        "*NSET, NSET=TOP",
+        "*ELEMENT, TYPE=CPS4, ELSET=FACE\n7, 1, 2, 3, 4\n*NSET, NSET=TOP",
+        "line 23: *ELEMENT: elements CPS4 beside others of another number of dimensions; expected one of both",
+    ),
+    "an interference by itself": (
+        "*BOUNDARY\nBOTTOM",
+        "*CONTACT INTERFERENCE\n1.\n*BOUNDARY\nBOTTOM",
+        "*CLEARANCE, VALUE=-",
+    ),
     "another overclosure": ("=LINEAR", "=EXPONENTIAL", "expected PRESSURE-OVERCLOSURE=HARD or LINEAR"),
     "another procedure": ("*STATIC", "*DYNAMIC", "*DYNAMIC: the steps of a deck are *STATIC here"),
     "a plastic material": ("*DENSITY", "*PLASTIC", "materials are linear elastic"),

@@ -81,7 +81,8 @@ def read_elements(model: DeckModel, card: Card) -> None:
     group = Elements(kind, table[:, 0], table[:, 1:], card.head.place)
     dimensions = {one.dimension for one in (*model.elements, group)} - {0}
     if len(dimensions) > 1:
-        raise card.refuse(f"elements {kind} beside others of another number of dimensions; expected one of both")
+        others = "; expected one of both: of a mesh with its edges and faces as elements, those of bodies alone"
+        raise card.refuse(f"elements {kind} beside others of another number of dimensions{others}")
     _refuse_twice(card, "element", np.concatenate([*(one.labels for one in model.elements), group.labels]))
     model.elements.append(group)
     if card.has("ELSET"):
