@@ -57,7 +57,8 @@ CARRIES = 1e-9
 MET_TOGETHER = 1e-20
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
-SECONDS = 20.0
+# Steps of the simplex method for every row and unknown: programs that end take one or two.
+SECONDS, LEAST_STEPS, STEPS_OF_A_ROW = 20.0, 1000, 5
 # HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
 HIGHEST_COST = 1e9
 # Forces of so many times what is unbalanced stay; and how often what remains is balanced anew.
@@ -224,7 +225,9 @@ def highs(cost: Vector, **constraints: Any) -> Any:
 
     if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
         return None
-    options = {"time_limit": SECONDS, "primal_feasibility_tolerance": CARRIES, "dual_feasibility_tolerance": CARRIES}
+    size = len(cost) + sum(len(constraints.get(limits, ())) for limits in ("b_ub", "b_eq"))
+    options = dict.fromkeys(("primal_feasibility_tolerance", "dual_feasibility_tolerance"), CARRIES)
+    options |= {"time_limit": SECONDS, "maxiter": LEAST_STEPS + STEPS_OF_A_ROW * size}
     try:
         found = linprog(cost, method="highs-ds", options=options, **constraints)
     except ValueError:
@@ -331,7 +334,7 @@ def solved_from(
     ----------
     problem, answer, effort, driven
         As in `settled`.
-    claimed : whether the answer is more than a guess: from a guess nothing goes on but changes of its closed contacts
+    claimed : whether the answer is more than a guess, of which nothing but its closed contacts is tried
     """
     if not claimed:
         state = nearest_state(problem, _closed_in(problem, answer), ExtendedAnswer.of(answer), effort)

@@ -26,7 +26,6 @@ from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (
-    BALANCED,
     SYSTEMS_AT_FIRST,
     WASTED,
     WASTED_AT_FIRST,
@@ -45,6 +44,11 @@ from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
 # fill least; with bounds of single unknowns alone PIQP's are those of K.
 IDENTIFICATIONS = (("clarabel", 1e-9, False), ("piqp", 1e-11, True), ("clarabel", 1e-11, True), ("piqp", 1e-11, False))
 OF_BOUNDS = (("piqp", 1e-9, True), *IDENTIFICATIONS)
+# Where its factors broke down Clarabel is asked for the equilibrated problem next, and all is made of its answer before
+# others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
+BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter": 50}
+# Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
+ENOUGH = 1e-18
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
 
@@ -95,12 +99,12 @@ class SparseRun(Run):
                 best = found
             else:
                 self._state = before
-                if self._effort.cut or not found.claimed:
+                if self._effort.cut or (not found.claimed and self._effort.wasted < WASTED):
                     self._waiting.append(found)
                 if found not in failed:
                     failed.append(found)
                     tried.append(found.status)
-            if self._state is not None and self._state.force_residual <= BALANCED:
+            if self._state is not None and self._state.force_residual <= ENOUGH:
                 break
         if best is None:
             self.refuse_conflict()
@@ -116,15 +120,21 @@ class SparseRun(Run):
         elif (found := _by_iteration(self.problem, settings)) is not None:
             yield found
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
-        for name, tolerance, scaled in OF_BOUNDS if bounded else IDENTIFICATIONS:
+        order, steps = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None
+        while order:
+            name, tolerance, scaled = order.pop(0)
             tell(f"{name} finds the closed contacts")
-            given = Settings(tolerance, None, settings.time_limit, None, {})
+            options = OF_TWINS if scaled and name == "clarabel" else {}
+            given = Settings(tolerance, steps, settings.time_limit, None, options)
             try:
                 found = find(name).solve(self._twin if scaled else self.problem, given)
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
             else:
                 yield self._scaling.unscale(found) if scaled else found
+                if BROKE_DOWN in found.status:
+                    order.sort(key=lambda other: other[0] != name)
+                    self._effort.wasted, steps = WASTED, MOST_STEPS
         if self._state is None:
             self._effort.wasted, waiting = WASTED, tuple(self._waiting)
             yield from waiting

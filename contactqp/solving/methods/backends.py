@@ -205,6 +205,7 @@ def backend_options(backend: Backend, settings: Settings) -> dict[str, Any]:
         if backend.time_limit is None:
             raise Unsupported(f"{backend.name}: this backend has no time limit")
         options[backend.time_limit] = float(settings.time_limit)
+    options.update(settings.options)
     return options
 
 
