@@ -48,6 +48,7 @@ from contactqp.linalg.measures import (
     ratio,
     row_sizes,
     scale_through_rows,
+    untouched,
     without_rigid_part,
 )
 from contactqp.linalg.sliced import plain_residuals
@@ -118,6 +119,8 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
         motions = moved[np.ix_(members, moving)]
         if not np.any(motions * size[members, None]):
             continue  # nothing acts where the body moves
+        if none is not None and np.all(size[members] <= none[members]) and np.all(untouched(problem)[members]):
+            continue  # the component of a load across what bears it, F sin(pi)
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
         worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))

@@ -183,7 +183,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     force, of_contacts = np.maximum(force, held), _least_contact_force(problem, elastic, size, part, held)
     if elastic is not answer.displacement:
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
-    force[_untouched(problem)] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
+    force[untouched(problem)] = ROUNDING_OF_LOADS * problem.load_size.max(initial=0.0)
 
     def lengths(rows: Any, size: Vector) -> Vector:
         rounded = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
@@ -363,7 +363,7 @@ def _given_by(rows: Any, D: Vector) -> Vector:
     return given
 
 
-def _untouched(problem: ContactProblem) -> Any:
+def untouched(problem: ContactProblem) -> Any:
     """Return whether neither the stiffness nor a row touches each unknown (n,)."""
     if problem._computed.untouched is None:
         touched = problem.diagonal > 0

@@ -268,8 +268,13 @@ def test_a_displacement_that_hardly_strains_has_a_large_rounding() -> None:
     assert errors.rounding == pytest.approx(judging.EPS * 2 * np.sqrt(2) * 2.0**30, rel=1e-6)
 
 
+FEW = ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"]
+FEW += ["bedded", "decaying_path", "pushed_rigidly", "unstrained", "interference_removed", "stack_free_to_slide"]
+FEW += ["printed_floating", "far_gap", "scaled_contact"]
+
+
 @pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])
+@pytest.mark.parametrize("name", FEW)
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))
     assert report.truth == ("exact" if FAMILIES[name].solvable else "none")
