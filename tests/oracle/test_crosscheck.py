@@ -81,6 +81,17 @@ def test_friction_that_yields_is_wrong_where_the_normal_forces_are_right(tmp_pat
     assert judged(tmp_path).pairs[0].friction is None
 
 
+@pytest.mark.parametrize(("element", "kind"), [("hex8", "NODE TO SURFACE"), ("hex20", "SURFACE TO SURFACE")])
+def test_friction_of_a_block_that_slips_is_its_part_of_the_normal_force(
+    tmp_path: pathlib.Path, element: str, kind: str
+) -> None:
+    text = two_blocks(element, kind, "LINEAR\n1e9", divisions=((2, 2, 1), (3, 3, 1)), push=1e-2, friction="0.3, 1e8")
+    deck = write(tmp_path, text)
+    (pair,) = cq.crosscheck(deck, printed(deck, exact(deck))).pairs
+    assert pair.reference_friction == pytest.approx(0.3 * pair.reference_resultant, rel=5e-3)
+    assert pair.friction == pytest.approx(pair.reference_friction, rel=2e-2)
+
+
 def test_units_are_words(tmp_path: pathlib.Path) -> None:
     deck = write(tmp_path, STACK)
     wrong = printed(deck, 1.1 * cq.solve(cq.read_deck(deck).problem()).displacement)

@@ -145,7 +145,8 @@ class PairNodes:
         if not self.rubs:
             return 0.0
         size = (self.direction**2).sum(axis=1, keepdims=True)
-        return float(np.linalg.norm(vectors - self.along(vectors)[:, None] * self.direction / size, axis=1).sum())
+        along = vectors - self.along(vectors)[:, None] * self.direction / size
+        return float(np.linalg.norm(self.shares @ along, axis=1).sum())
 
     @cached_property
     def shares(self) -> Any:
