@@ -153,16 +153,16 @@ def certificate_of(
 class _Measured:
     """Figures, bounds and states of an answer, before they are put into words."""
 
-    found: Violations
-    balance: float
-    law: Vector | None
+    found: Violations  # every figure, entry by entry
+    balance: float  # the work of the residual on rigid motions, relative to that of the forces
+    law: Vector | None  # (m,) by how much Coulomb's law is missed; None without friction
     bounds: Bounds
-    errors: tuple[str, ...]  # what is said of the bounds on the whole answer
-    fails_force_bound: bool
-    grazing: Mask
-    dependent: tuple[tuple[int, Indices], ...]
-    others: Uniqueness
-    state: StateVerdict
+    errors: tuple[str, ...]  # messages of failed bounds on the whole answer
+    fails_force_bound: bool  # whether the bound on the force of a contact is beyond the tolerance
+    grazing: Mask  # (m,) contacts whose gap and force both vanish
+    dependent: tuple[tuple[int, Indices], ...]  # ties that depend on others, each with these
+    others: Uniqueness  # whether other answers exist, with friction
+    state: StateVerdict  # what the verdict rests on, and with friction the answer of its own states
 
 
 def _judged(
@@ -173,6 +173,7 @@ def _judged(
     factorization: Condensation | None,
     prove_friction: bool,
 ) -> Certificate:
+    """Return the certificate of a finite answer, measured in units in which the problem's numbers are near one."""
     near = near_one(problem)
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(_absurd_parts(seen)):
@@ -206,6 +207,7 @@ def _measured(
     factorization: Condensation | None,
     prove_friction: bool,
 ) -> _Measured:
+    """Compute the figures and bounds of an answer and, with friction, what its own contact states say of it."""
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
         systems = systems_of(problem) if factorization is None else Systems.CONDENSED
@@ -240,31 +242,36 @@ def _measured(
         off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
     if problem.frictional and (any(failed_errors(bounds, error_tolerance, nothing)) or off):
         bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
-    dependent: tuple[tuple[int, Indices], ...] = ()
-    if condensation is not None and problem.ties > 1:
-        dependent = dependent_ties(problem, condensation)
-    elif bounds.redundant and problem.ties > 1:
-        dependent = dependent_sparse_ties(problem)
     return _Measured(
-        found,
-        out_of_balance,
-        law,
-        bounds,
-        (
+        found=found,
+        balance=out_of_balance,
+        law=law,
+        bounds=bounds,
+        errors=(
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
         ),
-        off,
-        grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
-        dependent,
-        others,
-        state,
+        fails_force_bound=off,
+        grazing=grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
+        dependent=_dependent_ties(problem, condensation, bounds) if problem.ties > 1 else (),
+        others=others,
+        state=state,
     )
+
+
+def _dependent_ties(
+    problem: ContactProblem, condensation: Condensation | None, bounds: Bounds
+) -> tuple[tuple[int, Indices], ...]:
+    """Return the ties that depend on others, each with these; without a condensation where that was noticed."""
+    if condensation is not None:
+        return dependent_ties(problem, condensation)
+    return dependent_sparse_ties(problem) if bounds.redundant else ()
 
 
 def _worded(
     problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
 ) -> Certificate:
+    """Return the certificate: an answer passes if no figure, no law, no bound and no state yields a failure."""
     found, bounds, law = measured.found, measured.bounds, measured.law
     figures = {name: float(getattr(found, name).max(initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = measured.balance
@@ -288,7 +295,7 @@ def _worded(
         force_error=bounds.force_error,
         force_bound=bounds.force_bound,
         reasons=bounds.reasons,
-        grazing=tuple(int(i) for i in np.flatnonzero(measured.grazing)),
+        grazing=tuple(np.flatnonzero(measured.grazing).tolist()),
         failures=tuple(failures),
         notes=(*notes, *measured.others.notes, *measured.state.notes),
         uniqueness=measured.others.findings,
