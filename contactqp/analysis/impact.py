@@ -60,7 +60,8 @@ def impact(
     with Coulomb's law of l_T and the velocity of slip. Each step is one `ContactProblem` (two in the scheme of
     Deuflhard, Krause and Ertel) with the same stiffness, made of K, M and the step: it is factorised once, and a step
     costs a back-substitution and a small problem of the contacts that it may close. Every step is certified, 64 at
-    once, by equilibrium, penetration, tension, complementarity, cone, slip and ties of what the scheme posed.
+    once, by equilibrium, penetration, tension, complementarity, cone, slip and ties of what the scheme posed; from one
+    that is refused on, those of the 64 are taken again, each solved as a problem of its own.
 
     Parameters
     ----------

@@ -49,10 +49,8 @@ STICKS = 1e-12
 SHARP = 1e-11
 # Up to so many contact unknowns have their inverse formed; a correction makes its answers as good as those of factors.
 MOST_INVERTED = 60
-# Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.
-MAX_CHANGES = 30
-# The same of the states of contacts with friction, which an algorithm of friction takes over.
-MAX_STATE_CHANGES = 10
+# Changes of the active set, and of the states of contacts with friction: two or three suffice, or others take over.
+MAX_CHANGES, MAX_STATE_CHANGES = 30, 10
 # Gaps, slips and forces of this part of their own terms are rounding.
 ROUNDING = 1e-13
 # A friction force that is this near to the cone slips; forces on their states are refined so many times.
@@ -264,6 +262,17 @@ class StepContact:
         if self._frictional:
             origin = origin - self._T @ base
         return gap - self._E @ base, origin, value - self._A @ base
+
+    def alone(self, posed: StepProblem) -> StepResult:
+        """Return what `solve` does, of the whole problem of the step, whose answer is refined beyond doubles."""
+        gap, origin, value = self._limits(posed)
+        gap = gap if posed.closable is None else np.where(posed.closable, gap, np.inf)
+        step = self.template.replace(load=posed.load, gap=gap, tie_value=np.zeros(self.template.ties) + value)
+        step = step.replace(slip_origin=np.zeros(self._tangents) + origin) if self._frictional else step
+        found = solve(step, self._method, **self._options)
+        friction = np.zeros(0) if found.friction_force is None else found.friction_force.ravel()[: self._tangents]
+        x = found.displacement if posed.base is None else posed.base + found.displacement
+        return StepResult(x, found.normal_force, friction, found.tie_force, found.displacement)
 
     def respond_closed(self, load: Vector, closed: Indices) -> Vector:
         """Return x under a load with some contacts kept closed, E_N x = 0, and ties at zero."""

@@ -280,7 +280,7 @@ class MotionRun:
         self._judges = tuple(StepJudge(template) for template in scheme.templates)
         self._pending: list[list[tuple[StepProblem, StepResult]]] = [[] for _ in scheme.templates]
         self._notes: list[str] = []
-        self._certified = 0  # steps
+        self._certified, self._alone = 0, False  # steps; whether each is solved as a problem of its own
         self._impacts = FirstImpacts(scheme.body.problem)
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
@@ -290,15 +290,13 @@ class MotionRun:
     def lasting(self, duration: float) -> MotionHistory:
         """Take the steps of a duration and return the history from the start."""
         refuse_not_positive("duration", duration)
+        h = self._scheme.body.step
         with np.errstate(over="ignore"):
-            ratio = float(np.float64(duration) / self._scheme.body.step)
+            ratio = float(np.float64(duration) / h)
         if ratio > MOST_STEPS:
-            raise InvalidProblem(
-                f"duration: {duration:g} takes more steps of {self._scheme.body.step:g} than can be counted"
-            )
+            raise InvalidProblem(f"duration: {duration:g} takes more steps of {h:g} than can be counted")
         if ratio < 1 - WHOLE:
-            step = self._scheme.body.step
-            raise InvalidProblem(f"time_step: expected one no longer than the duration, {duration:g}, got {step:g}")
+            raise InvalidProblem(f"time_step: expected one no longer than the duration, {duration:g}, got {h:g}")
         whole = abs(ratio - round(ratio)) <= WHOLE
         return self._steps(round(ratio) if whole else int(np.ceil(ratio)))
 
@@ -314,10 +312,9 @@ class MotionRun:
     def _steps(self, count: int) -> MotionHistory:
         """Take a number of steps and certify them."""
         began, motion = time.perf_counter() - self._motion.seconds[0], self._motion
-        first, state = len(motion.states), motion.states[-1]
-        load = self._load(motion.time(first - 1))
+        first, state, load = len(motion.states), motion.states[-1], self._load(motion.time(len(motion.states) - 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            for k in range(first, first + count):
+            while (k := len(motion.states)) < first + count:
                 next_load = self._load(motion.time(k))
                 before, state = state, self._step(state, load, next_load)
                 motion.states.append(state)
@@ -327,6 +324,7 @@ class MotionRun:
                 if k % BLOCK == 0 or k == first + count - 1:
                     motion.seconds[0] = time.perf_counter() - began
                     self._judge(k)
+                    state, load = motion.states[-1], self._load(motion.time(self._certified)) if self._alone else load
         return self.history
 
     @property
@@ -340,12 +338,12 @@ class MotionRun:
             posed = self._scheme.pose(state, load, next_load, answers)
             try:
                 with stage(METHOD):
-                    found = contact.solve(posed)
+                    found = contact.alone(posed) if self._alone else contact.solve(posed)
             except (NotConverged, NotCertified, BackendFailed, NoEquilibrium, SeveralEquilibria) as error:
                 done = len(self._motion.states) - 1
                 for pairs in self._pending:
                     del pairs[self._steps_since(done) :]  # a step of two problems may have answered one
-                self._judge(done)
+                self._judge(done, final=True)
                 raise NotConverged(f"{self._scheme.name}: step {done + 1}: {error}", self.history) from error
             pending.append((posed, found))
             answers = (*answers, found)
@@ -355,30 +353,35 @@ class MotionRun:
         """Count the steps so far that no block has certified."""
         return done - self._certified
 
-    def _judge(self, last: int) -> None:
-        """Certify the steps since the last block."""
+    def _judge(self, last: int, final: bool = False) -> None:
+        """Certify the steps since the last block; from one that is refused on, they are to be taken again, alone.
+
+        Factors in doubles leave too few digits of steps that are long beside the vibrations of a body that is free.
+        Raises NotConverged where a refused step was taken alone, or where this is `final`.
+        """
+        refusals = []
         for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
-            first = self._certified + 1
             if not pending:
                 continue
             with stage(CERTIFY):
                 refused = judge.refused([p for p, _ in pending], [a for _, a in pending], TOLERANCE)
             pending.clear()
-            if refused is None:
-                continue
-            step, figure, worst = refused
-            instant = self._motion.time(first + step)
-            del self._motion.states[first + step :]
-            if not np.isfinite(worst):
-                raise NotConverged(
-                    f"{self._scheme.name}: the motion has left all numbers at time {instant:g}", self.history
-                )
+            refusals += [] if refused is None else [(*refused, template)]
+        if not refusals:
+            self._certified, self._alone = last, False
+            return
+        step, figure, worst, template = min(refusals, key=lambda one: one[0])
+        first, instant = self._certified + 1, f"{self._motion.time(self._certified + 1 + step):g}"
+        del self._motion.states[first + step :]
+        if not np.isfinite(worst):
+            raise NotConverged(f"{self._scheme.name}: the motion has left all numbers at time {instant}", self.history)
+        if final or self._alone:
             raise NotConverged(
-                f"{self._scheme.name}: the certificate refuses the step that ends at time {instant:g}: {figure} is "
+                f"{self._scheme.name}: the certificate refuses the step that ends at time {instant}: {figure} is "
                 f"{worst:.3g}, tolerance {TOLERANCE:g} ({template!r})",
                 self.history,
             )
-        self._certified = last
+        self._certified, self._alone = first + step - 1, True
 
     def _work(self) -> Work:
         return Work(
