@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from benchmarks.decks import reworded
 from contactqp.exchange.deck.cards import KEYWORDS, Card, Effect, read_cards, squeezed
 from contactqp.exchange.deck.model import ELEMENT_NODES, OTHER_ELEMENTS
 from contactqp.exchange.deck.reading import read_deck_model
@@ -331,3 +332,38 @@ def test_a_misspelled_keyword_is_answered_with_the_nearest(folder: pathlib.Path)
         said = refusal(folder, [*lines[:at], wrong, *lines[at + 1 :]])
         assert f"model.inp: line {at + 1}: there is no keyword " in said
         assert "the nearest one is *" in said
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 40), pytest.param(40, 2000, marks=pytest.mark.slow)])
+def test_decks_in_other_words_are_solved_or_refused_in_one_line(folder: pathlib.Path, first: int, count: int) -> None:
+    """Words in the place of others, lines and cards that are missing, stand twice or elsewhere, other numbers."""
+    decks, said = list(SOLVED.values()), []
+    for number in range(first, first + count):
+        random = np.random.default_rng([28, number])
+        change = reworded if number % 2 else rearranged
+        file = write(folder, change(decks[number % len(decks)].text, random))
+        try:
+            cq.solve(cq.read_deck(file).problem())
+        except cq.InvalidProblem as error:
+            said.append(str(error))
+        except (cq.NoEquilibrium, cq.NotConverged, cq.NotCertified, cq.SeveralEquilibria, cq.Unsupported):
+            continue
+    assert not [line for line in said if "\n" in line or not 0 < len(line) < 1000]
+    assert count / 2 < len(said) < count * 19 / 20
+
+
+def rearranged(text: str, random: np.random.Generator) -> str:
+    """Leave out a line, write it twice, exchange two cards, or change a number by a factor."""
+    lines, cards = text.splitlines(keepends=True), re.split(r"(?m)^(?=\*)", text)
+    spots = list(re.finditer(r"-?\d+\.\d*(?:e[-+]?\d+)?", text))
+    how = int(random.integers(0, 4))
+    if how == 0 and spots:
+        spot = spots[int(random.integers(len(spots)))]
+        value = float(spot[0]) * random.choice([-1, 0, 0.5, 2, 1 + 1e-9, 1e3, 1e-3, 1e8]) + random.choice([0, 0.01])
+        return f"{text[: spot.start()]}{float(value)!r}{text[spot.end() :]}"
+    at = int(random.integers(len(lines)))
+    if how < 3:
+        return "".join([*lines[:at], *([lines[at]] * (2 if how == 1 else 0)), *lines[at + 1 :]])
+    one, other = random.integers(0, len(cards), 2).tolist()
+    cards[one], cards[other] = cards[other], cards[one]
+    return "".join(cards)
