@@ -332,3 +332,11 @@ def test_an_elastic_rod_hits_a_wall_with_the_mass_of_its_body() -> None:
     light = cq.Structure([cq.Body(mesh, cq.Material(900.0, 0.0), "plane-stress", name="light")])
     with pytest.raises(cq.InvalidProblem, match="light: a mass needs a density"):
         light.mass()
+
+
+@pytest.mark.parametrize("scheme", ["modified-mass", "newmark"])
+def test_bodies_without_any_mass_follow_their_loads(scheme: str) -> None:
+    pushed = cq.ContactProblem([[2.0, 0.0], [0.0, 1.0]], [1.0, 0.0], [[1.0, 0.0]], [0.3])
+    history = cq.impact(pushed, np.zeros(2), np.zeros(2), np.zeros(2), 1.0, 0.1, scheme=scheme)
+    assert history[-1].displacement == pytest.approx([0.3, 0.0])
+    assert history[-1].normal_force == pytest.approx([0.4])

@@ -106,6 +106,10 @@ class Body(ReadOnly):
                 friction=problem.friction[resting],  # type: ignore[index]
                 slip_origin=slipping,
             )
+        acceleration, normal = np.zeros(problem.dimension), np.zeros(problem.contacts)
+        friction = np.zeros(self.tangent.shape[0])
+        if not len(moving):
+            return acceleration, normal, friction
         start = ContactProblem(
             self.mass[moving][:, moving],
             force[moving],
@@ -114,8 +118,6 @@ class Body(ReadOnly):
             tie=problem.tie[abs(problem.tie) @ bare == 0][:, moving],
             **rough,
         )
-        acceleration, normal = np.zeros(problem.dimension), np.zeros(problem.contacts)
-        friction = np.zeros(self.tangent.shape[0])
         found = solve(start)
         acceleration[moving], normal[resting] = found.displacement, found.normal_force
         if found.friction_force is not None:
