@@ -397,8 +397,7 @@ def crosscheck_figure(found: CrossCheck, pairs: list[PairVerdict]) -> Figure:
     figure = style.new_figure(WIDTH, HEIGHT * len(pairs))
     axes = np.atleast_2d(figure.subplots(len(pairs), 3, squeeze=False))
     for row, pair in zip(axes, pairs, strict=True):
-        area = np.where(pair.area > 0, pair.area, np.inf)
-        theirs, right = pair.force / area, pair.reference_force / area
+        theirs, right = pair.pressure, pair.reference_pressure
         both = np.concatenate([theirs, right])
         titles = (f"pressure by {style.plain(found.code)}", f"pressure, {found.reference}", "difference")
         fields = ((theirs, both), (right, both), (theirs - right, theirs - right))

@@ -12,13 +12,16 @@ import pytest
 import contactqp as cq
 from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck
 from tests.cli.commands import run as command
-from tests.decks import STACK, needs_calculix, two_blocks, write
+from tests.decks import STACK, Deck, needs_calculix, two_blocks, write
 
 
 def printed(deck: pathlib.Path, displacement: np.ndarray, time_: float = 1.0, name: str = "model.dat") -> pathlib.Path:
     """Write displacements of all nodes of a deck as CalculiX prints them."""
     labels, moved = cq.read_deck(deck).displacements(displacement)
-    rows = [f"{label:10d}" + "".join(f" {x:13.6E}" for x in row) for label, row in zip(labels, moved, strict=True)]
+    rows = [
+        f"{label:10d}" + "".join(f" {x:13.6E}" for x in (*row, 0.0)[:3])
+        for label, row in zip(labels, moved, strict=True)
+    ]
     title = f" displacements (vx,vy,vz) for set ALL and time {time_:14.7E}"
     file = deck.with_name(name)
     file.write_text("\n".join(["", title, "", *rows, ""]))
@@ -246,6 +249,28 @@ def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     stiff = cq.crosscheck(write(tmp_path, STACK.replace("1e4\n", "1e8, 1e-6\n"), "stiff.inp"))
     assert stiff.passed, stiff.summary()
     assert (tmp_path / "stiff.ccx" / "job.log").is_file()
+
+
+@pytest.mark.parametrize("element", ["quad4", "quad8"])
+def test_pressures_on_the_axis_of_round_blocks_are_those_beside_it(tmp_path: pathlib.Path, element: str) -> None:
+    """Under the corner of a quadratic side on the axis is no area: its force over that was drawn as no pressure."""
+    deck = Deck("CAX")
+    deck.body("UP", cq.rectangle(1.0, 1.0, (4, 2), element).mapped(lambda x: x + np.array([0.0, 1.0])), section="")
+    deck.body("LOW", cq.rectangle(1.0, 1.0, (4, 2), element), section="")
+    deck.surface("SLAVE", "UP", "bottom")
+    deck.surface("MASTER", "LOW", "top")
+    sides = ("TOP", "UP", "top"), ("BOTTOM", "LOW", "bottom"), ("A", "UP", "left"), ("B", "LOW", "left")
+    for name, body, side in sides:
+        deck.nset(name, body, side)
+    deck.pair("NODE TO SURFACE", "HARD")
+    deck.lines += ["*BOUNDARY", "BOTTOM, 2, 2", "A, 1, 1", "B, 1, 1"]
+    deck.step += ["*BOUNDARY", "TOP, 2, 2, -0.001"]
+    file = write(tmp_path, deck.text())
+    (pair,) = cq.crosscheck(file, printed(file, 1.1 * exact(file))).pairs
+    mean = pair.reference_resultant / np.pi
+    assert pair.reference_pressure == pytest.approx(np.full(len(pair.labels), mean), rel=1e-6)
+    assert pair.pressure == pytest.approx(1.1 * pair.reference_pressure, rel=1e-4)
+    assert pair.force.sum() == pytest.approx(1.1 * pair.reference_resultant, rel=1e-4)
 
 
 def test_both_pressures_and_their_difference_are_drawn(

@@ -273,10 +273,10 @@ class _Judging:
 
     def _pair(self, number: int) -> PairVerdict:
         judged = self._nodes[number]
-        force, vectors = judged.forces(self.answer)
+        given, vectors = judged.forces(self.answer)
         truth_vectors = self._truth[number]
         digits = np.linalg.norm(self.answer.noise[judged.unknowns] * judged.direction, axis=1)
-        force, truth, digits = (judged.shares @ values for values in (force, judged.along(truth_vectors), digits))
+        force, truth, digits = (judged.shares @ values for values in (given, judged.along(truth_vectors), digits))
         each = np.maximum(abs(force - truth) - digits, 0.0)
         size = max(float(truth.sum()), float(np.maximum(abs(force) - digits, 0.0).sum()))
         error = max(abs(float(force.sum() - truth.sum())), float(np.linalg.norm((vectors - truth_vectors).sum(axis=0))))
@@ -312,7 +312,8 @@ class _Judging:
             reference_force=truth[kept],
             gap=found.gap[kept],
             points=judged.contact.slave.points[judged.nodes[kept]],
-            area=(judged.shares @ judged.area)[kept],
+            pressure=judged.pressure(given)[kept],
+            reference_pressure=judged.pressure(judged.along(truth_vectors))[kept],
             notes=(*judged.contact.pairing.notes, *self._stress_across(number, size)),
             friction=along[0] if judged.rubs else None,
             reference_friction=along[1] if judged.rubs else None,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.elements.nodal_pressure import node_normals, tributary_areas
+from contactqp.elements.nodal_pressure import nodal_pressure, node_normals, tributary_areas
 from contactqp.elements.surface import kind_of
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Array, Index, Mask, Vector
@@ -117,6 +117,13 @@ class PairNodes:
         """Return the share of the slave surface that belongs to each node, (q,) [area]."""
         slave = self.contact.slave
         return np.asarray(tributary_areas(slave)[np.searchsorted(slave.nodes, self.nodes)])
+
+    def pressure(self, force: Vector) -> Vector:
+        """Return the pressures that forces of the nodes (q,) [force] are projected onto (q,) [force / length^2]."""
+        order = np.argsort(self.nodes)
+        found = np.empty(len(force))
+        found[order] = nodal_pressure(self.contact.slave, self.nodes[order]).of(force[order])
+        return found
 
     def gap(self, u: Vector) -> Vector:
         """Return the gaps at a displacement of all unknowns, NaN where a node has no partner, (q,) [length]."""

@@ -163,8 +163,8 @@ class PairVerdict(ReadOnly):
         Their gaps in the answer of the other code, negative for overlap [length].
     points : (m, d) array
         Where these nodes are [length].
-    area : (m,) array
-        The share of the slave surface that belongs to each [area].
+    pressure, reference_pressure : (m,) arrays
+        The pressures at these nodes that the forces are projected onto [force / length^2].
     notes : tuple of str
         What the mesh is too coarse for.
     friction, reference_friction : float, optional
@@ -192,7 +192,8 @@ class PairVerdict(ReadOnly):
     reference_force: Vector
     gap: Vector
     points: Array
-    area: Vector
+    pressure: Vector
+    reference_pressure: Vector
     notes: tuple[str, ...] = ()
     friction: float | None = None
     reference_friction: float | None = None
