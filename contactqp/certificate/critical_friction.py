@@ -165,11 +165,11 @@ def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
 def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFriction:
     """Return `critical_friction` of a condensed problem, computed once for a stiffness, its rows and coefficients."""
     mu = np.zeros(problem.contacts) if problem.friction is None else problem.friction
-    known = problem._computed.critical_friction
-    if known is None or not np.array_equal(known._friction, mu):
-        known = _made(problem, mu, contact_compliance(problem, condensation))
-        problem._computed.critical_friction = known
-    found: CriticalFriction = known
+    cached = problem._computed.critical_friction
+    if cached is None or not np.array_equal(cached._friction, mu):
+        cached = _made(problem, mu, contact_compliance(problem, condensation))
+        problem._computed.critical_friction = cached
+    found: CriticalFriction = cached
     return found
 
 

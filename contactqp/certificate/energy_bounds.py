@@ -91,7 +91,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         K is indefinite.
     """
     twin, scaling = equilibrated(problem)
-    factor = stiffness_factor(problem, known=factors_of_saddle(twin), least=DEFINITE)
+    factor = stiffness_factor(problem, factors=factors_of_saddle(twin), least=DEFINITE)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
     scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))

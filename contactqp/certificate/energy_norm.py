@@ -201,8 +201,8 @@ def _left_along(
     size = abs(load.double())
     taken = size + abs(motions) @ (abs(motions).T @ size)
     norm = float(np.linalg.norm(problem.own_scale * taken))
-    known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
-    return float(known * norm / np.sqrt(condensation.rigid.softest))
+    accuracy = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
+    return float(accuracy * norm / np.sqrt(condensation.rigid.softest))
 
 
 def _resisted(problem: ContactProblem, motions: Vector) -> float:

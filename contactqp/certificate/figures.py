@@ -129,14 +129,14 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
 
 def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
     """Return |K z| (r, n) of the rigid motions, which is formed once for a stiffness."""
-    known = problem._computed.rounding_of_motions
-    if known is None or known[0] is not rigid:
+    cached = problem._computed.rounding_of_motions
+    if cached is None or cached[0] is not rigid:
         forces = rigid.forces
         if forces is None:
             forces = images(problem.stiffness_rows, rigid.motions)
-        known = rigid, abs(forces.T)
-        problem._computed.rounding_of_motions = known
-    return np.asarray(known[1])
+        cached = rigid, abs(forces.T)
+        problem._computed.rounding_of_motions = cached
+    return np.asarray(cached[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,10 +292,10 @@ def _kept(
     """
     given = (problem.load, problem.load_size, problem.gap, problem.tie_value, problem.slip_origin)
     given = (*given, *vars(answer).values(), rigid)
-    known = problem._computed.of_answer.get(name)
-    if known is None or not all(map(is_, known[0], given)):
-        known = problem._computed.of_answer[name] = given, make()
-    found: T = known[1]
+    cached = problem._computed.of_answer.get(name)
+    if cached is None or not all(map(is_, cached[0], given)):
+        cached = problem._computed.of_answer[name] = given, make()
+    found: T = cached[1]
     return found
 
 

@@ -441,9 +441,9 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         scope, radius = LOCALLY, _margin(refined, norms, status, mu) - refined.correction - apart - error
         if not radius > apart + error:
             return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
-    known = size - error if size > error else 1.0
+    least_size = size - error if size > error else 1.0
     off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
-    return LocalBounds((apart + error) / known, off + error * norms.force / compliance.scale, scope, radius)
+    return LocalBounds((apart + error) / least_size, off + error * norms.force / compliance.scale, scope, radius)
 
 
 def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[_Norms | None, float]:

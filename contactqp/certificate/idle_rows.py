@@ -298,15 +298,15 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
     if not (idle_contacts.any() or idle_ties.any()):
         return None
     contacts, ties = np.flatnonzero(~idle_contacts), np.flatnonzero(~idle_ties)
-    known = problem._computed.acting
-    if known is None or not np.array_equal(known[0], contacts):
-        known = problem._computed.acting = (contacts, problem.with_contacts(contacts).with_ties(ties))
+    cached = problem._computed.acting
+    if cached is None or not np.array_equal(cached[0], contacts):
+        cached = problem._computed.acting = (contacts, problem.with_contacts(contacts).with_ties(ties))
     changes: dict[str, Any] = dict(load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties])
     changes |= dict(dof_names=problem.dof_names, units=problem.units)
     changes |= dict(contact_names=[problem.contact_name(int(i)) for i in contacts])
     if problem.friction is not None and problem.slip_origin is not None:
         changes |= dict(friction=problem.friction[contacts], slip_origin=problem.slip_origin[contacts])
-    acting = known[1].replace(**changes)
+    acting = cached[1].replace(**changes)
     if problem.load_sum is not None:
         acting = acting.with_load_sum(problem.load, problem.load_size)
     return ActingRows(problem, contacts, ties, acting)
@@ -370,5 +370,5 @@ def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, Indices],
             if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
                 found.append((i, np.flatnonzero(abs(share) > NO_PART)))
         problem._computed.dependent_ties = tuple(found)
-    known: tuple[tuple[int, Indices], ...] = problem._computed.dependent_ties
-    return known
+    cached: tuple[tuple[int, Indices], ...] = problem._computed.dependent_ties
+    return cached

@@ -67,14 +67,14 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
     if _dependent(problem, closed, stuck, along):
         findings.append(FORCES)
         notes.append("redundant contacts: other forces belong to the same velocities")
-    known = _known(problem)
-    if not known.unique:
+    critical = _critical_friction(problem)
+    if not critical.unique:
         findings.append(POSSIBLE)
-        notes.append(f"friction: several answers {_reason(problem, known)}")
+        notes.append(f"friction: several answers {_reason(problem, critical)}")
     return Uniqueness(tuple(findings), tuple(notes))
 
 
-def _known(problem: LocalProblem) -> CriticalFriction:
+def _critical_friction(problem: LocalProblem) -> CriticalFriction:
     if problem not in _critical:
         W = problem.scaled_delassus.toarray()
         symmetric = problem.scaled_asymmetry <= ROUNDING
@@ -84,14 +84,14 @@ def _known(problem: LocalProblem) -> CriticalFriction:
     return _critical[problem]
 
 
-def _reason(problem: LocalProblem, known: CriticalFriction) -> str:
-    if known.above.size:
-        i = int(np.argmax(known.ratio))
+def _reason(problem: LocalProblem, critical: CriticalFriction) -> str:
+    if critical.above.size:
+        i = int(np.argmax(critical.ratio))
         return (
             f"may exist: mu = {problem.friction[i]:.3g} of {problem.contact_name(i)} is not below the critical "
-            f"{known.single[i]:.3g}"
+            f"{critical.single[i]:.3g}"
         )
-    return f"are not excluded ({LARGEST_RATIO}: {known.contraction:.3g})"
+    return f"are not excluded ({LARGEST_RATIO}: {critical.contraction:.3g})"
 
 
 def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> bool:
@@ -295,14 +295,14 @@ def certify_local(
         return certificate
     closed, stuck, along = _Measured(problem, r, joint).state(tolerance)
     others = _local_uniqueness(problem, closed, stuck, along)
-    known = replace(certificate, uniqueness=others.findings, notes=others.notes)
-    if not known.passed:
-        return known
+    certified = replace(certificate, uniqueness=others.findings, notes=others.notes)
+    if not certified.passed:
+        return certified
     found = local_bounds(problem, r, _status(problem, closed, stuck, along))
     if isinstance(found, str):
-        return replace(known, reasons=(f"force_error, force_bound: {found}",))
+        return replace(certified, reasons=(f"force_error, force_bound: {found}",))
     return replace(
-        known, force_error=found.force_error, force_bound=found.force_bound, scope=found.scope, radius=found.radius
+        certified, force_error=found.force_error, force_bound=found.force_bound, scope=found.scope, radius=found.radius
     )
 
 

@@ -191,8 +191,8 @@ def dual_norm(iteration: ContactIteration, force: Vector, learned: bool = False)
         )
         rest = SAFETY * square / least if least > 0 else np.inf
         exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
-        known = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
-        if known or run.steps >= MOST_STEPS or not run.step():
+        ended = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
+        if ended or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
         iteration.krylov_iterations += 1
 

@@ -85,8 +85,8 @@ class NearOne:
 
     def options(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options of a method in these units: contact stiffnesses are scaled, all others stay."""
-        known = {name: getattr(self, rows) for name, rows in STIFFNESSES.items() if options.get(name) is not None}
-        return options | {name: np.ldexp(np.asarray(options[name], float), 2 * row) for name, row in known.items()}
+        rows_of = {name: getattr(self, rows) for name, rows in STIFFNESSES.items() if options.get(name) is not None}
+        return options | {name: np.ldexp(np.asarray(options[name], float), 2 * row) for name, row in rows_of.items()}
 
     def parts(self, found: Any) -> dict[str, Any]:
         """Return displacement, normal and tie forces of an answer in these units as those of the problem.

@@ -193,10 +193,10 @@ def remember_verdict(
 
 def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> StateVerdict | None:
     """Return the verdict that was kept last, if it is that of this very answer."""
-    known: tuple[Array, StateVerdict] | None = problem._computed.judged_state
-    if known is None or not np.array_equal(known[0], _numbers(problem, answer, tolerances)):
+    cached: tuple[Array, StateVerdict] | None = problem._computed.judged_state
+    if cached is None or not np.array_equal(cached[0], _numbers(problem, answer, tolerances)):
         return None
-    return known[1]
+    return cached[1]
 
 
 def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> Array:

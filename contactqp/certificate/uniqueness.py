@@ -59,10 +59,10 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     None where too many systems leave something free, or where their signs are beyond the range of doubles.
     """
     of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
-    known = problem._computed.several_answers
-    if known is None or any(mine is not other for mine, other in zip(of, known[0], strict=True)):
-        known = problem._computed.several_answers = of, _several_answers(problem, condensation)
-    found: bool | None = known[1]
+    cached = problem._computed.several_answers
+    if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
+        cached = problem._computed.several_answers = of, _several_answers(problem, condensation)
+    found: bool | None = cached[1]
     return found
 
 
@@ -216,8 +216,8 @@ class _Signs:
         from scipy.optimize import linprog
 
         size = self._allowed / DOUBTFUL
-        known = size[~self._idle & (size > 0)]
-        step = float(np.median(known)) if len(known) else 1.0
+        nonzero = size[~self._idle & (size > 0)]
+        step = float(np.median(nonzero)) if len(nonzero) else 1.0
         size = np.where(size > 0, size, step)
         moving = self._moving
         wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(self._free)))
@@ -287,8 +287,8 @@ def uniqueness(
     if condensation is None or reason:
         return Uniqueness((UNKNOWN,), (f"uniqueness was not examined: {reason}",))
     state = _State(problem, answer, found, tolerance)
-    known = critical(problem, condensation)
-    sentences = [_forces(problem, state, condensation), _displacements(problem, known, condensation)]
+    constants = critical(problem, condensation)
+    sentences = [_forces(problem, state, condensation), _displacements(problem, constants, condensation)]
     contraction = _contraction(problem, state, condensation)
     notes = [note for _, note in sentences if note]
     if contraction is not None and contraction >= 1:
@@ -322,31 +322,33 @@ class _State:
 
 
 def _displacements(
-    problem: ContactProblem, known: CriticalFriction, condensation: Condensation
+    problem: ContactProblem, constants: CriticalFriction, condensation: Condensation
 ) -> tuple[str | None, str | None]:
-    if known.unique:
+    if constants.unique:
         return None, None
     flat = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
     if flat and problem.contacts <= MOST_COUNTED:
         several = several_answers(problem, condensation)
         if several:
             listed = "contactqp.equilibria lists them"
-            return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, known)}); {listed}"
+            return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, constants)}); {listed}"
         if several is not None:
             return None, None
-    may = "may exist" if known.above.size else "are not excluded"
-    return POSSIBLE, f"friction: several answers {may} ({_reason(problem, known)})"
+    may = "may exist" if constants.above.size else "are not excluded"
+    return POSSIBLE, f"friction: several answers {may} ({_reason(problem, constants)})"
 
 
-def _reason(problem: ContactProblem, known: CriticalFriction) -> str:
-    if known.above.size:
-        i = int(np.argmax(known.ratio))
+def _reason(problem: ContactProblem, constants: CriticalFriction) -> str:
+    if constants.above.size:
+        i = int(np.argmax(constants.ratio))
         mu = 0.0 if problem.friction is None else float(problem.friction[i])
-        others = f", as at {len(known.above) - 1} more contacts" if len(known.above) > 1 else ""
-        return f"mu = {mu:.3g} of {problem.contact_name(i)} is not below the critical {known.single[i]:.3g}{others}"
-    single = f"{LARGEST_RATIO}: {known.contraction:.3g}"
-    if np.isfinite(known.kappa):
-        return f"coupled contacts are above the sufficient bound for one answer, kappa = {known.kappa:.3g}; {single}"
+        others = f", as at {len(constants.above) - 1} more contacts" if len(constants.above) > 1 else ""
+        return f"mu = {mu:.3g} of {problem.contact_name(i)} is not below the critical {constants.single[i]:.3g}{others}"
+    single = f"{LARGEST_RATIO}: {constants.contraction:.3g}"
+    if np.isfinite(constants.kappa):
+        return (
+            f"coupled contacts are above the sufficient bound for one answer, kappa = {constants.kappa:.3g}; {single}"
+        )
     return f"contacts are redundant or alone hold a body, which no bound covers; {single}"
 
 

@@ -239,8 +239,8 @@ class Mesh(ReadOnly):
         return {name: read_only(checked_set(name, nodes, len(self.points))) for name, nodes in node_sets.items()}
 
     def _unknown(self, name: str) -> InvalidProblem:
-        known = sorted({*self.node_sets, *self.sides})
-        return InvalidProblem(f"mesh: there is no set {name!r}; it has {', '.join(map(repr, known)) or 'none'}")
+        names = sorted({*self.node_sets, *self.sides})
+        return InvalidProblem(f"mesh: there is no set {name!r}; it has {', '.join(map(repr, names)) or 'none'}")
 
 
 def mesh_from_arrays(
@@ -483,10 +483,10 @@ def checked_side(name: str, given: ArrayLike, blocks: Sequence[Block]) -> Index:
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise InvalidProblem(f"side {name!r}: expected (element, local facet) pairs, got shape {pairs.shape}")
     facets = np.repeat([len(block.kind.facets) for block in blocks], [len(block) for block in blocks])
-    known = (pairs[:, 0] >= 0) & (pairs[:, 0] < len(facets)) & (pairs[:, 1] >= 0)
-    known[known] &= pairs[known, 1] < facets[pairs[known, 0]]
-    if not known.all():
-        element, facet = pairs[np.argmin(known)]
+    there = (pairs[:, 0] >= 0) & (pairs[:, 0] < len(facets)) & (pairs[:, 1] >= 0)
+    there[there] &= pairs[there, 1] < facets[pairs[there, 0]]
+    if not there.all():
+        element, facet = pairs[np.argmin(there)]
         raise InvalidProblem(f"side {name!r}: there is no facet {facet} of an element {element}")
     _, first = np.unique(pairs, axis=0, return_index=True)
     return np.asarray(pairs[np.sort(first)])

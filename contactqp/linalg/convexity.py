@@ -35,7 +35,7 @@ def refuse_indefinite(problem: ContactProblem) -> None:
 
 
 def stiffness_factor(
-    problem: ContactProblem, wanted: bool = True, known: pardiso.Pardiso | None = None, least: float = REGULAR
+    problem: ContactProblem, wanted: bool = True, factors: pardiso.Pardiso | None = None, least: float = REGULAR
 ) -> StiffnessFactor | None:
     """Return factors of K if they are wanted, None where K is singular to working precision.
 
@@ -45,28 +45,28 @@ def stiffness_factor(
     ----------
     problem : K is its stiffness
     wanted : whether the factors are wanted, or only that K is found to be semidefinite
-    known : Pardiso, optional
+    factors : Pardiso, optional
         Factors of a matrix that may have the entries of K, whose analysis then serves.
     least : the pivot, as a part of its diagonal entry, beneath which K counts as singular: from `DEFINITE` on it is not
     """
     of_stiffness, factor = problem._computed.of_stiffness, None
     if of_stiffness.convex is None:
-        factor = _refuse_indefinite(problem, known)
+        factor = _refuse_indefinite(problem, factors)
         of_stiffness.convex = True
     if not wanted:
         return None
-    factor = factor or _factorised(problem, known)
+    factor = factor or _factorised(problem, factors)
     return None if factor is None or factor.smallest_pivot < least else factor
 
 
 class StiffnessFactor:
     """The factors of K with its diagonal raised by the factor 1 + CURVED, which a step of refinement corrects."""
 
-    def __init__(self, problem: ContactProblem, known: pardiso.Pardiso | None = None) -> None:
+    def __init__(self, problem: ContactProblem, factors: pardiso.Pardiso | None = None) -> None:
         self._K = problem.stiffness_rows
         lifted = with_added_diagonal(self._K, CURVED * problem.diagonal)
         if problem.dimension > LARGE and pardiso.available():
-            by_pardiso = None if known is None else known.beside(lifted)
+            by_pardiso = None if factors is None else factors.beside(lifted)
             if by_pardiso is None:
                 by_pardiso = pardiso.elimination_order(problem).factorised(lifted, np.arange(problem.dimension))
             self._solve, self.smallest_pivot = by_pardiso.solve_all, by_pardiso.smallest_pivot
@@ -81,22 +81,22 @@ class StiffnessFactor:
         return float(np.sqrt(max(float(force @ moved), 0.0)))
 
 
-def _factorised(problem: ContactProblem, known: pardiso.Pardiso | None) -> StiffnessFactor | None:
+def _factorised(problem: ContactProblem, factors: pardiso.Pardiso | None) -> StiffnessFactor | None:
     """Return the factors of K where its pivots are positive, else None."""
     if np.any(problem.diagonal <= 0):
         return None
     try:
-        factor = StiffnessFactor(problem, known)
+        factor = StiffnessFactor(problem, factors)
     except (pardiso.NotPositive, BackendFailed, InvalidProblem):
         return None
     return factor if factor.smallest_pivot > 0 else None
 
 
-def _refuse_indefinite(problem: ContactProblem, known: pardiso.Pardiso | None) -> StiffnessFactor | None:
+def _refuse_indefinite(problem: ContactProblem, factors: pardiso.Pardiso | None) -> StiffnessFactor | None:
     """Refuse an indefinite K; return its factors where they decided that."""
     if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
         return None  # dominant diagonals: Gershgorin's circles
-    if problem.dimension > DENSE_SIZE and (factor := _factorised(problem, known)) is not None:
+    if problem.dimension > DENSE_SIZE and (factor := _factorised(problem, factors)) is not None:
         return factor
     scale = problem.own_scale
     K = sp.csr_matrix(sp.diags(scale) @ problem.stiffness_rows @ sp.diags(scale))

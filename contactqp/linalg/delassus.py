@@ -305,11 +305,11 @@ class FrictionalRows:
 
 def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
     """Return the scaled rows of a problem, which are made once for its coefficients and its condensation."""
-    known = problem._computed.frictional_rows
-    if known is None or known[1] is not condensation or np.any(known[0] != problem.friction):
+    cached = problem._computed.frictional_rows
+    if cached is None or cached[1] is not condensation or np.any(cached[0] != problem.friction):
         rows = FrictionalRows(problem, condensation)
-        known = problem._computed.frictional_rows = problem.friction, condensation, rows
-    found: FrictionalRows = known[2]
+        cached = problem._computed.frictional_rows = problem.friction, condensation, rows
+    found: FrictionalRows = cached[2]
     return found
 
 

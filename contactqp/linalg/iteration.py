@@ -96,10 +96,10 @@ def _is_large(problem: ContactProblem) -> bool:
 
 def contacts_are_many(problem: ContactProblem) -> bool:
     """Return whether contacts are so many that a subset of candidates costs less; never with friction in the plane."""
-    known = problem._computed.all_contacts
-    if problem.frictional not in known:
-        known[problem.frictional] = not _are_many(problem)
-    return not known[problem.frictional]
+    cached = problem._computed.all_contacts
+    if problem.frictional not in cached:
+        cached[problem.frictional] = not _are_many(problem)
+    return not cached[problem.frictional]
 
 
 def _are_many(problem: ContactProblem) -> bool:
@@ -118,10 +118,10 @@ def constraints_are_many(problem: ContactProblem) -> bool:
     the bodies, factorisations are few; the interior point of a backend takes one a step. Where K has no entry at more
     unknowns than a body has rigid motions, condensing would take each of these for a motion.
     """
-    known = problem._computed.constraints_are_many
-    if problem.frictional not in known:
-        known[problem.frictional] = _constraints_are_many(problem)
-    return known[problem.frictional]
+    cached = problem._computed.constraints_are_many
+    if problem.frictional not in cached:
+        cached[problem.frictional] = _constraints_are_many(problem)
+    return cached[problem.frictional]
 
 
 def condense_anyway(problem: ContactProblem) -> None:
@@ -258,7 +258,7 @@ class Iteration(ContactIteration):
     hierarchy: Hierarchy
     rigid: RigidMotions
 
-    def __init__(self, problem: ContactProblem, tangents: bool = False, known: Iteration | None = None) -> None:
+    def __init__(self, problem: ContactProblem, tangents: bool = False, shared: Iteration | None = None) -> None:
         super().__init__()
         bare = np.flatnonzero(problem.diagonal == 0)
         if bare.size:
@@ -267,9 +267,9 @@ class Iteration(ContactIteration):
         mostly = 2 * len(np.unique(rows.indices)) > problem.dimension
         coarsest = COARSEST_TOUCHED if mostly else None
         hierarchy = (
-            Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest) if known is None else known.hierarchy
+            Hierarchy(problem.stiffness_rows, problem.near_null_space, coarsest) if shared is None else shared.hierarchy
         )
-        self.rigid = _rigid_motions(problem, hierarchy) if known is None else known.rigid
+        self.rigid = _rigid_motions(problem, hierarchy) if shared is None else shared.rigid
         if problem._computed.of_stiffness.bodies is None:
             problem._computed.of_stiffness.bodies = hierarchy.bodies
         self.matrix = hierarchy.levels[0].matrix
@@ -432,11 +432,11 @@ def _rigid_motions(problem: ContactProblem, hierarchy: Hierarchy) -> RigidMotion
         rigid = stated_motions(problem.stiffness_rows, problem.stiffness_sizes, problem.near_null_space)
     for body in floating:
         members = np.flatnonzero(hierarchy.bodies == body)
-        known = np.count_nonzero(np.any(rigid.motions[members], axis=0))
-        if known < hierarchy.soft[body]:
+        found = np.count_nonzero(np.any(rigid.motions[members], axis=0))
+        if found < hierarchy.soft[body]:
             raise Unsupported(
                 f"pyamg: the body of {problem.dof_name(int(members[0]))} floats: no support holds all of its motions "
-                f"(least energy {hierarchy.held[body]:.1e} of its diagonal's), and near_null_space states {known} of "
+                f"(least energy {hierarchy.held[body]:.1e} of its diagonal's), and near_null_space states {found} of "
                 f"{hierarchy.soft[body]} as rigid; {_INSTEAD}"
             )
     return rigid
@@ -456,6 +456,6 @@ def iteration(problem: ContactProblem) -> Iteration:
 def frictional_iteration(problem: ContactProblem) -> Iteration:
     """Return the iteration with tangential rows behind contacts and ties, on the same hierarchy."""
     if problem._computed.frictional_iteration is None:
-        problem._computed.frictional_iteration = Iteration(problem, tangents=True, known=iteration(problem))
+        problem._computed.frictional_iteration = Iteration(problem, tangents=True, shared=iteration(problem))
     made: Iteration = problem._computed.frictional_iteration
     return made

@@ -126,9 +126,9 @@ _END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that ru
 
 def within_time(seconds: float | None) -> AbstractContextManager[None]:
     """Have `refuse_late` raise so many seconds from now; an earlier end that is already set stays."""
-    known = _END.get()
-    end = known if seconds is None else (time.perf_counter() + seconds, seconds)
-    return _ending(end if known is None or (end is not None and end[0] < known[0]) else known)
+    earlier = _END.get()
+    end = earlier if seconds is None else (time.perf_counter() + seconds, seconds)
+    return _ending(end if earlier is None or (end is not None and end[0] < earlier[0]) else earlier)
 
 
 def in_any_time() -> AbstractContextManager[None]:

@@ -93,8 +93,8 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
         Motions that may be rigid; without them they are recognised where K has few digits.
     """
     roundings = []
-    if (known := _rounding_of_digits(stiffness)) is not None:
-        roundings.append(known)
+    if (digits := _rounding_of_digits(stiffness)) is not None:
+        roundings.append(digits)
     if stated is not None and _noisy(stiffness, stated):
         roundings.append(COARSEST * abs(stiffness))
     if not roundings or (stated is None and stiffness.shape[0] > RECOGNISED_UP_TO):
@@ -111,7 +111,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
                 motions, turns = _recognised(body, weight, unit)
             else:
                 motions, turns = stated[members] / unit[:, None], 0
-            if (found := _change(body, weight, motions, turns, rounding is known)) is not None:
+            if (found := _change(body, weight, motions, turns, rounding is digits)) is not None:
                 change = found.tocoo()
                 i, j = members[change.row], members[change.col]
                 values = change.data / (scale[i] * scale[j])

@@ -370,13 +370,13 @@ class ContactProblem:
         >>> float(problem.replace(load=[3.0]).load[0])
         3.0
         """
-        known = {f.name for f in fields(self)} - {*MEASURED, *CARRIED}
-        if unknown := set(changes) - known:
-            raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
+        names = {f.name for f in fields(self)} - {*MEASURED, *CARRIED}
+        if unknown := set(changes) - names:
+            raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(names)}")
         if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
             unset = {"tie_names": None} if "tie" in changes else {}
             unset |= {} if np.any(self.slip_origin) else {"slip_origin": None}
-            made = ContactProblem(**{name: getattr(self, name) for name in known} | unset | changes)
+            made = ContactProblem(**{name: getattr(self, name) for name in names} | unset | changes)
             for name in MEASURED if "stiffness" not in changes else ():
                 object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
             return made

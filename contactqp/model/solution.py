@@ -285,8 +285,8 @@ class Work:
         """Return the sum of this work and earlier work."""
         counts = ("factorisations", "back_substitutions", "polish_corrections", "krylov_iterations")
         sums: dict[str, Any] = {name: getattr(self, name) + getattr(earlier, name) for name in counts}
-        known = self.iterations is not None and earlier.iterations is not None
-        return replace(self, iterations=(self.iterations or 0) + (earlier.iterations or 0) if known else None, **sums)
+        counted = self.iterations is not None and earlier.iterations is not None
+        return replace(self, iterations=(self.iterations or 0) + (earlier.iterations or 0) if counted else None, **sums)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         fault = error
     if fault is not None:  # out here, so that pytest shows no chain of exceptions
         pytest.fail(f"{where}{fault}", pytrace=False)
-    metafunc.parametrize(ARGUMENT, chosen, ids=[known.name for known in chosen])
+    metafunc.parametrize(ARGUMENT, chosen, ids=[exact.name for exact in chosen])
 
 
 def _chosen(

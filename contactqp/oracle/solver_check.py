@@ -89,13 +89,13 @@ def check_solver(
     True
     """
     chosen = gallery_problems() if problems is None else problems
-    return SolverReport(tuple(_verdict(solver, known, rtol, compression) for known in chosen))
+    return SolverReport(tuple(_verdict(solver, exact, rtol, compression) for exact in chosen))
 
 
 def _verdict(
-    solver: Callable[[ContactProblem], Any], known: GalleryProblem, rtol: float, compression: str
+    solver: Callable[[ContactProblem], Any], exact: GalleryProblem, rtol: float, compression: str
 ) -> SolverVerdict:
-    problem = known.problem
+    problem = exact.problem
     start = time.perf_counter()
     try:
         answer, why = solver(problem), ""
@@ -105,13 +105,13 @@ def _verdict(
     verdict = "failed"
     if answer is not None:
         try:
-            fault = solution_fault(known, rtol, **_parts(answer), compression=compression)
+            fault = solution_fault(exact, rtol, **_parts(answer), compression=compression)
         except ContactQPError as error:  # shapes that do not fit, nothing returned
-            fault = f"{known.name}: {error}"
+            fault = f"{exact.name}: {error}"
         verdict, why = ("right", "") if fault is None else ("wrong", fault)
     elif not why:
         why = "returned None"
-    return SolverVerdict(known.name, known.kind, known.difficulty, verdict, why, seconds)
+    return SolverVerdict(exact.name, exact.kind, exact.difficulty, verdict, why, seconds)
 
 
 def _parts(answer: Any) -> dict[str, Any]:

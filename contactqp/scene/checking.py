@@ -214,10 +214,10 @@ def _tie_dimensions(where: str, tie: Tie) -> None:
 
 
 def _contacts_fit(scene: SceneData, unknowns: Unknowns) -> None:
-    known = [obstacle.name for obstacle in scene.obstacles]
+    names = [obstacle.name for obstacle in scene.obstacles]
     for i, contact in enumerate(scene.contacts):
         if contact.obstacle is not None:
-            refuse_unknown(f"contacts[{i}].obstacle ({contact.name!r})", contact.obstacle, known, "obstacle")
+            refuse_unknown(f"contacts[{i}].obstacle ({contact.name!r})", contact.obstacle, names, "obstacle")
         touched = {name for node in contact.touched for name in scene.displacements(node)}
         if unknowns.fixed.issuperset(touched):
             raise SceneError(f"contacts[{i}] ({contact.name!r}): expected a node that can move, got fixed ones only")
@@ -393,9 +393,9 @@ def _places(scene: SceneData) -> Iterator[tuple[str, str]]:
 
 
 def _bodies_exist(scene: SceneData) -> None:
-    known = [body.name for body in scene.bodies]
+    names = [body.name for body in scene.bodies]
     for key, name in _places(scene):
-        refuse_unknown(key, name, known, "body")
+        refuse_unknown(key, name, names, "body")
     meshed = [body.name for body in scene.meshed]
     for i, support in enumerate(scene.supports):
         refuse_unknown(f"supports[{i}].on ({support.name!r})", support.body, meshed, "body")
@@ -416,14 +416,14 @@ def obstacles_exist_in(scene: SceneData) -> None:
 
 
 def _obstacles_exist(scene: SceneData) -> None:
-    known = [obstacle.name for obstacle in scene.obstacles]
+    names = [obstacle.name for obstacle in scene.obstacles]
     obstacles_exist_in(scene)
     for i, contact in enumerate(scene.contacts):
         where = f"contacts[{i}]"
         if contact.touched:
             raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
         if contact.obstacle is not None:
-            refuse_unknown(f"{where}.obstacle ({contact.name!r})", contact.obstacle, known, "obstacle")
+            refuse_unknown(f"{where}.obstacle ({contact.name!r})", contact.obstacle, names, "obstacle")
         if contact.sides is not None:
             _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
 

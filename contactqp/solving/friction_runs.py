@@ -270,12 +270,12 @@ class IteratedFrictionRun(RunByIteration):
         return Final(u, found.normal_force, found.tie_force, motions, friction_force=found.friction_force)
 
 
-def _known_answer(problem: ContactProblem, known: Candidate | None) -> Answer | None:
+def _known_answer(problem: ContactProblem, found: Candidate | None) -> Answer | None:
     """Return a warm start as an answer, or None if it has no friction forces."""
-    if known is None or known.friction_force is None or not known.finite:
+    if found is None or found.friction_force is None or not found.finite:
         return None
-    friction = known.friction_force.reshape(problem.contacts, -1)
-    return Answer(known.displacement, known.normal_force, friction, known.tie_force)
+    friction = found.friction_force.reshape(problem.contacts, -1)
+    return Answer(found.displacement, found.normal_force, friction, found.tie_force)
 
 
 # Contacts of which all combinations take less than the long attempts of algorithms that find none.
@@ -314,8 +314,8 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
         There is no such algorithm.
     """
     if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
-        known = ", ".join((*ALGORITHMS, *TAKEN))
-        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {shown(algorithm)}")
+        names = ", ".join((*ALGORITHMS, *TAKEN))
+        raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
     if iterated(problem):
         if algorithm not in (None, "tresca"):
             raise Unsupported(

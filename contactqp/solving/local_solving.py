@@ -92,8 +92,8 @@ def solve_local(
     if algorithm is None and method != DEFAULT_METHOD:
         algorithm = "aclm"
     if algorithm is not None and algorithm not in (*ALGORITHMS, ENUMERATION):
-        known = ", ".join((*ALGORITHMS, ENUMERATION))
-        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {shown(algorithm)}")
+        names = ", ".join((*ALGORITHMS, ENUMERATION))
+        raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
     _refuse_options(method, algorithm, options)
     if algorithm == ENUMERATION:
         return _enumerated(problem, tolerance, only=True)

@@ -222,10 +222,10 @@ def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], i
 
 def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactProblem:
     """Return the problem with these rows alone; what is computed for them is kept for other loads and gaps."""
-    known = problem._computed.presolved
-    if known is None or not (np.array_equal(known[0], contacts) and np.array_equal(known[1], ties)):
-        known = problem._computed.presolved = (contacts, ties, problem.with_contacts(contacts).with_ties(ties))
-    fewer: ContactProblem = known[2].replace(
+    cached = problem._computed.presolved
+    if cached is None or not (np.array_equal(cached[0], contacts) and np.array_equal(cached[1], ties)):
+        cached = problem._computed.presolved = (contacts, ties, problem.with_contacts(contacts).with_ties(ties))
+    fewer: ContactProblem = cached[2].replace(
         load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties]
     )
     return fewer if problem.load_sum is None else fewer.with_load_sum(problem.load, problem.load_size)

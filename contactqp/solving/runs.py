@@ -63,8 +63,8 @@ class Meter:
         self._back_substitutions += now[1] - back_substitutions
 
     def _counts(self) -> tuple[int, int]:
-        known: Condensation | None = self.problem._computed.condensation
-        return (known.factorisations, known.back_substitutions) if known else (0, 0)
+        cached: Condensation | None = self.problem._computed.condensation
+        return (cached.factorisations, cached.back_substitutions) if cached else (0, 0)
 
     def read(self, iterations: int | None, corrections: int) -> Work:
         condensation: Condensation = self.problem._computed.condensation or condense(self.problem)

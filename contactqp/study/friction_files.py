@@ -460,10 +460,10 @@ def _print_energies(console: Console, outcomes: Sequence[FileOutcome]) -> None:
         if isinstance(solution, Solution):
             certificate, values = solution.certificate, figures(solution.certificate)
             worst = max(values, key=lambda name: values[name])
-            known = "not proven" if certificate.energy_error is None else f"{certificate.energy_error:.1e}"
+            bound = "not proven" if certificate.energy_error is None else f"{certificate.energy_error:.1e}"
             about = f"{values[worst]:.1e} {worst.replace('_', ' ')}" if values[worst] > 0 else "0"
             found = [solution.method, f"{solution.energy:.12g}"]
-            sized = [known, certificate.determined or "", about]
+            sized = [bound, certificate.determined or "", about]
         verdict = PASSED if outcome.passed else REFUSED
         rows.append([file, *found, *sizes, *sized, f"{outcome.seconds:.2f}", verdict])
     short = ["file", "method", "energy", "seconds", "certificate"]

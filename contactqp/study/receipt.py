@@ -101,8 +101,8 @@ def _figures(verdict: Verdict) -> dict[str, float | None]:
     """Return the figures and bounds of a verdict; None where one is not finite."""
     names = ("energy_error", "force_error", "distance")
     bounds = {name: getattr(verdict.certificate, name, None) for name in names}
-    known = {name: finite(value) for name, value in bounds.items() if value is not None}
-    return dict(verdict.data()["certificate"]) | known
+    stated = {name: finite(value) for name, value in bounds.items() if value is not None}
+    return dict(verdict.data()["certificate"]) | stated
 
 
 def _relative(path: str, folder: Path) -> str:

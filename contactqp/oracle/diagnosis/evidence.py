@@ -290,8 +290,8 @@ class Evidence:
         """Return whether dependent rows leave the forces open, by what the certificates say."""
         words = [*self.certificate.reasons, *self.certificate.notes, *self.certificate.uniqueness]
         if self.right is not None:
-            known = self.right.certificate
-            words += [*known.reasons, *known.notes, *known.uniqueness]
+            certificate = self.right.certificate
+            words += [*certificate.reasons, *certificate.notes, *certificate.uniqueness]
         return any("redundant" in word or "forces not unique" in word for word in words)
 
     @cached_property

@@ -199,13 +199,13 @@ def unit(vector: list[fmpq]) -> Direction:
     return tuple(x / root for x in vector)
 
 
-def balance(data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None) -> Balance | None:
-    """Return the forces that hold a displacement, None, proven, if none do; `known` are the only ones of their
+def balance(data: RationalProblem, u: fmpq_mat, solved: tuple[System, fmpq_mat] | None = None) -> Balance | None:
+    """Return the forces that hold a displacement, None, proven, if none do; `solved` are the only ones of their
     system.
     """
     chosen = states(data, u)
-    if known is not None and known[0].combination.key == chosen.key:
-        system, start = known
+    if solved is not None and solved[0].combination.key == chosen.key:
+        system, start = solved
         directions = zeros(start.nrows(), 0)
     else:
         system = system_of(data, chosen)
@@ -329,7 +329,7 @@ def _corrected(data: RationalProblem, closed: tuple[int, ...], tried: set[tuple[
 
 
 def balanced(
-    data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None, way: str = ""
+    data: RationalProblem, u: fmpq_mat, solved: tuple[System, fmpq_mat] | None = None, way: str = ""
 ) -> Settled | None:
     """Return the proven equilibrium at a displacement, or at its neighbours by free motions; None where there is none.
 
@@ -337,15 +337,15 @@ def balanced(
     ----------
     data : RationalProblem
     u : (n, 1) fmpq_mat, the displacement
-    known : System and (r, 1) fmpq_mat, optional
+    solved : System and (r, 1) fmpq_mat, optional
         A combination and its forces that balance the displacement, where they are known.
     way : how the displacement was found; the result keeps it
     """
-    found = balance(data, u, known)
+    found = balance(data, u, solved)
     if found is None:
         return None
     motions = zeros(data.unknowns, 0)
-    if known is None or any(low == 0 for low, _ in (found.ranges[i] for i in found.system.combination.closed)):
+    if solved is None or any(low == 0 for low, _ in (found.ranges[i] for i in found.system.combination.closed)):
         motions = _free_motions(data, found)
     if motions.ncols():
         u = _rested(data, u, motions)

@@ -38,11 +38,11 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
     if not (SEVERAL in others or POSSIBLE in others) or not answer.finite():
         return found
-    known = [found]
+    solutions = [found]
     with suppress(ContactQPError):
-        known += equilibria(problem) if plane and problem.contacts <= FEW else [_from(problem, answer)]
+        solutions += equilibria(problem) if plane and problem.contacts <= FEW else [_from(problem, answer)]
     weight = np.sqrt(np.maximum(problem.diagonal, 0.0))
-    return min(known, key=lambda one: float(np.linalg.norm(weight * (one.displacement - answer.displacement))))
+    return min(solutions, key=lambda one: float(np.linalg.norm(weight * (one.displacement - answer.displacement))))
 
 
 def _from(problem: ContactProblem, answer: Answer) -> Solution:

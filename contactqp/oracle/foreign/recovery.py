@@ -175,24 +175,24 @@ def _tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
 
-def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied: bool) -> Answer | None:
+def lawful_share(problem: ContactProblem, answer: Answer, residual: Vector, tied: bool) -> Answer | None:
     """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
 
     Parameters
     ----------
     problem : ContactProblem
-    known : its displacement is kept; so are its tie forces unless `tied`
+    answer : its displacement is kept; so are its tie forces unless `tied`
     residual : (n,) array [force], f - K u less the tie forces that are known
     tied : whether the ties share in the residual
     """
-    slip = slips(problem, known.displacement)
+    slip = slips(problem, answer.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:
         return None
     m, width = slip.shape
-    gap = problem.gap - problem.normal @ known.displacement
-    length = lengths_that_meet(problem, problem.normal, problem.gap, known.displacement)
+    gap = problem.gap - problem.normal @ answer.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     touching = gap <= NOTHING * length
-    moving = lengths(slip) > NOTHING * _tangential_lengths(problem, known.displacement)
+    moving = lengths(slip) > NOTHING * _tangential_lengths(problem, answer.displacement)
     contacts, ways = _edges(touching, moving, directions(slip))
     drag = problem.friction[contacts, None] * ways
     columns = (width * contacts[:, None] + np.arange(width)).ravel()
@@ -205,7 +205,7 @@ def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied:
     normal, friction = np.zeros(m), np.zeros(slip.shape)
     np.add.at(normal, contacts, share[: len(contacts)])
     np.add.at(friction, contacts, share[: len(contacts), None] * drag)
-    return Answer(known.displacement, normal, friction, share[len(contacts) :] if tied else known.tie_force)
+    return Answer(answer.displacement, normal, friction, share[len(contacts) :] if tied else answer.tie_force)
 
 
 def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
@@ -261,11 +261,11 @@ def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery
             given.filled(problem), (), ("nothing was recovered: the given values are not finite, or absurdly large",)
         )
     elif "displacement" in missing:
-        for known, how in _displaced(problem, given, missing):
-            yield Recovery(known, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
+        for answer, how in _displaced(problem, given, missing):
+            yield Recovery(answer, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
     else:
-        for known, how in _pressed(problem, given, missing):
-            yield Recovery(known, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
+        for answer, how in _pressed(problem, given, missing):
+            yield Recovery(answer, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
 
 
 def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
@@ -286,31 +286,31 @@ def _words(names: tuple[str, ...]) -> str:
 
 def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
     """Yield forces from a displacement."""
-    known = given.filled(problem)
+    answer = given.filled(problem)
     rows = extended_rows(problem)
-    residual = extend(problem.load) - rows.stiffness @ extend(known.displacement)
-    residual = residual - rows.contact_force(extend(known.normal_force), extend(known.tie_force))
-    residual = residual - rows.friction_force(known.friction_force)
+    residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement)
+    residual = residual - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    residual = residual - rows.friction_force(answer.friction_force)
     everything = _Unknowns(problem, missing, np.arange(problem.contacts))
     pulls = np.arange(everything.rows.shape[0]) >= everything.normals
-    ahead = None if problem.tangent is not None else everything.missed_lengths(known.displacement)
+    ahead = None if problem.tangent is not None else everything.missed_lengths(answer.displacement)
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
-    yield everything.filled(known, found), how
+    yield everything.filled(answer, found), how
     if shared and problem.frictional and {"normal_force", "friction_force"} <= set(missing):
-        lawful = lawful_share(problem, known, residual.double(), "tie_force" in missing)
+        lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing)
         if lawful is not None:
             yield lawful, "by equilibrium, shared within the law among rows that depend on one another"
     if iterated(problem):
         return
-    gap = problem.gap - problem.normal @ known.displacement
-    length = lengths_that_meet(problem, problem.normal, problem.gap, known.displacement)
+    gap = problem.gap - problem.normal @ answer.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     touching = _Unknowns(problem, missing, np.flatnonzero(gap <= TOUCHING * length))
-    load = (extend(problem.load) - rows.contact_force(extend(known.normal_force), extend(known.tie_force))).double()
-    load = load - rows.friction_force(known.friction_force).double()
-    values = touching.rows @ known.displacement
+    load = (extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))).double()
+    load = load - rows.friction_force(answer.friction_force).double()
+    values = touching.rows @ answer.displacement
     _, held = _held(problem, load, touching.rows, values)
-    yield touching.filled(known, held), "as what holds the touching contacts where they are"
+    yield touching.filled(answer, held), "as what holds the touching contacts where they are"
 
 
 class _Unknowns:
@@ -337,9 +337,9 @@ class _Unknowns:
         tie = (extend(self._problem.tie_value) - rows.tie @ u).double()
         return np.concatenate([gap if self.normals else gap[:0], tie if "tie_force" in self._missing else tie[:0]])
 
-    def filled(self, known: Answer, found: Vector) -> Answer:
+    def filled(self, answer: Answer, found: Vector) -> Answer:
         """Return the known answer with the forces of these rows."""
-        normal, friction, tie = known.normal_force, known.friction_force, known.tie_force
+        normal, friction, tie = answer.normal_force, answer.friction_force, answer.tie_force
         if "normal_force" in self._missing:
             normal = np.zeros(self._problem.contacts)
             normal[self._contacts] = found[: self.normals]
@@ -350,7 +350,7 @@ class _Unknowns:
             friction = np.zeros_like(friction)
             friction[self._contacts] = rest[:count].reshape(chosen.shape)
             rest = rest[count:]
-        return Answer(known.displacement, normal, friction, rest if "tie_force" in self._missing else tie)
+        return Answer(answer.displacement, normal, friction, rest if "tie_force" in self._missing else tie)
 
 
 def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
@@ -364,31 +364,31 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
             "certify: forces alone take a factorisation of the stiffness, and the body is too large for one; expected "
             "displacement too"
         )
-    known = given.filled(problem)
+    answer = given.filled(problem)
     rows = extended_rows(problem)
     nothing = extend(np.zeros(problem.ties))
-    dragged_load = extend(problem.load) - rows.friction_force(known.friction_force)
-    load = (dragged_load - rows.contact_force(extend(known.normal_force), nothing)).double()
-    push = known.normal_force > PUSHING * np.max(abs(known.normal_force), initial=0.0)
+    dragged_load = extend(problem.load) - rows.friction_force(answer.friction_force)
+    load = (dragged_load - rows.contact_force(extend(answer.normal_force), nothing)).double()
+    push = answer.normal_force > PUSHING * np.max(abs(answer.normal_force), initial=0.0)
     closed = np.flatnonzero(push)
     u, tie = _held(problem, load, problem.tie, problem.tie_value, closed)
-    yield _completed(known, u, tie, missing), "the bodies' response"
+    yield _completed(answer, u, tie, missing), "the bodies' response"
     if closed.size:
         held = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
         values = np.concatenate([problem.tie_value, problem.gap[closed]])
         u, forces = _held(problem, dragged_load.double(), held, values)
         tie = forces[: problem.ties]
-        yield _completed(known, u, tie, missing), "the bodies' response, the pushing contacts held closed"
+        yield _completed(answer, u, tie, missing), "the bodies' response, the pushing contacts held closed"
     if not problem.frictional:
-        whole = Answer(u, known.normal_force, None, tie)
+        whole = Answer(u, answer.normal_force, None, tie)
         shift, free = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
         if free.shape[1]:
             how = "the bodies' response, moved within the gaps along what no contact resists"
-            yield _completed(known, u + shift, tie, missing), how
+            yield _completed(answer, u + shift, tie, missing), how
 
 
-def _completed(known: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) -> Answer:
-    return Answer(u, known.normal_force, known.friction_force, tie if "tie_force" in missing else known.tie_force)
+def _completed(answer: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) -> Answer:
+    return Answer(u, answer.normal_force, answer.friction_force, tie if "tie_force" in missing else answer.tie_force)
 
 
 def _held(

@@ -186,13 +186,13 @@ def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Pat
     """
 
     def fill(root: Path) -> None:
-        for known in problems:
-            _write_one(root / known.name, known)
+        for exact in problems:
+            _write_one(root / exact.name, exact)
         index = {
             "format": FORMAT,
             "version": VERSION,
             "contactqp": version("contactqp"),
-            "problems": [summary(known) for known in problems],
+            "problems": [summary(exact) for exact in problems],
         }
         (root / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
 
@@ -247,16 +247,16 @@ def summary(exact: GalleryProblem) -> dict[str, Any]:
     }
 
 
-def _write_one(folder: Path, known: GalleryProblem) -> None:
-    exact: dict[str, Any] = {part: getattr(known.exact, part) for part in PARTS if getattr(known.exact, part)}
-    answer = {part: getattr(known, part) for part in PARTS}
-    about = {key: value for key, value in summary(known).items() if key in ABOUT}
-    rounded = known.data.rounded()
+def _write_one(folder: Path, posed: GalleryProblem) -> None:
+    exact: dict[str, Any] = {part: getattr(posed.exact, part) for part in PARTS if getattr(posed.exact, part)}
+    answer = {part: getattr(posed, part) for part in PARTS}
+    about = {key: value for key, value in summary(posed).items() if key in ABOUT}
+    rounded = posed.data.rounded()
     if rounded:
         # The answer belongs to these fractions; files hold the nearest doubles.
-        about["exact_data"] = {name: [str(x) for x in getattr(known.data, name)] for name in rounded}
-        about["rounding"] = float(known.rounding)
-    write_problem(folder, known.problem, answer | {"contact_status": known.exact.contact_status, "exact": exact}, about)
+        about["exact_data"] = {name: [str(x) for x in getattr(posed.data, name)] for name in rounded}
+        about["rounding"] = float(posed.rounding)
+    write_problem(folder, posed.problem, answer | {"contact_status": posed.exact.contact_status, "exact": exact}, about)
 
 
 def _refuse_taken(root: Path, but: str = "") -> None:
@@ -331,18 +331,18 @@ def write_qpbenchmark(folder: str | Path, problems: Sequence[GalleryProblem]) ->
     tuple of Path and int
         The folder, and how many problems are in it.
     """
-    programs = [known for known in problems if not known.problem.frictional]
+    programs = [exact for exact in problems if not exact.problem.frictional]
     if not programs:
         raise InvalidProblem(f"{folder}: expected a problem without friction, which alone is a quadratic program")
 
     def fill(root: Path) -> None:
         for name in ("data", "answers", "results"):
             (root / name).mkdir()
-        for known in programs:
-            np.savez(root / "data" / f"{known.name}.npz", **_arrays(known))
-            _write(root / "answers" / f"{known.name}.json", json.dumps(_answer(known), indent=1) + "\n")
+        for exact in programs:
+            np.savez(root / "data" / f"{exact.name}.npz", **_arrays(exact))
+            _write(root / "answers" / f"{exact.name}.json", json.dumps(_answer(exact), indent=1) + "\n")
         _write(root / "results" / ".gitkeep", "")
-        _write(root / "README.md", README.format(script=SCRIPT, rows="\n".join(_row(known) for known in programs)))
+        _write(root / "README.md", README.format(script=SCRIPT, rows="\n".join(_row(exact) for exact in programs)))
         _write(root / SCRIPT, PROGRAM)
 
     return filled(folder, fill, last=SCRIPT), len(programs)
@@ -352,23 +352,23 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _row(known: GalleryProblem) -> str:
-    data = known.data
-    what = known.description.replace("|", "/").replace("\n", " ")
-    return f"| {known.name} | {data.unknowns} | {data.contacts} | {len(data.tie)} | {what} |"
+def _row(exact: GalleryProblem) -> str:
+    data = exact.data
+    what = exact.description.replace("|", "/").replace("\n", " ")
+    return f"| {exact.name} | {data.unknowns} | {data.contacts} | {len(data.tie)} | {what} |"
 
 
-def _arrays(known: GalleryProblem) -> dict[str, Any]:
+def _arrays(exact: GalleryProblem) -> dict[str, Any]:
     """Return P, q, G, h, A, b, lb and ub; absent ones are None in object arrays, as `qpsolvers.Problem.save` writes
     them.
     """
-    program = known.problem.to_qp()
+    program = exact.problem.to_qp()
     parts = {name: getattr(program, name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
     return {name: np.array(part.toarray() if hasattr(part, "toarray") else part) for name, part in parts.items()}
 
 
-def _answer(known: GalleryProblem) -> dict[str, Any]:
-    data, exact = known.data, known.exact
+def _answer(posed: GalleryProblem) -> dict[str, Any]:
+    data, exact = posed.data, posed.exact
     u = exact.displacement
     terms = zip(times(data.stiffness, u), data.load, u, strict=True)
     cost = sum(((force / 2 - load) * moved for force, load, moved in terms), Fraction(0))
@@ -377,8 +377,8 @@ def _answer(known: GalleryProblem) -> dict[str, Any]:
         **{name: [float(value) for value in values] for name, values in parts.items()},
         "cost": float(cost),
         "exact": {**{name: [str(value) for value in values] for name, values in parts.items()}, "cost": str(cost)},
-        "unique_x": known.unique_displacement,
-        "unique_multipliers": known.unique_forces,
-        "rounding": float(known.rounding),
-        "source": known.source,
+        "unique_x": posed.unique_displacement,
+        "unique_multipliers": posed.unique_forces,
+        "rounding": float(posed.rounding),
+        "source": posed.source,
     }

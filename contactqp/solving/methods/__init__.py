@@ -94,11 +94,11 @@ def registered_name(name: Any) -> str:
     return meant
 
 
-def of_same_letters(name: Any, known: Iterable[str]) -> str | None:
+def of_same_letters(name: Any, names: Iterable[str]) -> str | None:
     """Return the known name that differs in case alone, or in - for _; None where there is none."""
     if not isinstance(name, str):
         return None
-    same = {one.casefold().replace("_", "-"): one for one in known}
+    same = {one.casefold().replace("_", "-"): one for one in names}
     return same.get(name.casefold().replace("_", "-"))
 
 
@@ -152,9 +152,9 @@ def _polygon_options(method: Method) -> tuple[str, ...]:
 def meant_option(name: str, options: Sequence[str]) -> str:
     """Return a hint at the argument of `solve` or the option of a method that a name may stand for."""
     meant = ELSEWHERE.get(name.casefold())
-    known = (*ARGUMENTS, *options)
-    if meant is None or meant not in known:
-        near = difflib.get_close_matches(name.casefold(), known, n=1)
+    names = (*ARGUMENTS, *options)
+    if meant is None or meant not in names:
+        near = difflib.get_close_matches(name.casefold(), names, n=1)
         meant = near[0] if near else None
     return "" if meant is None else f" (do you mean {meant!r}?)"
 
@@ -207,11 +207,11 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     options = (*method.options, *(_polygon_options(method) if in_space else ()))
     unknown = sorted(set(settings.options) - set(options))
     if unknown:
-        known = ", ".join(options) or "none"
+        own = ", ".join(options) or "none"
         hint = meant_option(unknown[0], options)
         every = ", ".join(name for name in ARGUMENTS if name != "method")
         raise InvalidProblem(
-            f"{method.name}: unknown option {unknown[0]!r}{hint}; options of its own: {known}; of every method: {every}"
+            f"{method.name}: unknown option {unknown[0]!r}{hint}; options of its own: {own}; of every method: {every}"
         )
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:

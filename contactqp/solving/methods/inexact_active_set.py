@@ -115,13 +115,13 @@ class _Search:
         self.before: Vector | None = None  # a displacement without contact forces
         self.start(settings.warm_start)
 
-    def start(self, known: Candidate | None) -> None:
+    def start(self, candidate: Candidate | None) -> None:
         """Choose the first displacement and set: those of a known solution, or of the bodies without contact."""
-        if known is not None and self._loaded(known):
-            self.x = known.displacement.copy()
+        if candidate is not None and self._loaded(candidate):
+            self.x = candidate.displacement.copy()
             self.residual = self.problem.load - self.iteration.product(self.x)
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
-            self.closed = self.iteration.supported(self.problem, known.normal_force > 0, self.x)
+            self.closed = self.iteration.supported(self.problem, candidate.normal_force > 0, self.x)
             return
         resting = self.iteration.rest(self.problem)
         if resting is not None:
@@ -137,10 +137,10 @@ class _Search:
         self.before, self.residual_before = run.x, run.residual
         self.closed = self._penetration() > 0
 
-    def _loaded(self, known: Candidate) -> bool:
+    def _loaded(self, candidate: Candidate) -> bool:
         """Return whether the load is more than rounding of what a known displacement takes."""
         scale, norm = 1 / np.sqrt(self.iteration.diagonal), self.iteration.norm
-        taken = norm(scale * self.iteration.product(known.displacement))
+        taken = norm(scale * self.iteration.product(candidate.displacement))
         return norm(scale * self.problem.load) > UNLOADED * taken
 
     def run(self) -> Candidate:
