@@ -39,7 +39,10 @@ def test_what_has_no_deck_is_refused(tmp_path: pathlib.Path, name: str) -> None:
 
 
 @needs_calculix
-def test_calculix_runs_what_the_command_writes(tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = command(capsys, "export", CASES / "patch_two_blocks.toml", "--inp", tmp_path / "decks")
+@pytest.mark.parametrize("name", ["patch_two_blocks", pytest.param("hertz_bodies", marks=pytest.mark.slow)])
+def test_calculix_runs_what_the_command_writes(
+    tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    code, out, _ = command(capsys, "export", CASES / f"{name}.toml", "--inp", tmp_path / "decks")
     assert (code, out.startswith("written: ")) == (0, True)
-    assert cq.crosscheck(tmp_path / "decks" / "patch_two_blocks.inp").passed
+    assert cq.crosscheck(tmp_path / "decks" / f"{name}.inp").passed

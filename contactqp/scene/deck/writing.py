@@ -20,8 +20,9 @@ from contactqp.scene.scene import Scene
 _PREFIX = {"3d": "C3D", "plane-strain": "CPE", "plane-stress": "CPS", "axisymmetric": "CAX"}
 # A sign, 13 digits and an exponent of four are 20 characters, which is what CalculiX reads of a number.
 DIGITS = 12
-# The springs behind contact yield this part of what a layer of the slave as thick as its facets yields.
-YIELDING = 1e-4
+# The springs behind contact yield this part of what a layer of the slave as thick as its facets yields: on stiffer ones
+# between faces CalculiX 2.20 ends with some of them in tension.
+YIELDING_NODES, YIELDING_FACES = 1e-4, 1e-2
 WORDS_A_LINE = 12
 
 
@@ -30,7 +31,8 @@ def write_deck(scene: Scene, folder: Path) -> str:
     """Write a scene of elastic bodies as a deck of CalculiX, and return the path of the file.
 
     Loads are written as nodal forces, supports with what they prescribe, contact of two sides as *CONTACT PAIR of
-    nodes, or of faces for a mortar, on springs that yield a ten-thousandth of what the bodies do.
+    nodes, on springs that yield a ten-thousandth of what the elements beside them do, or of faces for a mortar, on
+    springs that yield a hundredth: CalculiX does not come to an end on stiffer ones.
 
     Raises Unsupported: a scene of nodes and bars, membranes, obstacles, elements that CalculiX has not, a motion or a
     load path; InvalidProblem: the folder cannot be made or written to.
@@ -135,8 +137,8 @@ def _contact(
     slave = model.structure.solid(ends[0][0])
     modulus = min(model.structure.solid(body).material.modulus for body, _ in ends)
     size = float(np.ptp(slave.mesh.points, axis=0).max()) / max(len(slave.mesh.points), 2) ** (1 / slave.dimension)
-    stiffness = modulus / (YIELDING * size)
     nodes = pairing != "mortar"
+    stiffness = modulus / ((YIELDING_NODES if nodes else YIELDING_FACES) * size)
     yield f"*SURFACE INTERACTION, NAME=CONTACT{number + 1}"
     yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"
     yield f"{_number(stiffness)}, {_number(1e-12 * modulus)}" if nodes else _number(stiffness)
