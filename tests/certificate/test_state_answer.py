@@ -89,6 +89,20 @@ def test_redundant_forces_may_be_shared_in_any_way_that_adds_up() -> None:
     assert not wrong.passed
 
 
+@pytest.mark.parametrize("moved", [0.1, 0.25])
+def test_a_combination_without_inverse_leaves_the_figures_alone_and_says_so(moved: float) -> None:
+    """Klarbring's contact at its critical coefficient: any of a line of slips is an equilibrium."""
+    problem = cq.ContactProblem([[5.0, -2.0], [-2.0, 1.0]], [-1.0, 0.5], [[-1.0, 0.0]], [0.0], [[0.0, 1.0]], 0.5)
+    given = np.array([0.0, moved]), np.array([1 - 2 * moved]), np.array([0.5 - moved])
+    certificate = cq.certify(problem, *given)
+    assert certificate.passed
+    assert certificate.basis == "figures"
+    assert any("figures alone: the system of its combination" in note for note in certificate.notes)
+    for part in range(3):
+        wrong = [value + 1e-6 * (i == part) for i, value in enumerate(given)]
+        assert not cq.certify(problem, *wrong).passed
+
+
 def test_too_large_a_system_leaves_the_figures_alone_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = _bar(1e-3, 11.0)
     monkeypatch.setattr(state_answer, "MOST_OPERATIONS", 1.0)

@@ -57,6 +57,10 @@ def test_a_tie_that_an_unknown_without_stiffness_takes_up_hides_no_tension(on_ra
     assert on_ranks("certificates.py", 2, "lever").count("judged") == 3
 
 
+def test_forces_behind_a_rigid_motion_are_judged_as_by_one_process(on_ranks: Callable[..., str]) -> None:
+    assert on_ranks("certificates.py", 2, "fallen").count("judged") == 6
+
+
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_bounds_that_a_solver_has_enter_the_verdict(on_ranks: Callable[..., str], count: int) -> None:
     assert "judged" in on_ranks("bounds.py", count)

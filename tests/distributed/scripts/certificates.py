@@ -104,27 +104,43 @@ def lever() -> cq.ContactProblem:
     return cq.ContactProblem(stiffness, [1.0, 0.0, 0.0], stops, [0.0, 0.0], **tie)
 
 
+def judge_alike(ranks: Ranks, problem: cq.ContactProblem, candidate: Answer, right: bool, what: str) -> None:
+    part = distribute(problem, ranks)
+    here = Answer(
+        candidate.displacement[part.dof_number],
+        candidate.normal_force[part.contact_number],
+        None,
+        candidate.tie_force[part.tie_number],
+    )
+    many, one = certify_distributed(part, here), of_one_process(problem, candidate)
+    assert many.passed == one.passed == right, (what, many.failures, one.failures)
+    if ranks.rank == 0:
+        print(f"{what}: judged", flush=True)
+
+
 def pulling(ranks: Ranks) -> None:
     """One of the two equal stops pulls with a part of the load."""
-    problem = lever()
-    part = distribute(problem, ranks)
     for tension in (0.0, 1e-6, 1e-3):
         candidate = Answer(np.array([0.0, 0.0, 0.25]), np.array([1.0 + tension, -tension]), None, np.zeros(1))
-        here = Answer(
-            candidate.displacement[part.dof_number],
-            candidate.normal_force[part.contact_number],
-            None,
-            candidate.tie_force[part.tie_number],
-        )
-        many, one = certify_distributed(part, here), of_one_process(problem, candidate)
-        assert many.passed == one.passed == (tension == 0.0), (tension, many.failures, one.failures)
-        if ranks.rank == 0:
-            print(f"lever, tension {tension:g}: judged", flush=True)
+        judge_alike(ranks, lever(), candidate, tension == 0.0, f"lever, tension {tension:g}")
+
+
+def fallen(ranks: Ranks) -> None:
+    """A bar falls by 1 m onto supports, two of them at one node; without load rounding is left of their forces."""
+    bar, rows = 1e9 * np.array([[1.0, -1.0], [-1.0, 1.0]]), [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]
+    problem = cq.ContactProblem(bar, [1.0, 1.0], rows, np.ones(3), near_null_space=np.ones((2, 1)))
+    for tension in (0.0, 2.5e-6, 9e-4):
+        candidate = Answer(np.ones(2), np.array([1.0, 1.0 + tension, -tension]), None, np.zeros(0))
+        judge_alike(ranks, problem, candidate, tension == 0.0, f"fallen, tension {tension:g}")
+    pushed = problem.replace(load=np.zeros(2), gap=np.array([-1e-3, 1.0, 1.0]))
+    for force, right in ((0.0, True), (1e-11, True), (1e-5, False)):
+        candidate = Answer(np.full(2, -1e-3), np.array([force, 0.0, 0.0]), None, np.zeros(0))
+        judge_alike(ranks, pushed, candidate, right, f"pushed out, force {force:g}")
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["lever"]:
-        sys.exit(pulling(Ranks()))
+    if sys.argv[1:] in (["lever"], ["fallen"]):
+        sys.exit({"lever": pulling, "fallen": fallen}[sys.argv[1]](Ranks()))
     for name in sys.argv[1:]:
         scene = cq.load_scene(CASES / f"{name}.toml")
         judge(build(scene).problem, Ranks(), name)
