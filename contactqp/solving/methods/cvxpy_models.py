@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def _options(solver: str, settings: Settings) -> dict[str, Any]:
     """Return the solver's keyword arguments, as the table of backends has them; none of a solver that is not in it."""
     for backend in BACKENDS:
         if backend.name.upper() == solver:
-            return backend_options(backend, settings)
+            return backend_options(backend, replace(settings, options={}))  # `solver` is cvxpy's own
     if settings.time_limit is not None or settings.max_iter is not None:
         raise Unsupported(f"{NAME}: solver {solver}: its keywords for limits of time and iterations are not known here")
     return {}
