@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,8 @@ from contactqp.model.solution import Answer, Candidate, Nothing
 
 # Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.
 ROUNDS = 12
+# Sweeps over rows and columns that bring the entries of programs near one in the mean.
+BALANCING_ROUNDS = 20
 # Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
 NEAR_ONE = 1.1
 # Rows that are larger or smaller than one by more than this have a unit of their own, which is not their unknowns'.
@@ -75,8 +77,32 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     """
     known = problem._computed.equilibrated
     if known is None:
-        known = problem._computed.equilibrated = _equilibrated(problem)
+        known = problem._computed.equilibrated = _equilibrated(problem, *_units_of_bodies(problem))
     twin, scaling = known
+    return _loaded(problem, twin, scaling, _of_stiffness_times)
+
+
+def balanced(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
+    """Return a program `equilibrated` from units in which the entries of rows and K are near one in the mean.
+
+    Maxima of rows alone may leave a program whose unknowns have units of their own with most entries far beneath one,
+    and interior points break down. Nothing of it is kept.
+    """
+
+    def times(_: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
+        return twin.replace(stiffness=twin.stiffness * factor)
+
+    twin, scaling = _equilibrated(problem, *_units_of_programs(problem))
+    return _loaded(problem, twin, scaling, times)
+
+
+def _loaded(
+    problem: ContactProblem,
+    twin: ContactProblem,
+    scaling: Scaling,
+    of_stiffness_times: Callable[[ContactProblem, ContactProblem, float], ContactProblem],
+) -> tuple[ContactProblem, Scaling]:
+    """Return the twin with load, gaps and ties in units of their own, and its scaling."""
     D, r, t = scaling.unknowns, scaling.contacts, scaling.ties
     load, gap, value = D * problem.load, problem.gap / r, problem.tie_value / t
     imposed = max(_size(np.minimum(gap, 0.0)), _size(value))
@@ -86,7 +112,7 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
         moved = NO_LENGTH * _size(load) / stiffest if stiffest > 0 else 0.0  # what is imposed may be rounding of zero
         length = _near(max(imposed, moved) or _size(np.where(np.isfinite(gap), gap, 0.0)))
         force = _near(max(_size(load), length * stiffest))
-        twin = _of_stiffness_times(problem, twin, length / force)
+        twin = of_stiffness_times(problem, twin, length / force)
     twin = twin.replace(gap=gap / length, tie_value=value / length)
     twin = twin.with_load_sum(load / force, D * problem.load_size / force)
     return twin, replace(scaling, length=length, force=force)
@@ -119,14 +145,11 @@ def in_range(twin: ContactProblem) -> bool:
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
 
-def _equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
+def _equilibrated(problem: ContactProblem, d: Array, r: Array) -> tuple[ContactProblem, Scaling]:
+    """Return the twin of a problem without load, gaps and ties, from factors of unknowns and rows to start with."""
     K = sp.csr_matrix(problem.stiffness_rows)
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     sizes_K, sizes, columns = abs(K), abs(rows), abs(rows.T.tocsr())
-    d = np.ones(problem.dimension)
-    largest = _largest(sizes, d)
-    foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
-    r = 1.0 / np.where(foreign, largest, 1.0)
     for _ in range(ROUNDS):
         of_rows = r * _largest(sizes, d)
         of_unknowns = d * np.maximum(_largest(sizes_K, d), _largest(columns, r))
@@ -154,6 +177,33 @@ class _ScaledRows:
     def __matmul__(self, vector: Extended) -> Extended:
         product = self._rows @ vector.times(self._right)
         return product.times(self._left)
+
+
+def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
+    """Return factors of unknowns and of rows, all one but for rows that are far larger or smaller than that."""
+    sizes, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
+    largest = _largest(sizes, d)
+    foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
+    return d, 1.0 / np.where(foreign, largest, 1.0)
+
+
+def _units_of_programs(problem: ContactProblem) -> tuple[Array, Array]:
+    """Return factors d of unknowns and r of rows that minimise the squares of log(d K d) and log(r E d), nearly.
+
+    Each side in turn is set to its mean (A. R. Curtis and J. K. Reid, J. Inst. Maths Applics 10, 1972).
+    """
+    K = abs(sp.coo_matrix(problem.stiffness_rows))
+    E = abs(sp.coo_matrix(sp.vstack([problem.normal, problem.tie])))
+    K.eliminate_zeros()
+    E.eliminate_zeros()
+    of_K, of_E, (m, n) = np.log2(K.data), np.log2(E.data), E.shape
+    in_rows = np.maximum(np.bincount(E.row, minlength=m), 1)
+    in_columns = np.maximum(np.bincount(E.col, minlength=n) + np.bincount(K.row, minlength=n), 1)
+    d, r = np.zeros(n), np.zeros(m)
+    for _ in range(BALANCING_ROUNDS):
+        r = -np.bincount(E.row, of_E + d[E.col], m) / in_rows
+        d = -(np.bincount(E.col, of_E + r[E.row], n) + np.bincount(K.row, of_K + d[K.col], n)) / in_columns
+    return 2.0**d, 2.0**r
 
 
 def _in_units(problem: ContactProblem, twin: ContactProblem, d: Array, r: Array) -> ExtendedRows:

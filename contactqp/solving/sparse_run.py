@@ -17,7 +17,7 @@ from contactqp.certificate.energy_bounds import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.equilibration import equilibrated, in_range
+from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mostly_bare
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import refuse_ray, solved_from, with_least_forces
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
@@ -40,13 +40,21 @@ from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
 
 # Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
-# whether it is shown the equilibrated problem. Clarabel scales best what it is given as it is, and its factors of rows
+# the units of the problem that it is shown. Clarabel scales best what it is given as it is, and its factors of rows
 # fill least; with bounds of single unknowns alone PIQP's are those of K.
-IDENTIFICATIONS = (("clarabel", 1e-9, False), ("piqp", 1e-11, True), ("clarabel", 1e-11, True), ("piqp", 1e-11, False))
-OF_BOUNDS = (("piqp", 1e-9, True), *IDENTIFICATIONS)
+OWN, EQUILIBRATED, BALANCED_UNITS = range(3)
+IDENTIFICATIONS = (
+    ("clarabel", 1e-9, OWN),
+    ("piqp", 1e-11, EQUILIBRATED),
+    ("clarabel", 1e-11, EQUILIBRATED),
+    ("clarabel", 1e-11, BALANCED_UNITS),
+    ("piqp", 1e-11, OWN),
+)
+OF_BOUNDS = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
 # Where its factors broke down Clarabel is asked for the equilibrated problem next, and all is made of its answer before
 # others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
-BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter": 50}
+# Of programs it says as often that they are infeasible, which `refuse_ray` has not found to be so.
+BROKE_DOWN, IMPOSSIBLE, MOST_STEPS, OF_TWINS = "NumericalError", "Infeasible", 100, {"equilibrate_max_iter": 50}
 # Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
 ENOUGH = 1e-18
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
@@ -121,18 +129,24 @@ class SparseRun(Run):
             yield found
         bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         order, steps = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None
+        program = mostly_bare(self.problem)
+        if not program:
+            order = [other for other in order if other[2] != BALANCED_UNITS]
         while order:
-            name, tolerance, scaled = order.pop(0)
+            name, tolerance, units = order.pop(0)
             tell(f"{name} finds the closed contacts")
-            options = OF_TWINS if scaled and name == "clarabel" else {}
+            options = OF_TWINS if units != OWN and name == "clarabel" else {}
             given = Settings(tolerance, steps, settings.time_limit, None, options)
+            twin, scaling = self._twin, self._scaling
+            if units == BALANCED_UNITS:
+                twin, scaling = balanced(self.problem)
             try:
-                found = find(name).solve(self._twin if scaled else self.problem, given)
+                found = find(name).solve(self.problem if units == OWN else twin, given)
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
             else:
-                yield self._scaling.unscale(found) if scaled else found
-                if BROKE_DOWN in found.status:
+                yield found if units == OWN else scaling.unscale(found)
+                if BROKE_DOWN in found.status or (program and IMPOSSIBLE in found.status):
                     order.sort(key=lambda other: other[0] != name)
                     self._effort.wasted, steps = WASTED, MOST_STEPS
         if self._state is None:

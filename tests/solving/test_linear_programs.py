@@ -8,6 +8,8 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 import contactqp as cq
+from contactqp.linalg.equilibration import balanced, equilibrated
+from contactqp.model.solution import Candidate
 
 
 def transport(seed: int, sources: int = 6, sinks: int = 7) -> cq.ContactProblem:
@@ -119,3 +121,33 @@ def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) 
     size = max(abs(least), 0.5 * solution.displacement @ (problem.stiffness @ solution.displacement))
     assert upper - lower <= 1e-9 * size
     assert lower - 1e-9 * size <= least <= upper + 1e-9 * size
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> None:
+    """Units of unknowns and rows of 2^-24 to 2^24, which maxima of rows do not undo; nothing is rounded."""
+    problem, _ = few_quadratic_terms(seed)
+    rng = np.random.default_rng(seed)
+    D, R, S = (
+        sp.diags(2.0 ** rng.integers(-24, 25, size)) for size in (problem.dimension, problem.contacts, problem.ties)
+    )
+    other = cq.ContactProblem(
+        sp.csr_array(D @ problem.stiffness @ D),
+        D @ problem.load,
+        sp.csr_array(R @ problem.normal @ D),
+        R @ problem.gap,
+        tie=sp.csr_array(S @ problem.tie @ D),
+        tie_value=S @ problem.tie_value,
+    )
+    spreads = [np.std(np.log2(abs(units(other)[0].tie.data))) for units in (balanced, equilibrated)]
+    assert spreads[0] < 2 < 3 < spreads[1]
+    twin, scaling = balanced(other)
+    answer = Candidate(*(rng.normal(size=size) for size in (other.dimension, other.contacts, other.ties)))
+    given = scaling.scale(answer)
+    back = scaling.unscale(given)
+    for one, two in zip(vars(answer).values(), vars(back).values(), strict=True):
+        assert not isinstance(one, np.ndarray) or np.array_equal(one, two)
+    force = other.stiffness @ answer.displacement - other.load
+    assert twin.stiffness @ given.displacement - twin.load == pytest.approx(
+        scaling.unknowns * force / scaling.force, rel=1e-12
+    )
