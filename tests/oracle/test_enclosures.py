@@ -307,3 +307,14 @@ def test_a_singular_matrix_is_not_proven_definite() -> None:
     assert least_eigenvalue(sp.csc_matrix(np.array([[1.0, -1.0], [-1.0, 1.0]]))) is None
     assert least_eigenvalue(sp.csc_matrix(np.array([[0.0]]))) is None
     assert least_eigenvalue(sp.csc_matrix(np.array([[0.0, 1.0], [1.0, 0.0]]))) is None
+
+
+@pytest.mark.parametrize("load", [[300.0, 0.0], [300.0, 1e-6]])
+def test_where_there_is_no_equilibrium_its_proof_is_handed_on(load: list[float]) -> None:
+    """Gaps that overlap by 1e-9, and a load that drives an unknown without stiffness."""
+    walls = [[1.0, 0.0], [-1.0, 0.0]]
+    driven = load[1] > 0
+    problem = cq.ContactProblem(np.diag([1e5, 0.0 if driven else 1e5]), load, walls, [1.0, -1.0 - 1e-9 * (not driven)])
+    with pytest.raises(cq.NoEquilibrium, match="drives" if driven else "contact 0, contact 1") as caught:
+        cq.exact(problem, enclose=True)
+    assert caught.value.proof is not None

@@ -256,7 +256,7 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
     """Return intervals that contain all displacements and forces of the equilibrium, proven.
 
     Raises NotCertified: the contact set is not proven: contacts that just touch, redundant ones, bodies that float;
-    NotConverged: refinement ends too early; NoEquilibrium: floats find none; Unsupported: friction.
+    NotConverged: refinement ends too early; NoEquilibrium: there is none, by a proof in floats; Unsupported: friction.
     """
     problem = asked.problem
     if problem.frictional:
@@ -269,7 +269,7 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
         else:
             refined = refine(held.problem, asked.method, **asked.options)
     except NoEquilibrium as error:
-        raise NoEquilibrium(f"{error} (found in floats, not proven)") from None
+        raise NoEquilibrium(f"{error} (checked in sums of floats in extended precision)", error.proof) from None
     found = enclose(refined)
     notes = symmetrised(problem)
     notes += () if held is None else (carried(held, refined, found.tie_force),)
