@@ -399,11 +399,13 @@ def crosscheck_figure(found: CrossCheck, pairs: list[PairVerdict]) -> Figure:
     for row, pair in zip(axes, pairs, strict=True):
         theirs, right = pair.pressure, pair.reference_pressure
         both = np.concatenate([theirs, right])
-        titles = (f"pressure by {style.plain(found.code)}", f"pressure, {found.reference}", "difference")
+        unit = f" [{style.pressure_unit(found.units)}]" if found.units.length else ""
+        titles = (f"pressure by {style.plain(found.code)}{unit}", f"pressure, {found.reference}{unit}", "difference")
         fields = ((theirs, both), (right, both), (theirs - right, theirs - right))
         for at, (values, among), title in zip(row, fields, titles, strict=True):
             _draw(figure, at, pair, values, among)
-            at.set_title(title)
+            at.set_title(title, fontsize="medium")
+            at.set_xlabel(f"along the surface{f' [{found.units.length}]' if found.units.length else ''}")
         row[0].set_ylabel(f"{style.plain(pair.name)}: {pair.word}")
     return figure
 
@@ -417,7 +419,6 @@ def _draw(figure: Figure, axes: Any, pair: PairVerdict, values: Vector, among: V
         low, high = min(float(among.min()), 0.0), max(float(among.max()), 0.0)
         room = 0.1 * (high - low) or 1.0
         axes.set_ylim(low - room, high + room)
-        axes.set_xlabel("along the surface")
         return
     bound = float(abs(among).max()) or 1.0
     colours = {"cmap": "RdBu_r", "vmin": -bound, "vmax": bound, "edgecolors": "0.5", "linewidths": 0.4}

@@ -319,7 +319,9 @@ def _drawn(
         return figure(solid, title=title, scale=1.0 if scale is None else scale)
     drawn = solution_figure(solution, title=title)
     if solution.problem.near_null_space is not None:
-        drawn.text(0.01, 0.005, HOW_BODIES, fontsize="x-small", color="0.3", gid="how bodies are drawn")
+        for legend in drawn.legends:  # below everything else, where a text of its own would stand across it
+            legend.set_title(HOW_BODIES)
+            legend.get_title().set_fontsize("x-small")
     return drawn
 
 

@@ -284,3 +284,16 @@ def test_both_pressures_and_their_difference_are_drawn(
     assert (tmp_path / "pressures.png").read_bytes().startswith(b"\x89PNG")
     code, _, error = command(capsys, "crosscheck", deck, results, "--plot", tmp_path / "pressures.txt")
     assert (code, len(error.splitlines())) == (2, 1)
+
+
+def test_pictures_of_pressures_have_the_units_that_are_told(tmp_path: pathlib.Path) -> None:
+    pytest.importorskip("matplotlib")
+    from contactqp.pictures.drawing import crosscheck_figure
+
+    deck = write(tmp_path, STACK)
+    results = printed(deck, exact(deck))
+    for units, unit, length in (({"length": "mm", "force": "N"}, " [N/mm²]", " [mm]"), (None, "", "")):
+        found = cq.crosscheck(deck, results, units=units)
+        axes = crosscheck_figure(found, list(found.pairs)).axes[:3]
+        assert [one.get_title() for one in axes[:2]] == [f"pressure by its results{unit}", f"pressure, exact{unit}"]
+        assert {one.get_xlabel() for one in axes} == {f"along the surface{length}"}
