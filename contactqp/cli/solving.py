@@ -110,7 +110,8 @@ def run_command(
 
     With --loads, one CASE is solved under each row of a table, by one method. The first column of the table is "case",
     a name for each row; the others are named as unknowns (loads), as contacts (gaps) or "friction", with plain numbers
-    in the units of the case. What a row does not state is as in the case. --csv writes all contacts of all rows.
+    in the units of the case. What a row does not state is as in the case. --csv writes all contacts of all rows, --plot
+    draws their gaps and forces over the rows.
 
     With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
     the first one prints and writes the files.
@@ -129,9 +130,10 @@ def run_command(
         knobs = read_knobs(penalty, perturbation, options, bare=not named)
         if loads is not None:
             one = not foreign and len(named) == 1 and len(methods) <= 1
-            if not one or engine != SERIAL or any((checkpoint, plot, vtu)):
-                raise InvalidProblem("--loads: expected one case file, one method and one process, to print or --csv")
-            sys.exit(_run_loads(named[0], loads, methods, knobs, csv, time_limit, as_json, quiet))
+            if not one or engine != SERIAL or any((checkpoint, vtu)):
+                told = "expected one case file, one method and one process, to print, --plot or --csv"
+                raise InvalidProblem(f"--loads: {told}")
+            sys.exit(_run_loads(named[0], loads, methods, knobs, (plot, csv), time_limit, as_json, quiet))
         scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
         asked = _Asked(
             methods, knobs, time_limit, engine, checkpoint, as_json, verbose, quiet, len(scenes) > 1 and not verbose
@@ -200,7 +202,7 @@ def _run_loads(
     loads: str,
     methods: Sequence[str],
     knobs: Mapping[str, Any],
-    csv: str | None,
+    files: tuple[str | None, str | None],
     time_limit: float | None,
     as_json: bool,
     quiet: bool,
@@ -211,18 +213,24 @@ def _run_loads(
     from contactqp.scene.scene import load_scene
     from contactqp.solving.methods import DEFAULT_METHOD
 
-    (file,) = case_files([case])
+    (file,), (plot, csv) = case_files([case]), files
+    if plot is not None:
+        from contactqp.pictures.style import check_picture
+
+        check_picture(plot)  # refused before anything is solved
     options = dict(knobs) if time_limit is None else dict(knobs, time_limit=time_limit)
     with whereabouts() as shown, telling(shown):
         answers = solve_cases(load_scene(file), loads, methods[0] if methods else DEFAULT_METHOD, options)
     if csv is not None:
         write_cases(answers, csv)
+    if plot is not None:
+        answers.solutions.plot(plot, title=answers.scene.title)
     if as_json:
         print_json(cases_data(answers))
     elif not (quiet and answers.met):
         print_cases(console(), answers)
-    if csv is not None:
-        click.echo(f"written: {csv}", err=as_json)
+    for written in filter(None, files):
+        click.echo(f"written: {written}", err=as_json)
     return 0 if answers.met else NOT_MET
 
 

@@ -74,5 +74,17 @@ def test_the_command_prints_writes_and_tells_programs(tmp_path, capsys):
     assert [one["normal_force"]["tip"] for one in json.loads(out)] == pytest.approx([0.0, 142.5])
     assert run(capsys, *given, "--method", "penalty", "--penalty", "1e5 kN/m")[0] == 1
     assert run(capsys, *given, "--quiet")[:2] == (0, "")
-    assert run(capsys, *given, "--plot", "a.png")[0] == 2
+    assert run(capsys, *given, "--vtu", "a.vtu")[0] == 2
     assert run(capsys, *given, "--csv", tmp_path / "none" / "a.csv")[0] == 2
+
+
+def test_the_command_draws_load_cases_and_refuses_other_pictures_before_it_solves(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    table = tmp_path / "loads.csv"
+    table.write_text("case,1.x\nhalf,150\ndouble,600\n")
+    code, out, _ = run(capsys, "run", "bar_wall", "--loads", table, "--plot", tmp_path / "cases.png")
+    assert (code, f"written: {tmp_path / 'cases.png'}" in out.replace("\n", "")) == (0, True)
+    assert (tmp_path / "cases.png").read_bytes().startswith(b"\x89PNG")
+    for options in (("--plot", tmp_path / "cases.txt"), ("--vtu", tmp_path / "cases.vtu")):
+        code, out, error = run(capsys, "run", "bar_wall", "--loads", table, *options)
+        assert (code, out, len(error.splitlines())) == (2, "", 1)
