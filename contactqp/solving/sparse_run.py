@@ -53,8 +53,8 @@ IDENTIFICATIONS = (
 OF_BOUNDS = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
 # Where its factors broke down Clarabel is asked for the equilibrated problem next, and all is made of its answer before
 # others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
-# Of programs it says as often that they are infeasible, which `refuse_ray` has not found to be so.
-BROKE_DOWN, IMPOSSIBLE, MOST_STEPS, OF_TWINS = "NumericalError", "Infeasible", 100, {"equilibrate_max_iter": 50}
+# So it is where it stops short of the answer of a program, or calls it infeasible and `refuse_ray` finds no proof.
+BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter": 50}
 # Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
 ENOUGH = 1e-18
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
@@ -146,7 +146,7 @@ class SparseRun(Run):
                 tried.append(str(error))
             else:
                 yield found if units == OWN else scaling.unscale(found)
-                if BROKE_DOWN in found.status or (program and IMPOSSIBLE in found.status):
+                if BROKE_DOWN in found.status or (program and not found.claimed):
                     order.sort(key=lambda other: other[0] != name)
                     self._effort.wasted, steps = WASTED, MOST_STEPS
         if self._state is None:
