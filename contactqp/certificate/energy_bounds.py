@@ -80,6 +80,9 @@ NEAR = 1e-6
 # Of contact forces that are less than this part of those of ties an error of 1e-6 is nothing beside these, 1e-12.
 LEAST_PART = 1e-6
 NO_SOLUTION = "no solution was found near the answer"
+# Elastic energy beneath zero by this part of the energy's terms is that of a stationary point that is no minimum.
+NEGATIVE = 1e-9
+NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
 
 
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
@@ -131,7 +134,9 @@ def _from_solution(
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
-    energy, size = _energy(state)
+    energy, size, elastic = _energy(state)
+    if elastic < -NEGATIVE * size:
+        return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)
     sees = unique.displacement and not mostly_bare(problem)
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
@@ -289,8 +294,8 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
     return np.where(np.isin(part, weak), 0.0, excess)
 
 
-def _energy(state: ClosedState) -> tuple[float, float]:
-    """Return the energy J and the larger of its terms; where both vanish, the larger of the dual energy's.
+def _energy(state: ClosedState) -> tuple[float, float, float]:
+    """Return the energy J, the larger of its terms or, where both vanish, of the dual energy's, and 1/2 U'K U.
 
     K U is what the residual r = f - K U - E'L - A'N has been formed with.
     """
@@ -301,7 +306,7 @@ def _energy(state: ClosedState) -> tuple[float, float]:
     work = u.dot(load)
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
     least = least_length(problem) * float(np.max(problem.load_size, initial=0.0))
-    return elastic - work, max(elastic, abs(work), least) or float(lifted)
+    return elastic - work, max(elastic, abs(work), least) or float(lifted), elastic
 
 
 def _relative(error: float, scale: float) -> float:

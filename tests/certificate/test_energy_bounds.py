@@ -223,3 +223,21 @@ def test_what_an_unbalanced_force_may_gain_is_bounded_by_the_constraints_that_st
     bound = _taken_by_constraints(state, diagonal_dominance(problem))
     assert bound >= most * (1 - 1e-12)
     assert bound == pytest.approx(most, rel=1e-9, abs=1e-15)
+
+
+def test_a_stationary_point_whose_elastic_energy_is_negative_has_no_bounds() -> None:
+    """K is 1e-14 short of semidefinite, which its own rounding could be: at rest the energy is less than at K u = f."""
+    z = np.array([0.0, 1.0, -1.0, 2.0, 2.0])
+    across = np.eye(5) - np.outer(z, z) / (z @ z)
+    K = across @ np.diag([3.0, 5.0, 7.0, 9.0, 4.0]) @ across
+    K = (K + K.T) / 2 - 1e-14 * np.outer(z, z)
+    problem = cq.ContactProblem(K, z / 3, np.eye(1, 5), [5.0])
+    u = np.linalg.solve(K, z / 3)
+    exact = [[Fraction(entry) for entry in row] for row in K.tolist()]
+    moved = [Fraction(entry) for entry in u.tolist()]
+    assert sum(a * row[j] * moved[j] for a, row in zip(moved, exact, strict=True) for j in range(5)) < 0
+    found = energy_bounds(problem, Answer(u, np.zeros(1), None, np.zeros(0)))
+    assert found.energy_bounds is None
+    assert found.energy_error is None
+    with pytest.raises(cq.ContactQPError):
+        cq.solve(problem)
