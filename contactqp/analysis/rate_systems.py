@@ -351,3 +351,16 @@ def _products(factor: Vector, values: Extended) -> Extended:
     """Return the products of doubles and extended numbers, entry by entry."""
     product, error = two_product(factor, values.hi)
     return Extended(product, error + factor * values.lo)
+
+
+def width_within(turns: Array, signs: Vector, far: float) -> float:
+    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
+    from scipy.optimize import linprog
+
+    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
+    for sign in (1.0, -1.0):
+        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
+        if end.status != 0:
+            return 0.0 if end.status == 2 else np.inf
+        ends.append(float(end.fun))
+    return -sum(ends)

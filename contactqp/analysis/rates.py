@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import Direction, Parts, Rates, RateSystem, shape_of_tangents
+from contactqp.analysis.rate_systems import Direction, Parts, Rates, RateSystem, shape_of_tangents, width_within
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
@@ -318,18 +318,38 @@ class Linearised:
         """
         zero = Direction.zero(self.problem)
         basis = [self._of_parts(system, zero, part, None, zero.slip_origin) for part in system.unresolved()]
+        if not basis:
+            return
         turns = np.column_stack([self._signs(one, zero, system.status) for one in basis])
         many = NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
-        if _width(turns, np.zeros(len(turns)), 1.0) > SEEN:
+        if width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
             raise many
         try:
             found = self._in_states(system, direction)
-        except NoRates:  # there are none
+        except NoRates:
+            return
+        if self._missed(found, direction, system) > SEEN:  # those that fit best are no rates
             return
         signs = self._signs(found, direction, system.status)
         size = max(float(np.max(abs(signs), initial=0.0)), float(np.finfo(float).tiny))
-        if _width(turns, signs / size, np.inf) > SEEN:
+        if width_within(turns, signs / size, np.inf) > SEEN:
             raise many
+
+    def _missed(self, found: Rates, direction: Direction, system: RateSystem) -> float:
+        """Return what rates leave of equilibrium and of what is to be held, as a part of all."""
+        problem, tie_length = self.problem, self._units[3]
+        assert problem.tangent is not None
+        outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
+        outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
+        closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in (system.closed, system.stuck))
+        held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
+        missed = [self._scaled("reaction", outer), held, self._scaled("gap", np.where(closed, found.gap, 0.0))]
+        missed.append(self._scaled("slip", np.where(stuck[:, None], found.slip, 0.0)))
+        rates = [
+            self._scaled(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")
+        ]
+        left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
+        return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
 
     def _choices(self, i: int) -> tuple[int, ...]:
         """Return the states that a contact at a border may go to."""
@@ -453,19 +473,6 @@ class Linearised:
         return "; ".join(
             f"{self.named(which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
         )
-
-
-def _width(turns: Array, signs: Vector, far: float) -> float:
-    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
-    from scipy.optimize import linprog
-
-    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
-    for sign in (1.0, -1.0):
-        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
-        if end.status != 0:
-            return 0.0 if end.status == 2 else np.inf
-        ends.append(float(end.fun))
-    return -sum(ends)
 
 
 def _falls(size: Vector, rate: Vector) -> Iterator[float]:
