@@ -17,7 +17,14 @@ from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
-from contactqp.linalg.measures import force_measure, forces_that_meet, lengths_that_meet, row_sizes, without_rigid_part
+from contactqp.linalg.measures import (
+    force_measure,
+    forces_that_meet,
+    lengths_that_meet,
+    own_compliance,
+    row_sizes,
+    without_rigid_part,
+)
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
@@ -135,7 +142,7 @@ def _refined(
     saddle = saddle_point(condensation, closed)
     answer, residual = _start(problem, closed, start, residual)
     rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
-    last, q = np.inf, saddle.contraction
+    last, q = np.inf, saddle.contraction and max(saddle.contraction, size_of.least_contraction)
     for sweep in range(MAX_SWEEPS):
         if residual is None:
             residual = residuals_of(rows, problem, answer)
@@ -147,10 +154,12 @@ def _refined(
             answer = replace(answer, displacement=answer.displacement + shift)
         u, force, tie = answer.rounded(closed)
         size, whole = size_of(du, dl, dn), size_of(u, force, tie)
+        rounding = ROUNDED_AWAY * whole
         if sweep == 1 and q is None:
-            rounding = ROUNDED_AWAY * whole
-            q = max(size / max(last, rounding) if last > 0 else 0.0, LEAST_CONTRACTION)
+            q = max(size / max(last, rounding) if last > 0 else 0.0, size_of.least_contraction)
             saddle.contraction = q if last > rounding else None
+        elif sweep > 0 and q is not None and rounding < last < np.inf and 2 * size < last:
+            q = saddle.contraction = max(q, size / last)
         if sweep > 1 and size > 0.5 * last:
             break
         if q is not None and size_of.is_negligible(size * min(q * caution, 1.0), (u, force, tie), whole):
@@ -196,8 +205,13 @@ class _CorrectionSize:
         self.row_sizes = np.sqrt(condensation.delassus.compliance)  # (m + k,) of a unit force in the root of energy
         self._unknown, self._problem, self._rigid = 1.0 / condensation.unknown_scale, problem, condensation.rigid
         self._row = self.row_sizes[closed]
+        own = np.sqrt(own_compliance(problem, problem.normal)[closed])
         if problem.ties:
             self._row = np.concatenate([self._row, self.row_sizes[problem.contacts :]])
+            own = np.concatenate([own, np.sqrt(own_compliance(problem, problem.tie))])
+        # A force is found to a rounding of what its own unknowns would feel: much, where they give way together.
+        together = np.divide(self._row, own, out=np.ones_like(own), where=own > 0)
+        self.least_contraction = LEAST_CONTRACTION * float(together.max(initial=1.0))
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
         force = np.concatenate([dl, dn]) if dn.size else dl
