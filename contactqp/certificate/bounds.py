@@ -377,6 +377,8 @@ def _force_error(
     if problem.ties > 0 and independent:
         largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
+    if size == 0 and pair.dual_radius > vanishing:  # forces that are zero in the pair may be of any size up to that
+        return np.inf, size, (missed, largest)
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
         return max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed), size, (missed, largest)
     errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
