@@ -92,7 +92,7 @@ ITERATED_NOTHING = 1e-10
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
-# What to do where K, being rounded, makes forces of rigid motions, of which redundant contacts take any share.
+# What to do where K's rounding makes forces of rigid motions, of which redundant contacts take any share.
 STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
@@ -377,19 +377,17 @@ def _force_error(
     if problem.ties > 0 and independent:
         largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
-    if size == 0 and pair.dual_radius > vanishing:  # forces that are zero in the pair may be of any size up to that
-        return np.inf, size, (missed, largest)
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        return max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed), size, (missed, largest)
+        absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
+        # Forces that are zero in the pair may be of any size up to its radius.
+        return absolute if pair.dual_radius <= vanishing else np.inf, size, (missed, largest)
     errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
     return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:
     """Return the error over the least possible true scale; the error with its uncertainty where the scale is zero."""
-    if scale == 0:
-        return error + uncertainty
-    return error / (scale - uncertainty) if scale > uncertainty else float("inf")
+    return error + uncertainty if scale == 0 else error / (scale - uncertainty) if scale > uncertainty else np.inf
 
 
 def _force_bound(
