@@ -43,6 +43,8 @@ Row = Mapping[str, Number]
 Stiffness = Mapping[tuple[str, str], Number]
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
+# Loads are those of the scene where they are a sum of them but for this part.
+OWN_LOAD = 1e-9
 Model: TypeAlias = "NodeModel | BodyModel"
 
 
@@ -106,6 +108,23 @@ class ExactProblem:
     def rational(self) -> bool:
         """Return whether every number is a Fraction."""
         return all(isinstance(number, Rational) for number in self._numbers())
+
+    def load_on_all(self, load: Array) -> dict[str, float]:
+        """Return a load (n,) of the free unknowns by their names, with what acts on held ones at the same time.
+
+        Those have it in the part that the loads of the scene have on the free ones.
+        """
+        free = self.unknowns.free
+        rows = [{name: float(value) for name, value in row.items()} for row in self.loads.values()]
+        parts = np.array([[row.get(name, 0.0) for name in free] for row in rows]).reshape(len(rows), len(free))
+        factors = np.linalg.lstsq(parts.T, load, rcond=None)[0] if parts.any() else np.ones(len(rows))
+        factors[~parts.any(axis=1)] = 1.0
+        found = dict(zip(free, load.tolist(), strict=True))
+        if abs(factors @ parts - load).max(initial=0.0) <= OWN_LOAD * abs(load).max(initial=0.0):
+            for factor, row in zip(factors.tolist(), rows, strict=True):
+                for name in row.keys() - set(free):
+                    found[name] = found.get(name, 0.0) + factor * row[name]
+        return found
 
     def _numbers(self) -> Iterator[Number]:
         yield from self.stiffness.values()

@@ -30,7 +30,7 @@ from contactqp.pictures.history_drawing import cases_figure, draw_history, histo
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
-from contactqp.scene.building import ExactProblem, exact_problem
+from contactqp.scene.building import exact_problem
 from contactqp.scene.geometry import obstacle
 from contactqp.scene.judging import Failure, Judgement, Trial
 from contactqp.scene.scene import load_scene
@@ -38,10 +38,6 @@ from contactqp.scene.schema import SceneData
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-# Loads are those of the scene where they are a sum of them but for this part.
-OWN_LOAD = 1e-9
 
 
 def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFields:
@@ -64,7 +60,8 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
     unknowns = exact.unknowns
     _refuse_another("scene", len(unknowns.free), solution)
     value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
-    load = dict.fromkeys(unknowns.names, 0.0) | _load_on_all(exact, solution)
+    under = np.asarray(getattr(solution, "load", solution.problem.load))
+    load = dict.fromkeys(unknowns.names, 0.0) | exact.load_on_all(under)
     return FrameFields(
         axes=scene.axes,
         nodes=tuple(scene.every_node),
@@ -76,24 +73,6 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),
     )
-
-
-def _load_on_all(exact: ExactProblem, solution: Solution) -> dict[str, float]:
-    """Return the load that a solution is under at each loaded unknown, held ones included.
-
-    Those have it in the part that the loads of the scene have on the free ones.
-    """
-    free, own = exact.unknowns.free, np.asarray(getattr(solution, "load", solution.problem.load))
-    rows = [{name: float(value) for name, value in row.items()} for row in exact.loads.values()]
-    parts = np.array([[row.get(name, 0.0) for name in free] for row in rows]).reshape(len(rows), len(free))
-    factors = np.linalg.lstsq(parts.T, own, rcond=None)[0] if parts.any() else np.ones(len(rows))
-    factors[~parts.any(axis=1)] = 1.0
-    found = dict(zip(free, own.tolist(), strict=True))
-    if abs(factors @ parts - own).max(initial=0.0) <= OWN_LOAD * abs(own).max(initial=0.0):
-        for factor, row in zip(factors.tolist(), rows, strict=True):
-            for name in row.keys() - set(free):
-                found[name] = found.get(name, 0.0) + factor * row[name]
-    return found
 
 
 def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
