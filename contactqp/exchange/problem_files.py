@@ -64,6 +64,11 @@ def read_quadratic_program(path: Path) -> tuple[ContactProblem, Ledger]:
 def _read_archive(path: Path) -> tuple[ContactProblem, Ledger]:
     arrays = read_npz(path, none_for_objects=True)
     parts: dict[str, Any] = {name: arrays.get(name) for name in PARTS}
+    pairs = (("P", "q"), ("G", "h"), ("A", "b"))
+    pickled = [matrix for matrix, beside in pairs if parts[matrix] is None and parts[beside] is not None]
+    if pickled:
+        what = "pickled objects, as qpsolvers saves sparse matrices, of which nothing is read: save them by .toarray()"
+        raise wrong(path, ", ".join(pickled), "arrays", what)
     problem = ContactProblem.from_qp(**parts)
     return problem, _ledger_of_program(path, problem, "qpsolvers", 0.0)
 

@@ -69,6 +69,13 @@ def test_qpsolvers_archives_are_read_and_nothing_is_unpickled(tmp_path: Path) ->
     assert problem.ties == 0
 
 
+def test_sparse_matrices_that_qpsolvers_pickled_are_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "program.npz"
+    qpsolvers.Problem(P, Q, sp.csc_matrix(A), np.array([1.0, 3.0])).save(str(path))
+    with pytest.raises(cq.InvalidProblem, match=r"G: expected arrays, got pickled .* save them by \.toarray\(\)"):
+        cq.read_problem(path)
+
+
 QPS = """NAME          T
 ROWS
  N  obj
