@@ -154,6 +154,21 @@ def test_what_is_left_unasked_is_said_and_asked_for_more_operations() -> None:
         judged.findings_within(-1.0)
 
 
+def test_questions_that_no_answer_is_found_to_take_a_second_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = family("tied_chains", 2)
+    right = cq.solve(problem)
+    asked = []
+
+    def in_vain(*_: object, **__: object) -> None:
+        asked.append(1)
+        raise cq.NotConverged("a long search")
+
+    monkeypatch.setattr(diagnosis, "solve", in_vain)
+    judged = cq.certify(problem, 3.7 * right.displacement, right.normal_force, tie_force=right.tie_force)
+    assert "not-examined" in {finding.kind for finding in judged.findings}
+    assert 1 <= len(asked) <= 2
+
+
 def chain() -> tuple[cq.ContactProblem, np.ndarray]:
     """Nine unknowns that stop at one wall each, and the areas of these: whole ones, and halves at both ends."""
     K = np.diag(np.full(9, 2.0)) - np.diag(np.ones(8), 1) - np.diag(np.ones(8), -1)

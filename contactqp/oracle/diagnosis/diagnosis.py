@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
-from contactqp.errors import ContactQPError
+from contactqp.errors import ContactQPError, NoEquilibrium
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.iteration import grid_operations, iterated
 from contactqp.model.arrays import Array, Indices, Vector
@@ -59,7 +59,7 @@ def other_rows(problem: ContactProblem, question: Question) -> bool:
 
 
 # Operations that a question takes however small it is, for each entry of the stiffness, for each cube of the condensed
-# rows, and where friction finds no answer: 1e9 take about a second.
+# rows, and where no answer is found: 1e9 take about a second.
 CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 6e8
 # Steps of an algorithm, and combinations of states, that a question with friction is worth.
 STEPS_WITH_FRICTION = 20
@@ -89,9 +89,11 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
             evidence.effort.unasked.append(question.kind)
             continue
         evidence.effort.spent += predicted_operations(question.problem, other_rows(problem, question))
-        answer = _answered(problem, question)
-        if answer is None:
-            evidence.effort.spent += HOPELESS if question.problem.frictional else 0.0
+        try:
+            answer = _answered(problem, question)
+        except ContactQPError as error:  # absence is proven soon where there is no friction; all else was tried in vain
+            proven = isinstance(error, NoEquilibrium) and not question.problem.frictional
+            evidence.effort.spent += 0.0 if proven else HOPELESS
             continue
         left = evidence.apart(evidence.given, answer)
         if left <= LEFT and (evidence.explains(left) or evidence.right is None):
@@ -126,12 +128,9 @@ def unbalanced(evidence: Evidence, load: Vector) -> bool:
     return float(np.max(abs(r), initial=0.0)) > 2 * LEFT * (size + count * largest)
 
 
-def _answered(problem: ContactProblem, question: Question) -> Answer | None:
+def _answered(problem: ContactProblem, question: Question) -> Answer:
     """Return the right answer to the other question, as one to this problem."""
-    try:
-        found = solve(question.problem, max_iter=STEPS_WITH_FRICTION if question.problem.frictional else None)
-    except ContactQPError:
-        return None
+    found = solve(question.problem, max_iter=STEPS_WITH_FRICTION if question.problem.frictional else None)
     if question.kept is None and question.held is None:
         return Answer(found.displacement, found.normal_force, _friction(problem, found, None), _ties(problem, found, 0))
     kept = np.arange(problem.contacts) if question.kept is None else question.kept
