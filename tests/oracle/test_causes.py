@@ -156,7 +156,7 @@ def test_what_is_left_unasked_is_said_and_asked_for_more_operations() -> None:
 
 def test_questions_that_no_answer_is_found_to_take_a_second_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = family("tied_chains", 2)
-    right = cq.solve(problem)
+    other = cq.solve(problem.replace(tie_value=0 * problem.tie_value))
     asked = []
 
     def in_vain(*_: object, **__: object) -> None:
@@ -164,7 +164,7 @@ def test_questions_that_no_answer_is_found_to_take_a_second_and_no_more(monkeypa
         raise cq.NotConverged("a long search")
 
     monkeypatch.setattr(diagnosis, "solve", in_vain)
-    judged = cq.certify(problem, 3.7 * right.displacement, right.normal_force, tie_force=right.tie_force)
+    judged = cq.certify(problem, other.displacement, other.normal_force, tie_force=other.tie_force)
     assert "not-examined" in {finding.kind for finding in judged.findings}
     assert 1 <= len(asked) <= 2
 
