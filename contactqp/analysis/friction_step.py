@@ -11,7 +11,7 @@ The equilibria of a step come from Newton's method on the condensed contact unkn
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Protocol
@@ -43,8 +43,10 @@ JUMP = 1e-13
 HALVINGS = 30
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
-# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
+# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out, and again
+# by it where one closes all the same, so many times.
 WIDENED = 1e3
+WIDENINGS = 3
 # A load of which this part is left on a body that nothing holds drives it.
 DRIVEN = 1e-6
 # Displacements that differ by this part of the largest are one.
@@ -328,10 +330,11 @@ class SolveStepper:
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
             _refuse_driven(problem)
-        solution = self._solved(_widened(problem, held_open), self._predicted(fraction))
-        if np.any(solution.normal_force[held_open] > 0):
-            raise NoEquilibrium("a contact that is held open closes")
-        return _state_of(problem, solution, fraction, held_open)
+        for widened in _widened(problem, held_open):
+            solution = self._solved(widened, self._predicted(fraction))
+            if not np.any(solution.normal_force[held_open] > 0):
+                return _state_of(problem, solution, fraction, held_open)
+        raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
         """Return the state as a step of the path, with the gaps of the problem; the next solve starts from it.
@@ -381,12 +384,31 @@ def _refuse_driven(problem: ContactProblem) -> None:
         raise NoEquilibrium("the load drives a body whose contacts are held open")
 
 
-def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:
-    """Return the problem with these contacts so far away that they cannot close."""
+def _widened(problem: ContactProblem, held_open: Mask) -> Iterator[ContactProblem]:
+    """Yield the problem with these contacts far away, and farther and farther where they may still close."""
     if not np.any(held_open):
-        return problem
-    far = WIDENED * (abs(problem.gap) + float(np.max(abs(problem.gap))))
-    return problem.replace(gap=np.where(held_open, problem.gap + far, problem.gap))
+        yield problem
+        return
+    pulled = float(np.max(problem.own_scale * problem.load_size, initial=0.0))
+    finite = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
+    far = widening(finite, float(np.max(finite)), own_compliance(problem, problem.normal), pulled)
+    for k in range(WIDENINGS):
+        yield problem.replace(gap=np.where(held_open, problem.gap + far * WIDENED**k, problem.gap))
+
+
+def widening(gap: Vector, largest: float, compliance: Vector, pulled: float) -> Vector:
+    """Return by how much gaps are widened at first (m,): 1e3 (|g| + max |g| + |E_i D| max_j D_j |f_j|) [length].
+
+    What the load moves counts too: gaps may all be zero, and contacts that have opened close again.
+
+    Parameters
+    ----------
+    gap : (m,) array, |g| [length]
+    largest : float, the largest of all |g| [length]
+    compliance : (m,) array, |E_i D|^2, D = 1/sqrt(K_jj) [length / force]
+    pulled : float, max_j D_j |f_j| [square root of energy]
+    """
+    return WIDENED * (gap + largest + np.sqrt(compliance) * pulled)
 
 
 def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held_open: Mask) -> State:

@@ -22,7 +22,14 @@ from contactqp.distributed.problem import (
     message_of_first,
     message_of_largest,
 )
-from contactqp.distributed.violations import coulomb_residual, outer_forces, outer_resultant, row_sizes, violations
+from contactqp.distributed.violations import (
+    coulomb_residual,
+    outer_forces,
+    outer_resultant,
+    row_sizes,
+    untouched,
+    violations,
+)
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.existence import LP_OPTIONS
 from contactqp.model.arrays import Array, Index, Mask, Vector
@@ -106,12 +113,13 @@ class CuttingPlanes:
         return np.asarray(found.x[:width]), float(found.x[width])
 
 
-def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies) -> float:
+def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: Vector) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
     The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of
     w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that the search
     for the worst motion asks for. A body that floats in a way that no known motion describes is taken for supported.
+    Forces up to `none` (n_here,) on unknowns that nothing touches are rounding, such as F sin(pi).
 
     Raises
     ------
@@ -123,6 +131,8 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies) -> floa
         return 0.0
     Z, u = floating.motions, abs(answer.displacement)
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
+    rounding = untouched(problem) & (size <= none)
+    outer[rounding] = size[rounding] = 0.0
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
@@ -262,7 +272,7 @@ def certify_distributed(
     )
     forces = outer_forces(problem, answer)
     acts = bool(problem.load.any() or np.any(forces > found.nothing.force))
-    figures["balance"] = balance(problem, answer, bodies) if ranks.any(acts) else 0.0
+    figures["balance"] = balance(problem, answer, bodies, found.nothing.force) if ranks.any(acts) else 0.0
     law = coulomb_residual(problem, answer, found)
     natural_map = None if law is None else largest_over_ranks(ranks, law)[0]
     failures = [

@@ -17,7 +17,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, step_to
+from contactqp.analysis.friction_step import (
+    SAME,
+    TOUCHING,
+    WIDENED,
+    WIDENINGS,
+    Anchors,
+    SolvedStep,
+    State,
+    step_to,
+    widening,
+)
 from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.analysis.load_path import DEFAULT_STEPS, changes
 from contactqp.distributed.checkpoint import Checkpoint
@@ -36,6 +46,7 @@ from contactqp.distributed.solving import (
 )
 from contactqp.distributed.violations import row_sizes
 from contactqp.errors import NoEquilibrium, NotConverged, Unsupported
+from contactqp.linalg.measures import reciprocal
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import build
@@ -133,7 +144,8 @@ class _Stepper:
     def __init__(self, problem: DistributedProblem, method: str, options: dict[str, Any]) -> None:
         self._problem, self._method, self._options = problem, method, options
         self._start_solution: DistributedSolution | None = None
-        self._farthest = WIDENED * float(problem.ranks.max(float(np.max(abs(problem.gap), initial=0.0))))
+        self._farthest = float(problem.ranks.max(float(np.max(abs(problem.gap), initial=0.0))))
+        self._compliance = row_sizes(problem, problem.normal).compliance
 
     def turn(self, start: Vector, load: Vector) -> None:
         """Set out from one load to the next."""
@@ -146,12 +158,16 @@ class _Stepper:
         """
         problem, here = self._problem, self._problem.contact_number
         load = self.load if fraction == 1 else self._start + fraction * (self.load - self._start)
-        far = np.where(held_open[here], WIDENED * abs(problem.gap) + self._farthest, 0.0)
-        at = replace(problem, load=load, slip_origin=origin[here], gap=problem.gap + far)
-        solution = _solved_from(self._start_solution, at, self._method, self._options)
-        if problem.ranks.any(solution.answer.normal_force[held_open[here]] > 0):
-            raise NoEquilibrium("a contact that is held open closes")
-        return self._state(solution, fraction, held_open)
+        pulled = problem.ranks.max(float(np.max(reciprocal(np.sqrt(problem.diagonal)) * abs(load), initial=0.0)))
+        far = np.where(
+            held_open[here], widening(abs(problem.gap), self._farthest, self._compliance, float(pulled)), 0.0
+        )
+        for k in range(WIDENINGS):
+            at = replace(problem, load=load, slip_origin=origin[here], gap=problem.gap + far * WIDENED**k)
+            solution = _solved_from(self._start_solution, at, self._method, self._options)
+            if not problem.ranks.any(solution.answer.normal_force[held_open[here]] > 0):
+                return self._state(solution, fraction, held_open)
+        raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
         """Make a state a step of the path, with the problem's own gaps; the next solve starts from it.

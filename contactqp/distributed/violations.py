@@ -29,6 +29,7 @@ from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
     OF_ALL_LENGTHS,
+    ROUNDING_OF_LOADS,
     RowSizes,
     beside_yielding,
     force_measure,
@@ -109,6 +110,8 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
     if problem.ranks.any(elastic is not u):
         force = np.maximum(force, RIGID_FORCE * problem.product_sizes(abs(u - elastic)))
+    largest = problem.ranks.max(float(np.max(abs(problem.load), initial=0.0)))
+    force[untouched(problem)] = ROUNDING_OF_LOADS * float(largest)
 
     def least(rows: Rows, longest: float) -> Vector:
         compliance = row_sizes(problem, rows).compliance
@@ -120,6 +123,17 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
         tangent = least(problem.tangent, _longest_length(problem, u, along=True))
     of_contacts = _least_contact_force(problem, u, elastic, size, part, force)
     return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest), of_contacts)
+
+
+def untouched(problem: DistributedProblem) -> Mask:
+    """Return whether neither the stiffness nor a row touches each unknown (n_here,). Collective."""
+    touched = problem.diagonal > 0
+    if not problem.ranks.any(not touched.all()):
+        return ~touched
+    for rows in (problem.normal, problem.tangent, problem.tie):
+        if rows is not None:
+            touched = touched | (rows.force_sizes(np.ones(rows.count)) > 0)
+    return ~touched
 
 
 def _least_contact_force(

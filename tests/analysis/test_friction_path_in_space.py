@@ -155,6 +155,15 @@ def test_lifted_and_put_down_elsewhere_it_is_anchored_there() -> None:
     np.testing.assert_allclose(history[-1].friction_force, [[2.0, 0.0]], atol=1e-12)
 
 
+def test_lifted_off_the_floor_and_put_down_it_is_anchored_where_it_lands() -> None:
+    """Gap 0 at the start, so that no gap tells how far it is held off: it lands at (3, 2)/2 halfway, and sticks."""
+    lying = block([0.0, 0.0], gap=[0.0], stiffness=np.diag([2.0, 2.0, 5.0]))
+    history = cq.follow_path(lying, [np.array([2.0, 2.0, 5.0]), np.array([4.0, 2.0, -5.0])], steps=1)
+    np.testing.assert_allclose(history[-1].problem.slip_origin, [[1.5, 1.0]], rtol=1e-12)
+    np.testing.assert_allclose(history[-1].displacement, [1.5, 1.0, 0.0], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(history[-1].friction_force, [[1.0, 0.0]], rtol=1e-12, atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def dragged() -> cq.History:
     """An elastic block pressed, pushed along x, then along y as well, then back: 25 contacts."""

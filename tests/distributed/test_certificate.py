@@ -61,6 +61,10 @@ def test_forces_behind_a_rigid_motion_are_judged_as_by_one_process(on_ranks: Cal
     assert on_ranks("certificates.py", 2, "fallen").count("judged") == 6
 
 
+def test_rounding_of_a_load_across_what_bears_it_is_no_load_on_ranks_either(on_ranks: Callable[..., str]) -> None:
+    assert on_ranks("certificates.py", 2, "across").count("judged") == 2
+
+
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_bounds_that_a_solver_has_enter_the_verdict(on_ranks: Callable[..., str], count: int) -> None:
     assert "judged" in on_ranks("bounds.py", count)

@@ -67,6 +67,10 @@ def test_wrong_answers_are_refused(on_ranks: Callable[..., str], count: int) -> 
     assert "refused" in on_ranks("friction_refused.py", count)
 
 
+def test_what_is_lifted_is_anchored_where_it_lands_on_ranks_too(on_ranks: Callable[..., str]) -> None:
+    assert "where it lands" in on_ranks("friction_path.py", 2, "lifted")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2])
 def test_a_load_path_keeps_what_has_slipped_as_one_process_does(on_ranks: Callable[..., str], count: int) -> None:

@@ -138,9 +138,17 @@ def fallen(ranks: Ranks) -> None:
         judge_alike(ranks, pushed, candidate, right, f"pushed out, force {force:g}")
 
 
+def across(ranks: Ranks) -> None:
+    """A bar on a stop: across it, where nothing holds, F sin(pi) is rounding, and 3e-10 is a load."""
+    for load, right in ((300 * np.sin(np.pi), True), (3e-10, False)):
+        problem = cq.ContactProblem(np.diag([157500.0, 0.0]), [-300.0, load], [[-1.0, 0.0]], [1e-3])
+        candidate = Answer(np.array([-1e-3, 0.0]), np.array([142.5]), None, np.zeros(0))
+        judge_alike(ranks, problem, candidate, right, f"across the bar, load {load:g}")
+
+
 if __name__ == "__main__":
-    if sys.argv[1:] in (["lever"], ["fallen"]):
-        sys.exit({"lever": pulling, "fallen": fallen}[sys.argv[1]](Ranks()))
+    if sys.argv[1:] in (["lever"], ["fallen"], ["across"]):
+        sys.exit({"lever": pulling, "fallen": fallen, "across": across}[sys.argv[1]](Ranks()))
     for name in sys.argv[1:]:
         scene = cq.load_scene(CASES / f"{name}.toml")
         judge(build(scene).problem, Ranks(), name)
