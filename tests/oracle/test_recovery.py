@@ -106,6 +106,29 @@ def test_frictional_answers_from_forces(seed: int) -> None:
     assert not cq.certify(known.problem, normal_force=spoiled, friction_force=known.friction_force).passed
 
 
+def _slider(origin: float) -> cq.ContactProblem:
+    """A bar that only friction holds along itself: its left end sticks at 0.5, its right end slips from `origin`."""
+    return cq.ContactProblem(
+        stiffness=[[8.0, 0.0, -8.0, 0.0], [0.0, 8.0, 0.0, 0.0], [-8.0, 0.0, 8.0, 0.0], [0.0, 0.0, 0.0, 8.0]],
+        load=[-1.0, -4.0, 4.0, -4.0],
+        normal=[[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]],
+        gap=[0.0, 0.0],
+        tangent=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+        friction=0.5,
+        slip_origin=[0.5, origin],
+    )
+
+
+def test_forces_alone_put_a_floating_body_where_it_sticks() -> None:
+    """Closing contacts says nothing of where a body lies along them: their stick and the way of their slip do."""
+    judged = cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[1.0, 2.0])
+    assert judged.passed, judged.failures
+    assert judged.answer.displacement == pytest.approx([0.5, 0.0, 0.75, 0.0])
+    # From 1.0 the right end would have slipped against its friction.
+    assert not cq.certify(_slider(1.0), normal_force=[4.0, 4.0], friction_force=[1.0, 2.0]).passed
+    assert not cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[-1.0, 2.0]).passed
+
+
 def test_a_displacement_that_touches_nothing_is_judged() -> None:
     known = several(0)
     lifted = cq.certify(known.problem, known.displacement + 5.0 * (np.arange(known.problem.dimension) % 3 == 0))

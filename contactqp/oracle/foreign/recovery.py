@@ -8,7 +8,8 @@ in the least-squares sense, the unknowns in the energy scale; rows that depend o
 without tension where they can. What this cannot explain is left as lack of equilibrium, for the certificate to see.
 
 Displacements from forces. K u + A'nu = f - E_N'l_N - E_T'l_T, A u = b. What then still floats is shifted so that the
-contacts that push are closed, as little as that takes.
+contacts that push are closed, as little as that takes; with friction also so that contacts that stick stay where they
+are, those that slip do so along their friction, and no other contact is penetrated.
 
 Both ways multiply rounding: the forces of a stiff body are not known from the doubles of its displacement, nor is a
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
@@ -31,13 +32,13 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation, condense, free_motions
-from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.linalg.nonnegative import forces_without_tension
+from contactqp.linalg.nonnegative import forces_without_tension, shift_within_gaps
 from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
@@ -222,6 +223,8 @@ def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
 
 # A gap of this part of its lengths is none, and a force of this part of the largest, in what is given.
 TOUCHING, PUSHING = 1e-6, 1e-12
+# Friction that misses its bound by this part of it slips, in what is given.
+AT_BOUND = 1e-6
 NO_CONTACTS = np.zeros(0, dtype=np.intp)
 
 
@@ -309,7 +312,7 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     load = (extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))).double()
     load = load - rows.friction_force(answer.friction_force).double()
     values = touching.rows @ answer.displacement
-    _, held = _held(problem, load, touching.rows, values)
+    _, held, _ = _held(problem, load, touching.rows, values)
     yield touching.filled(answer, held), "as what holds the touching contacts where they are"
 
 
@@ -371,14 +374,19 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
     load = (dragged_load - rows.contact_force(extend(answer.normal_force), nothing)).double()
     push = answer.normal_force > PUSHING * np.max(abs(answer.normal_force), initial=0.0)
     closed = np.flatnonzero(push)
-    u, tie = _held(problem, load, problem.tie, problem.tie_value, closed)
+    u, tie, free = _held(problem, load, problem.tie, problem.tie_value, closed)
     yield _completed(answer, u, tie, missing), "the bodies' response"
+    how = "the bodies' response, moved along what nothing resists to where the law allows the forces"
+    if (shift := _shift_within_law(problem, answer, u, free, closed)) is not None:
+        yield _completed(answer, u + shift, tie, missing), how
     if closed.size:
         held = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
         values = np.concatenate([problem.tie_value, problem.gap[closed]])
-        u, forces = _held(problem, dragged_load.double(), held, values)
+        u, forces, free = _held(problem, dragged_load.double(), held, values)
         tie = forces[: problem.ties]
         yield _completed(answer, u, tie, missing), "the bodies' response, the pushing contacts held closed"
+        if (shift := _shift_within_law(problem, answer, u, free, closed)) is not None:
+            yield _completed(answer, u + shift, tie, missing), f"{how}, the pushing contacts held closed"
     if not problem.frictional:
         whole = Answer(u, answer.normal_force, None, tie)
         shift, free = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
@@ -393,10 +401,11 @@ def _completed(answer: Answer, u: Vector, tie: Vector, missing: tuple[str, ...])
 
 def _held(
     problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: Indices = NO_CONTACTS
-) -> tuple[Vector, Vector]:
-    """Solve K u + B'l = load with rows held at values, B u = values; return u (n,) and the forces l of the rows.
+) -> tuple[Vector, Vector, Array]:
+    """Solve K u + B'l = load with rows held at values, B u = values.
 
-    What floats all the same is shifted as little as it takes to close the contacts that push.
+    Returns u (n,), the forces l of the rows and an orthonormal basis (n, q) of what floats. What floats all the same
+    is shifted as little as it takes to close the contacts that push.
     """
     system = ContactProblem(
         stiffness=problem.stiffness,
@@ -414,7 +423,43 @@ def _held(
         ahead = extend(problem.gap) - extended_rows(problem).normal @ u
         shift, *_ = np.linalg.lstsq(problem.normal[pushing] @ free, ahead.double()[pushing], rcond=1e-12)
         u = u + free @ shift
-    return u.double(), found.tie_force.double()
+    return u.double(), found.tie_force.double(), free
+
+
+def _shift_within_law(
+    problem: ContactProblem, answer: Answer, displacement: Vector, free: Array, pushing: Indices
+) -> Vector | None:
+    """Return the least motion along `free` (n, q) after which Coulomb's law allows the friction that was given.
+
+    Pushing contacts are closed, E_N u = g; those whose friction is below its bound stay at their slip origin; the slip
+    of the others is along their friction, s x l_T = 0 and s'l_T >= 0; no contact is penetrated. It is the least one in
+    the scale of the energy. None where nothing floats or there is no friction.
+    """
+    slip, friction = slips(problem, displacement), answer.friction_force
+    if not free.shape[1] or not pushing.size or slip is None or friction is None or problem.friction is None:
+        return None
+    scale = unknown_scale(problem)
+    basis = scale[:, None] * orthonormal(free / scale[:, None])
+    gap = problem.gap - problem.normal @ displacement
+    normal = problem.normal @ basis
+    tangent = (problem.tangent @ basis).reshape(*slip.shape, -1)
+    bound = problem.friction * answer.normal_force
+    sticking = pushing[lengths(friction)[pushing] < (1 - AT_BOUND) * bound[pushing]]
+    slipping = pushing[(bound[pushing] > 0) & ~np.isin(pushing, sticking)]
+    along = directions(friction)[slipping]
+    across = np.column_stack([-along[:, 1], along[:, 0]]) if along.shape[1] == 2 else np.zeros_like(along)
+    held = [normal[pushing], tangent[sticking].reshape(-1, basis.shape[1])]
+    held.append(np.einsum("id,idq->iq", across, tangent[slipping]))
+    missed = np.concatenate([gap[pushing], -slip[sticking].ravel(), -np.sum(across * slip[slipping], axis=1)])
+    start, _, rank, _ = np.linalg.lstsq(np.vstack(held), missed, rcond=DEPENDENT)
+    left = np.linalg.svd(np.vstack(held))[2][rank:].T
+    apart = np.flatnonzero(np.isfinite(gap) & ~np.isin(np.arange(len(gap)), pushing))
+    bounded = np.vstack([normal[apart], -np.einsum("id,idq->iq", along, tangent[slipping])])
+    room = np.concatenate([gap[apart], np.sum(along * slip[slipping], axis=1)]) - bounded @ start
+    felt = np.linalg.norm(bounded @ left, axis=1) > DEPENDENT * np.linalg.norm(bounded, axis=1)
+    if not felt.any():
+        return basis @ start
+    return basis @ (start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1])))
 
 
 def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
