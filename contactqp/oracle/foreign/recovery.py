@@ -436,8 +436,10 @@ def _shift_within_law(
     the scale of the energy. None where nothing floats or there is no friction.
     """
     slip, friction = slips(problem, displacement), answer.friction_force
-    if not free.shape[1] or not pushing.size or slip is None or friction is None or problem.friction is None:
+    if not (free.shape[1] and pushing.size) or problem.friction is None or problem.tangent is None:
         return None
+    assert slip is not None
+    assert friction is not None
     scale = unknown_scale(problem)
     basis = scale[:, None] * orthonormal(free / scale[:, None])
     gap = problem.gap - problem.normal @ displacement
@@ -454,12 +456,12 @@ def _shift_within_law(
     start, _, rank, _ = np.linalg.lstsq(np.vstack(held), missed, rcond=DEPENDENT)
     left = np.linalg.svd(np.vstack(held))[2][rank:].T
     apart = np.flatnonzero(np.isfinite(gap) & ~np.isin(np.arange(len(gap)), pushing))
-    bounded = np.vstack([normal[apart], -np.einsum("id,idq->iq", along, tangent[slipping])])
+    bounded: Array = np.vstack([normal[apart], -np.einsum("id,idq->iq", along, tangent[slipping])])
     room = np.concatenate([gap[apart], np.sum(along * slip[slipping], axis=1)]) - bounded @ start
     felt = np.linalg.norm(bounded @ left, axis=1) > DEPENDENT * np.linalg.norm(bounded, axis=1)
-    if not felt.any():
-        return basis @ start
-    return basis @ (start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1])))
+    if felt.any():
+        start = start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1]))
+    return np.asarray(basis @ start)
 
 
 def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
