@@ -40,8 +40,8 @@ TOLERANCES = (1e-6, 1e-9, 1e-12)
 PATIENCE = 30.0  # seconds for one run of a raw backend
 
 
-def block(unknowns: int, dimension: int) -> cq.ContactProblem:
-    """A block of about that many unknowns, its top moved down onto a paraboloid beneath."""
+def block(unknowns: int, dimension: int, more_layers: int = 0) -> cq.ContactProblem:
+    """A block of about that many unknowns, its top moved down onto a paraboloid beneath; in space of more layers."""
     steel = Material(1.0, 0.3)
     if dimension == 2:
         cells = round(np.sqrt(unknowns / 4))
@@ -49,7 +49,7 @@ def block(unknowns: int, dimension: int) -> cq.ContactProblem:
         paraboloid = cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0)
     else:
         cells = round((unknowns / 3 / 0.7) ** (1 / 3))
-        body = Body(box((1.0, 1.0, 0.7), (cells, cells, round(0.7 * cells))), steel, "3d", name="block")
+        body = Body(box((1.0, 1.0, 0.7), (cells, cells, round(0.7 * cells) + more_layers)), steel, "3d", name="block")
         paraboloid = cq.Paraboloid([0.5, 0.5, 0.0], [0.0, 0.0, 1.0], 5.0)
     structure = Structure([body])
     vertical = dimension - 1
