@@ -196,7 +196,8 @@ def contact_panels(fields: HistoryFields, contacts: Index, moved: float) -> list
         in_plane = fields.friction_force.shape[2] == 1
         values = fields.friction_force[:, :, 0] if in_plane else np.linalg.norm(fields.friction_force, axis=2)
         label = "friction force" if in_plane else "friction force, size"
-        panels.append(Panel(f"{label} [{force}]", _contact_curves(fields, values, contacts, "sum"), pushed))
+        rubbed = max(pushed, _largest(values))  # a contact with friction 1e20 sticks while almost nothing pushes
+        panels.append(Panel(f"{label} [{force}]", _contact_curves(fields, values, contacts, "sum"), rubbed))
     return panels
 
 

@@ -125,6 +125,15 @@ def test_load_cases_are_curves_over_their_numbers(tmp_path) -> None:
     np.testing.assert_array_equal(curves[f"foot.{worst}"], many.normal_force[:, worst])
 
 
+def test_friction_beside_almost_no_normal_force_is_drawn_at_its_own_size() -> None:
+    """With friction 1e20 a normal force of 3e-20 holds 3: limits of the axis made of 3e-20 would be one number."""
+    jammed = cq.ContactProblem(np.eye(2), [0.0, 3.0], [[1.0, 0.0]], [0.0], [[0.0, 1.0]], friction=1e20)
+    many = cq.solve_many(jammed, loads=[[3.4e-20, 3.0]])
+    assert many.passed.all()
+    low, high = panel(many.plot(), "friction force").get_ylim()
+    assert low < many.friction_force[0, 0, 0] < high
+
+
 def test_load_cases_without_an_answer_are_upright_lines() -> None:
     floating = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [0.0, 0.0], [[0.0, 1.0]], [0.1])
     figure = cq.draw(cq.solve_many(floating, loads=[[1.0, 0.0], [-1.0, 0.0], [2.0, 0.0]]))
