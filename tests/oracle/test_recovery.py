@@ -129,6 +129,36 @@ def test_forces_alone_put_a_floating_body_where_it_sticks() -> None:
     assert not cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[-1.0, 2.0]).passed
 
 
+def test_no_forces_put_a_floating_body_out_of_its_obstacle() -> None:
+    wall = cq.ContactProblem(
+        stiffness=[[8.0, -8.0, 0.0], [-8.0, 8.0, 0.0], [0.0, 0.0, 8.0]],
+        load=[-1.0, 1.0, 0.0],
+        normal=[[1.0, 0.0, 0.0]],
+        gap=[-0.5],
+        tangent=[[0.0, 0.0, 1.0]],
+        friction=0.5,
+    )
+    judged = cq.certify(wall, normal_force=[0.0], friction_force=[0.0])
+    assert judged.passed, judged.failures
+    assert judged.answer.displacement == pytest.approx([-0.5, -0.375, 0.0])
+
+
+def test_friction_missing_of_a_node_that_touches_twice_is_shared_within_the_law() -> None:
+    """A node that sticks at two rows: half of the friction of 2.4 at each exceeds what the first can hold."""
+    problem = cq.ContactProblem(
+        stiffness=[[8.0, 0.0], [0.0, 8.0]],
+        load=[2.4, -8.0],
+        normal=[[0.0, -1.0], [0.0, -1.0]],
+        gap=[0.0, 0.0],
+        tangent=[[1.0, 0.0], [1.0, 0.0]],
+        friction=[0.5, 0.25],
+    )
+    judged = cq.certify(problem, [0.0, 0.0], [2.0, 6.0])
+    assert judged.passed, judged.failures
+    assert abs(judged.answer.friction_force.sum() - 2.4) < 1e-9
+    assert not cq.certify(problem, [0.0, 0.0], [0.0, 8.0]).passed  # 2.0 is all that these can hold
+
+
 def test_a_displacement_that_touches_nothing_is_judged() -> None:
     known = several(0)
     lifted = cq.certify(known.problem, known.displacement + 5.0 * (np.arange(known.problem.dimension) % 3 == 0))

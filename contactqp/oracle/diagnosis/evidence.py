@@ -19,8 +19,8 @@ from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.recovery import certify_given, slips
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer, slips
+from contactqp.oracle.foreign.recovery import certify_given
 
 # One thing that is wrong with an answer.
 

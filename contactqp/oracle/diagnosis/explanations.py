@@ -19,7 +19,7 @@ from contactqp.model.coulomb import directions, lengths
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
 from contactqp.oracle.diagnosis.scales import CALLED, factors
-from contactqp.oracle.foreign.recovery import slips
+from contactqp.oracle.foreign.foreign_answer import slips
 
 # Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
 MET = 1e-6

@@ -55,6 +55,25 @@ class GivenAnswer(ReadOnly):
         )
 
 
+def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...]:
+    """Return the parts that the problem has and that were not given."""
+    wanted = {
+        "displacement": True,
+        "normal_force": problem.contacts > 0,
+        "friction_force": problem.slip_origin is not None,
+        "tie_force": problem.ties > 0,
+    }
+    return tuple(name for name, has in wanted.items() if has and getattr(given, name) is None)
+
+
+def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
+    """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return None
+    shape = problem.slip_origin.shape
+    return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
+
+
 def read_given(
     problem: ContactProblem,
     displacement: Any,

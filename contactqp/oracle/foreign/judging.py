@@ -20,7 +20,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.model.summary import without_rounding
-from contactqp.oracle.foreign.recovery import slips
+from contactqp.oracle.foreign.foreign_answer import slips
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
 

@@ -44,7 +44,7 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer, missing_parts, slips
 
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
 
@@ -155,7 +155,8 @@ def _iteratively(B: Any, r: Vector) -> Vector:
 #
 # A touching contact that slips pushes and drags along one direction, l_N (1, mu s/|s|); one that sticks along any
 # combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
-# equilibrium over such combinations with no negative part are forces within the law, where such forces exist.
+# equilibrium over such combinations with no negative part are forces within the law, where such forces exist. Where
+# normal forces are given, the parts of a contact's combination add up to its force, with an idle part where it sticks.
 
 # A gap or a slip of this part of its lengths is none.
 NOTHING = 1e-9
@@ -176,7 +177,9 @@ def _tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
 
-def lawful_share(problem: ContactProblem, answer: Answer, residual: Vector, tied: bool) -> Answer | None:
+def lawful_share(
+    problem: ContactProblem, answer: Answer, residual: Vector, tied: bool, push: Vector | None = None
+) -> Answer | None:
     """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
 
     Parameters
@@ -185,6 +188,8 @@ def lawful_share(problem: ContactProblem, answer: Answer, residual: Vector, tied
     answer : its displacement is kept; so are its tie forces unless `tied`
     residual : (n,) array [force], f - K u less the tie forces that are known
     tied : whether the ties share in the residual
+    push : (m,) array [force], optional
+        The normal forces where they are known; the residual is then what friction, and ties, have to balance.
     """
     slip = slips(problem, answer.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:
@@ -199,14 +204,23 @@ def lawful_share(problem: ContactProblem, answer: Answer, residual: Vector, tied
     columns = (width * contacts[:, None] + np.arange(width)).ravel()
     places = np.repeat(np.arange(len(contacts)), width)
     spread = sp.csr_matrix((drag.ravel(), (places, columns)), shape=(len(contacts), m * width))
-    edges = sp.csr_matrix(problem.normal[contacts]) + spread @ sp.csr_matrix(problem.tangent)
-    rows = sp.csr_matrix(sp.vstack([edges, sp.csr_matrix(problem.tie)]) if tied else edges)
-    pushing_only = np.arange(rows.shape[0]) < len(contacts)
-    share, _ = balancing_forces(rows, residual, pushing_only, unknown_scale(problem))
+    scale, edges = unknown_scale(problem), spread @ sp.csr_matrix(problem.tangent)
+    if push is None:
+        edges = edges + sp.csr_matrix(problem.normal[contacts])
+    else:
+        idle = np.flatnonzero(touching & ~moving)
+        parts = sp.eye(m, format="csr")[np.concatenate([contacts, idle])]
+        edges = sp.hstack([sp.vstack([edges, sp.csr_matrix((len(idle), len(scale)))]), parts])
+        residual, scale = np.concatenate([residual, push]), np.concatenate([scale, np.full(m, np.median(scale))])
+    tie = sp.csr_matrix(problem.tie)
+    tie.resize(tie.shape[0], len(scale))
+    pushing_only = np.arange(edges.shape[0] + tied * tie.shape[0]) < edges.shape[0]
+    share, _ = balancing_forces(sp.vstack([edges, tie]) if tied else edges, residual, pushing_only, scale)
     normal, friction = np.zeros(m), np.zeros(slip.shape)
     np.add.at(normal, contacts, share[: len(contacts)])
     np.add.at(friction, contacts, share[: len(contacts), None] * drag)
-    return Answer(answer.displacement, normal, friction, share[len(contacts) :] if tied else answer.tie_force)
+    normal = normal if push is None else push
+    return Answer(answer.displacement, normal, friction, share[edges.shape[0] :] if tied else answer.tie_force)
 
 
 def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
@@ -235,17 +249,6 @@ class Recovery:
     answer: Answer
     recovered: tuple[str, ...]
     notes: tuple[str, ...] = ()
-
-
-def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...]:
-    """Return the parts that the problem has and that were not given."""
-    wanted = {
-        "displacement": True,
-        "normal_force": problem.contacts > 0,
-        "friction_force": problem.slip_origin is not None,
-        "tie_force": problem.ties > 0,
-    }
-    return tuple(name for name, has in wanted.items() if has and getattr(given, name) is None)
 
 
 def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
@@ -300,8 +303,9 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(answer, found), how
-    if shared and problem.frictional and {"normal_force", "friction_force"} <= set(missing):
-        lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing)
+    if shared and problem.frictional and "friction_force" in missing:
+        push = None if "normal_force" in missing else answer.normal_force
+        lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing, push)
         if lawful is not None:
             yield lawful, "by equilibrium, shared within the law among rows that depend on one another"
     if iterated(problem):
@@ -436,7 +440,7 @@ def _shift_within_law(
     the scale of the energy. None where nothing floats or there is no friction.
     """
     slip, friction = slips(problem, displacement), answer.friction_force
-    if not (free.shape[1] and pushing.size) or problem.friction is None or problem.tangent is None:
+    if not free.shape[1] or problem.friction is None or problem.tangent is None:
         return None
     assert slip is not None
     assert friction is not None
@@ -462,14 +466,6 @@ def _shift_within_law(
     if felt.any():
         start = start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1]))
     return np.asarray(basis @ start)
-
-
-def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
-    """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
-    if problem.tangent is None or problem.slip_origin is None:
-        return None
-    shape = problem.slip_origin.shape
-    return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
 
 
 def certify_given(
