@@ -63,19 +63,23 @@ def binding_rows(
 
 
 def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> None:
-    """Return whether the ties that follow from the `kept` ones agree with them: b_i = c'b where A_i = c'A.
+    """Refuse ties that follow from the `kept` ones and do not agree with them: b_i = c'b where A_i = c'A.
 
-    Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish.
+    Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish. Rows
+    are taken of length one. Rounding of the largest c_j may be all that there is of a c_j that is zero, and counts.
 
     Raises NotConverged: they do not.
     """
     dropped = np.setdiff1d(np.arange(problem.ties), kept)
     if dropped.size == 0:
         return
-    A, b = problem.tie.toarray(), problem.tie_value
+    length = np.linalg.norm(problem.tie.toarray(), axis=1)
+    length[length == 0] = 1.0
+    A, b = problem.tie.toarray() / length[:, None], problem.tie_value / length
     weights = np.linalg.lstsq(A[kept].T, A[dropped].T, rcond=None)[0].T
     off = np.abs(b[dropped] - weights @ b[kept])
-    wrong = off > CONTRADICTION * (np.abs(b[dropped]) + np.abs(weights) @ np.abs(b[kept]))
+    rounding = TEXTBOOK_ROUNDING * np.max(np.abs(weights), axis=1, initial=0.0) * np.abs(b[kept]).sum()
+    wrong = off > CONTRADICTION * (np.abs(b[dropped]) + np.abs(weights) @ np.abs(b[kept])) + rounding
     if np.any(wrong):
         raise NotConverged(f"{name}: tie {int(dropped[wrong][0])} contradicts the other ties")
 

@@ -67,6 +67,18 @@ def test_ties_that_repeat_and_ties_that_contradict(name: str) -> None:
         answer(name, REPEATED_TIES.problem.replace(tie_value=[0.5, -1.1]))
 
 
+@pytest.mark.parametrize("name", EXACT)
+def test_ties_that_follow_from_others_with_weights_of_zero_do_not_contradict_them(name: str) -> None:
+    """Rows 3 and 4 follow from 0 to 2. Row 3 has no part of row 0, the only one with a value: its weight is rounding.
+
+    K = I makes u the shortest solution of A u = b.
+    """
+    rows = [[1, 1, 0, -1], [1, 0, -1, -1], [0, -2, -1, 1], [-1, -2, 0, 2], [2, 5, 1, -4]]
+    tied = ContactProblem(np.eye(4), np.zeros(4), np.eye(4)[[0]], [9.0], tie=rows, tie_value=[3 / 32, 0, 0, 0, 3 / 32])
+    found = answer(name, tied)
+    np.testing.assert_allclose(found.displacement, np.linalg.pinv(tied.tie.toarray()) @ tied.tie_value, atol=1e-14)
+
+
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("example", SUPPORTED, ids=lambda example: example.name)
 # A beta of 10 beside a stiffness of 1e-7 takes eight digits of it.
