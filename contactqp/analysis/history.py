@@ -22,6 +22,7 @@ from contactqp.analysis.contact_table import ContactRow, ContactTable, contact_t
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.measures import of_rows
 from contactqp.linalg.refinement import OnSet, answer_on
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
@@ -408,12 +409,13 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
     carrying = np.setdiff1d(np.flatnonzero(first.normal_force > 0), undecided)
     state = _State(0.0, carrying, undecided)
     events: list[Event] = []
+    felt = of_rows(problem, problem.normal, np.ones(problem.dimension))
     limit = 20 * problem.contacts + 20
     for _ in range(limit):
         chosen, rates = _rates(direction, condensation, state)
         events += _decided(state, chosen)
         here = answer_on(problem.replace(load=start + state.fraction * (end - start)), condensation, chosen)
-        following = _next_state(state, chosen, here, rates)
+        following = _next_state(state, chosen, here, rates, np.where(felt > 0, felt, 1.0))
         if following is None:
             return events
         state = following
@@ -473,16 +475,18 @@ def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, 
     return undecided[inside & pulls[undecided]], undecided[~inside & closes[undecided]]
 
 
-def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet) -> _State | None:
-    """Return the next fraction at which an open gap or a contact force reaches zero, with all contacts that do so
-    there.
+def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet, felt: Vector) -> _State | None:
+    """Return the next fraction at which an open gap or a contact force reaches zero, with all contacts that do so.
+
+    Forces times `felt`, |E_i D| (m,), and gaps over it are roots of energy, so that rates of both can be compared.
     """
     count = len(here.gap)
     is_closed = np.isin(np.arange(count), chosen)
     value = np.where(is_closed, here.normal_force.double(), here.gap.double())
     rate = np.where(is_closed, rates.normal_force.double(), rates.gap.double())
     settled = ~np.isin(np.arange(count), state.undecided) | (value > 0)
-    falls = settled & (rate < -STEADY * np.max(abs(rate), initial=0.0))
+    size = abs(rate) * np.where(is_closed, felt, 1 / felt)
+    falls = settled & (rate < 0) & (size > STEADY * np.max(size, initial=0.0))
     ahead = np.full(count, np.inf)
     ahead[falls] = np.maximum(value[falls], 0.0) / -rate[falls]
     reach = state.fraction + np.min(ahead, initial=np.inf)

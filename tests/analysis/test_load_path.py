@@ -177,3 +177,13 @@ def test_a_history_says_where_what_solutions_have_is() -> None:
         with pytest.raises(AttributeError, match=rf"history\[-1\]\.{name} is that of the last"):
             getattr(history, name)
     assert not hasattr(history, "nonsense")
+
+
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (2.0**20, 2.0**-20), (1e-9, 1e9)])
+def test_a_small_gap_beside_a_large_force_closes_at_its_time_in_any_units(length: float, force: float) -> None:
+    """Two springs of 1e9 N/m: one is pressed with 1e6 N, the other closes 5e-8 m, halfway to a load of 100 N."""
+    stiffness = 1e9 * force / length * np.eye(2)
+    springs = cq.ContactProblem(stiffness, np.zeros(2), np.eye(2), length * np.array([0.0, 5e-8]))
+    events = cq.follow_path(springs, [force * np.array([1e6, 100.0])], events="exact").events
+    assert [(event.kind, event.contact) for event in events] == [("closed", 0), ("closed", 1)]
+    assert [event.time for event in events] == pytest.approx([0.0, 0.5], rel=1e-12)
