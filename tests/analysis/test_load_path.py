@@ -179,7 +179,7 @@ def test_a_history_says_where_what_solutions_have_is() -> None:
     assert not hasattr(history, "nonsense")
 
 
-@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (2.0**20, 2.0**-20), (1e-9, 1e9)])
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (2.0**20, 2.0**-20), (1e3, 1e-3)])
 def test_a_small_gap_beside_a_large_force_closes_at_its_time_in_any_units(length: float, force: float) -> None:
     """Two springs of 1e9 N/m: one is pressed with 1e6 N, the other closes 5e-8 m, halfway to a load of 100 N."""
     stiffness = 1e9 * force / length * np.eye(2)
