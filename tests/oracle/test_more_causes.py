@@ -217,3 +217,63 @@ def test_forces_alone_are_not_explained_by_displacements_that_nobody_gave() -> N
         assert_multipliers(problem("bar-and-wall"), [142.0])
     assert "load" not in str(caught.value)
     assert "stiff" not in str(caught.value)
+
+
+def _printed(values: list[float], count: int) -> list[float]:
+    return [float(f"{value:.{count - 1}e}") for value in values]
+
+
+def test_of_several_answers_a_printed_one_is_near_its_own() -> None:
+    """Three contacts of a node share its friction: the shares of another equilibrium are no right ones to these."""
+    load, push = 1.2345678, [2.4691356, 4.9382712, 2.4691356]
+    problem = cq.ContactProblem(
+        stiffness=[[8.0, 0.0], [0.0, 8.0]],
+        load=[-5 * load, -8 * load],
+        normal=[[0.0, -1.0], [0.0, -1.0], [0.0, -1.0]],
+        gap=[0.0, 0.0, 0.0],
+        tangent=[[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],
+        friction=[0.5, 0.25, 0.125],
+        slip_origin=[0.01, 0.01, 0.01],
+    )
+    drag = [-0.5 * push[0], -0.25 * push[1], -0.125 * push[2]]
+    along = (-5 * load - sum(drag)) / 8
+    assert cq.certify(problem, [along, 0.0], push, drag).passed
+    judged = cq.certify(problem, _printed([along, 0.0], 6), _printed(push, 6), _printed(drag, 6))
+    assert judged.findings[0].kind == "inexact"
+    assert "same contacts open, sticking and slipping to about 6 digits" in judged.diagnosis
+    wrong = cq.certify(problem, [along, 0.0], push, [drag[0], -drag[1], drag[2]])
+    assert "digits" not in wrong.diagnosis
+
+
+def test_seven_digits_are_no_other_load() -> None:
+    """A bar that nothing touches is stretched by its load alone: what rounds this is not another load."""
+    load = 1.2345678
+    problem = cq.ContactProblem(
+        stiffness=[[8.0, -8.0, 0.0], [-8.0, 8.0, 0.0], [0.0, 0.0, 8.0]],
+        load=[-load, load, 0.0],
+        normal=[[1.0, 0.0, 0.0]],
+        gap=[load],
+        tangent=[[0.0, 0.0, 1.0]],
+        friction=0.5,
+    )
+    left = -3.3333333
+    judged = cq.certify(problem, _printed([left, left + load / 8, 0.0], 7), [0.0], [0.0])
+    assert "7 digits" in judged.diagnosis or "6 digits" in judged.diagnosis
+    assert "1 times" not in judged.diagnosis
+    assert cq.certify(problem, [left, left + 1.001 * load / 8, 0.0], [0.0], [0.0]).findings[0].kind == "load"
+
+
+def test_digits_are_no_cause_where_every_digit_is_right() -> None:
+    """A contact that constrains nothing has a force: no displacement and no other force is wrong in any digit."""
+    problem = cq.ContactProblem(
+        stiffness=[[8.0, 0.0], [0.0, 8.0]],
+        load=[2.0, -8.0],
+        normal=[[0.0, -1.0], [0.0, 0.0]],
+        gap=[0.0, 0.0],
+        tangent=[[1.0, 0.0], [0.0, 1.0]],
+        friction=0.5,
+    )
+    judged = cq.certify(problem, [0.0, 0.0], [8.0, 0.875], [2.0, 0.0])
+    assert not judged.passed
+    assert "digits" not in judged.diagnosis
+    assert "constrains nothing" in judged.diagnosis or "0.875" in judged.diagnosis

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Array, Vector
@@ -257,8 +258,21 @@ class Evidence:
 
     @cached_property
     def before(self) -> float:
-        """Return how far what was given is from the right answer, relative; infinity where no right answer is known."""
-        return np.inf if self.right is None else self.apart(self.given, self.right)
+        """Return how far what was given is from the right answer, relative; infinity where no right answer is known.
+
+        Of several answers the one that was found may be far while an equilibrium with the states of this one is near.
+        """
+        return min(np.inf if self.right is None else self.apart(self.given, self.right), self.own_states)
+
+    @cached_property
+    def own_states(self) -> float:
+        """Return how far the answer is from an equilibrium with its own open, sticking and slipping contacts, relative.
+
+        Infinity where this is the only equilibrium, so the right answer, or where there was nothing to compare with.
+        """
+        found = self.certificate
+        several = SEVERAL in found.uniqueness or POSSIBLE in found.uniqueness
+        return found.distance if several and found.distance is not None else np.inf
 
     @cached_property
     def weights(self) -> dict[str, Any]:

@@ -127,7 +127,8 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
     inner = (extended_rows(problem).stiffness @ extend(u)).double()
     part = _multiple(r, problem.load)
-    if part is not None and evidence.passes_with(load=(1 - part) * problem.load):
+    # A factor that is printed as 1 is the rounding of the answer's digits.
+    if part is not None and f"{1 - part:.4g}" != "1" and evidence.passes_with(load=(1 - part) * problem.load):
         factor = 1 - part
         words = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
         text = f"it is the right answer to {words.get(round(factor, 6), f'{factor:.4g} times the load')}"
@@ -142,7 +143,8 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
             yield Explanation(Finding("load-missing", text, True), 0.0)
             return
     part = _multiple(r, inner)
-    if part is not None and part > -1 and _passes_with(evidence, (1 + part) * problem.stiffness):
+    told = part is not None and part > -1 and f"{1 + part:.6g}" != "1"
+    if part is not None and told and _passes_with(evidence, (1 + part) * problem.stiffness):
         text = f"the bodies are {1 + part:.6g} times as stiff as the problem's: another modulus?"
         yield Explanation(Finding("stiffness", text, True), MET)
         return
