@@ -444,3 +444,15 @@ def test_unknowns_of_a_solid_have_the_names_of_its_nodes() -> None:
     assert bent.problem.dof_names is not None
     assert bent.problem.dof_names[0] == "block node 3 x"
     assert bent.at("block node 5 y") == bent.displacement[-1]
+
+
+@pytest.mark.parametrize(("law", "rise"), [("green", 0.2), ("green", 0.4), ("engineering", 0.6), ("logarithmic", 0.4)])
+def test_an_arch_pressed_onto_a_floor_comes_back_to_rest(law: str, rise: float) -> None:
+    """Without load the forces left of each iteration are the largest there are, down to 1e-183, and no step ends it."""
+    floor = cq.ObstacleContact([[0.0, rise]], cq.Plane([0.0, 0.5 * rise], [0.0, 1.0]))
+    press = [0.0, -3 * arch_limit(rise)[0]]
+    history = cq.large_deformation(arch(rise=rise, law=law), [press, [0.0, 0.0], press], floor, steps=1)
+    assert [solution.normal_force[0] > 0 for solution in history] == [False, True, False, True]
+    assert not history[2].displacement.any()
+    assert history[2].certificate.passed
+    assert history[2].stable

@@ -93,6 +93,14 @@ def find_balance(
         residual = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
         iterations.append(NewtonIteration(residual.force, residual.length, fraction, step.shift, changed))
+        if _comes_to_rest(start, new, target):
+            rest = loaded.at(np.zeros_like(start))
+            K = loaded.hessian(rest, step.forces)
+            at_rest = _imbalance_before(loaded, rest, K, step.forces, target, settings)
+            if at_rest.nothing:
+                still = stationary_step(loaded, rest, K, target, np.zeros_like(start), step.forces)
+                spent = time.perf_counter() - started
+                return Balance(rest, step.forces, rest, still, tuple(iterations), spent)
         unresolved = 0.0
         stays = residual.force >= CONTRACTION * start_error.force and residual.lengths_are_met and not changed
         if stays and fraction == 1 and not residual.nothing:
@@ -104,6 +112,16 @@ def find_balance(
             return Balance(new, step.forces, now, step, tuple(iterations), spent, unresolved)
         now, forces = new, step.forces
     raise _not_converged(iterations, reason)
+
+
+def _comes_to_rest(start: Vector, new: Instant, target: Target) -> bool:
+    """Return whether, without load and friction, the displacement has come down to rounding of its rounding.
+
+    Forces relative to those that remain do not vanish on the way to rest, until they leave the range of doubles.
+    """
+    if target.load.any() or target.anchor is not None or not start.any():
+        return False
+    return bool(np.max(abs(new.displacement)) <= np.finfo(float).eps ** 2 * np.max(abs(start)))
 
 
 def _not_converged(iterations: list[NewtonIteration], reason: str) -> NotConverged:
