@@ -324,3 +324,14 @@ def test_wrong_answers_are_proven_by_nothing() -> None:
         found = cq.certify(rough, right.displacement, right.normal_force * (1 + part), right.friction_force)
         assert (found.passed, found.proven, found.scope) == (False, False, None)
         assert found.reasons[0] == "energy_error: friction: no answer of its own states is near whose forces are unique"
+
+
+def test_friction_along_a_supported_tangent_is_judged_by_its_figures_alone() -> None:
+    held = cq.ContactProblem(
+        stiffness=[[8.0]], load=[4.0], normal=[[1.0]], gap=[0.25], tangent=[[0.0]], friction=0.5, slip_origin=[0.0]
+    )
+    for friction in (-0.9, 0.0, 0.9):
+        found = cq.certify(held, [0.25], [2.0], [friction])
+        assert (found.passed, found.uniqueness, found.force_bound[0]) == (True, (), 0.0)
+    assert cq.certify(held, [0.25], [2.0], [1.00001]).failures[0].startswith("cone")
+    assert not cq.certify(held.replace(slip_origin=[-0.5]), [0.25], [2.0], [0.9]).passed
