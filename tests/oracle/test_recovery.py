@@ -124,6 +124,9 @@ def test_forces_alone_put_a_floating_body_where_it_sticks() -> None:
     judged = cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[1.0, 2.0])
     assert judged.passed, judged.failures
     assert judged.answer.displacement == pytest.approx([0.5, 0.0, 0.75, 0.0])
+    six = {"normal_force": [4.0, 4.0], "friction_force": [1.0, 1.99999]}
+    assert cq.certify(_slider(0.5), **six, tolerance=1e-4, error_tolerance=1e-4).passed
+    assert not cq.certify(_slider(0.5), **six).passed
     # From 1.0 the right end would have slipped against its friction.
     assert not cq.certify(_slider(1.0), normal_force=[4.0, 4.0], friction_force=[1.0, 2.0]).passed
     assert not cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[-1.0, 2.0]).passed
@@ -157,6 +160,13 @@ def test_friction_missing_of_a_node_that_touches_twice_is_shared_within_the_law(
     assert judged.passed, judged.failures
     assert abs(judged.answer.friction_force.sum() - 2.4) < 1e-9
     assert not cq.certify(problem, [0.0, 0.0], [0.0, 8.0]).passed  # 2.0 is all that these can hold
+
+
+def test_a_displacement_with_a_supported_tangent_is_judged_where_it_is_wrong() -> None:
+    """What holds the touching contacts where they are was asked of a row of zeros, too: Unsupported was raised."""
+    held = cq.ContactProblem(stiffness=[[8.0]], load=[4.0], normal=[[1.0]], gap=[0.25], tangent=[[0.0]], friction=0.5)
+    assert cq.certify(held, [0.25]).passed
+    assert not cq.certify(held, [0.25 * (1 - 1e-7)]).passed
 
 
 def test_a_displacement_that_touches_nothing_is_judged() -> None:

@@ -237,8 +237,8 @@ def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
 
 # A gap of this part of its lengths is none, and a force of this part of the largest, in what is given.
 TOUCHING, PUSHING = 1e-6, 1e-12
-# Friction that misses its bound by this part of it slips, in what is given.
-AT_BOUND = 1e-6
+# Friction that misses its bound by this part of it slips, in what is given: both may be printed with six digits.
+AT_BOUND = 2e-5
 NO_CONTACTS = np.zeros(0, dtype=np.intp)
 
 
@@ -315,8 +315,9 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     touching = _Unknowns(problem, missing, np.flatnonzero(gap <= TOUCHING * length))
     load = (extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))).double()
     load = load - rows.friction_force(answer.friction_force).double()
-    values = touching.rows @ answer.displacement
-    _, held, _ = _held(problem, load, touching.rows, values)
+    felt = np.diff(touching.rows.indptr) > 0  # along a tangent that is supported nothing can be held
+    held, rows_felt = np.zeros(len(felt)), touching.rows[felt]
+    held[felt] = _held(problem, load, rows_felt, rows_felt @ answer.displacement)[1]
     yield touching.filled(answer, held), "as what holds the touching contacts where they are"
 
 
