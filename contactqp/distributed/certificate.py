@@ -119,7 +119,12 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of
     w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that the search
     for the worst motion asks for. A body that floats in a way that no known motion describes is taken for supported.
-    Forces up to `none` (n_here,) on unknowns that nothing touches are rounding, such as F sin(pi).
+
+    Parameters
+    ----------
+    problem, answer : those of all ranks
+    bodies : the bodies, each with its home
+    none : (n_here,) array [force], up to which forces on unknowns that nothing touches are rounding, such as F sin(pi)
 
     Raises
     ------
