@@ -379,8 +379,8 @@ def _force_error(
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
         absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
-        # Forces that are zero in the pair may be of any size up to its radius.
-        return absolute if pair.dual_radius <= vanishing else np.inf, size, (missed, largest)
+        # Forces that are zero in a repaired pair may be of any size up to its radius.
+        return (absolute if pair.exact or pair.dual_radius <= vanishing else np.inf), size, (missed, largest)
     errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
     return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
 

@@ -9,6 +9,9 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from benchmarks.judging import exact_truth
+from benchmarks.problem_families import family
+from contactqp.certificate import bounds as bounds_module
 from contactqp.certificate.admissible_pair import Undecided, _of_penetration
 from contactqp.certificate.energy_norm import force_norm
 from contactqp.linalg.condensation import condense
@@ -491,3 +494,28 @@ def test_bounds_on_forces_do_not_depend_on_what_rounding_leaves_of_zero(noise: f
     assert certificate.passed
     assert np.max(certificate.force_bound) <= 1e-6
     assert cq.certify(problem, normal_force=force).passed
+
+
+def test_forces_that_a_repaired_pair_does_not_have_are_not_told_from_its_radius(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Were the contact open in the pair that bounds are made of, its force might be of any size up to the radius."""
+    problem = cq.ContactProblem(np.diag([4.0, 1.0]), [8.0, 3.0], [[1.0, 0.0]], [1.0])
+    right = cq.solve(problem)
+    size = right.normal_force[0] / 2  # |l|_W of the one contact, K = 4
+
+    def open_pair(*given):
+        return replace(of_bounds(*given), exact=False, force=extend([0.0]), radius=0.55 * size, dual_radius=1.1 * size)
+
+    of_bounds = bounds_module.admissible_pair
+    monkeypatch.setattr(bounds_module, "admissible_pair", open_pair)
+    judged = cq.certify(problem, right.displacement, [0.0])
+    assert not judged.passed
+    assert judged.force_error == np.inf
+
+
+def test_the_truth_is_accepted_where_no_contact_pushes_and_rounding_is_smaller_than_the_radius() -> None:
+    problem = family("interference_removed", 191)
+    found, _ = exact_truth(problem, cq.solve(problem))
+    u, force = found.rounded()
+    assert cq.certify(problem, u, force, tie_force=found.tie_force if problem.ties else None).passed
