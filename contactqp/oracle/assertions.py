@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
@@ -396,6 +396,7 @@ def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **give
     return _off(problem, found, rtol, "what it violates is small, but this is not the exact answer") if found else None
 
 
+@own_floating_point
 def multiplier_fault(problem: ContactProblem | GalleryProblem, rtol: float, **parts: Any) -> str | None:
     """Return what `assert_multipliers` says of forces, given as to it; None where they are right."""
     refuse_not_positive("rtol", rtol)

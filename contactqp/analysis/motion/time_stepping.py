@@ -280,7 +280,8 @@ class MotionRun:
         self._judges = tuple(StepJudge(template) for template in scheme.templates)
         self._pending: list[list[tuple[StepProblem, StepResult]]] = [[] for _ in scheme.templates]
         self._notes: list[str] = []
-        self._certified, self._alone = 0, False  # steps; whether each is solved as a problem of its own
+        self._certified, self._alone = 0, False  # steps; whether each is solved as a problem of its own, which raw
+        self._raw = options.get("polish") is False  # answers are not
         self._impacts = FirstImpacts(scheme.body.problem)
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
@@ -291,8 +292,7 @@ class MotionRun:
         """Take the steps of a duration and return the history from the start."""
         refuse_not_positive("duration", duration)
         h = self._scheme.body.step
-        with np.errstate(over="ignore"):
-            ratio = float(np.float64(duration) / h)
+        ratio = float(np.float64(duration) / h) if duration < MOST_STEPS * h else np.inf
         if ratio > MOST_STEPS:
             raise InvalidProblem(f"duration: {duration:g} takes more steps of {h:g} than can be counted")
         if ratio < 1 - WHOLE:
@@ -357,7 +357,7 @@ class MotionRun:
         """Certify the steps since the last block; from one that is refused on, they are to be taken again, alone.
 
         Factors in doubles leave too few digits of steps that are long beside the vibrations of a body that is free.
-        Raises NotConverged where a refused step was taken alone, or where this is `final`.
+        Raises NotConverged where a refused step was taken alone or its answer is raw, or where this is `final`.
         """
         refusals = []
         for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
@@ -375,7 +375,7 @@ class MotionRun:
         del self._motion.states[first + step :]
         if not np.isfinite(worst):
             raise NotConverged(f"{self._scheme.name}: the motion has left all numbers at time {instant}", self.history)
-        if final or self._alone:
+        if final or self._alone or self._raw:
             raise NotConverged(
                 f"{self._scheme.name}: the certificate refuses the step that ends at time {instant}: {figure} is "
                 f"{worst:.3g}, tolerance {TOLERANCE:g} ({template!r})",
