@@ -88,7 +88,7 @@ VANISHING = 1e-22
 NEXT_TO_NOTHING = 1e-12
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
-# A strain of so many times that of the rigid part alone is still one that K's rounding makes.
+# A strain up to so many times that of the rigid part alone may be made by K's rounding.
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
@@ -106,11 +106,10 @@ class Bounds:
     energy_error: float | None = None
     force_error: float | None = None
     force_bound: Vector | None = None
-    # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj), or over `largest_force` where that is known: no units
-    relative_force_bound: Vector | None = None
+    relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W or, if known, / largest_force
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
-    largest_force: float = 0.0  # max |l*_i| |E_i D|, without friction; |l*|_W has rigid responses in it, too
+    largest_force: float = 0.0  # max |l*_i| |E_i D|, D = 1/sqrt(K_jj), without friction; |l*|_W has rigid responses
     ties: tuple[float, float] = (0.0, 0.0)  # max |nu_i - nu*_i| |A_i D|, max |nu*_i| |A_i D|, if contacts have none
     rounding: float = 0.0  # what the refinement cannot tell from zero
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
@@ -378,8 +377,8 @@ def _force_error(
         largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
     if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
         # Forces that are zero in a repaired pair may be of any size up to its radius.
+        absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
         return (absolute if pair.exact or pair.dual_radius <= vanishing else np.inf), size, (missed, largest)
     errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
     return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
@@ -474,7 +473,8 @@ def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
     missed, largest = bounds.ties
     if missed > max(tolerance * largest, bounds.rounding, nothing):
-        yield f"force_error: a tie's force may be off by {missed:.3g} sqrt(energy), the largest being {largest:.3g}"
+        part = missed / (largest or missed)
+        yield f"force_error: the force of a tie may be off by {part:.3g} of the largest (tolerance {tolerance:.3g})"
 
 
 def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
