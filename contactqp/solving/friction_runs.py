@@ -286,6 +286,13 @@ STEPS_BEFORE_LISTING = 20
 TRESCA_AT_ONCE = replace(ALGORITHMS["tresca"], on_bodies=partial(tresca_on_bodies, at_once=True))
 
 
+def refuse_unknown_algorithm(algorithm: str | None) -> None:
+    """Raise InvalidProblem if no algorithm of friction has this name; None stands for any."""
+    if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
+        names = ", ".join((*ALGORITHMS, *TAKEN))
+        raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
+
+
 def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
     """Find an answer with Coulomb friction, by one algorithm or by one after another until one succeeds.
 
@@ -310,12 +317,7 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
     Unsupported
         Bodies too large to factorise, a method that is approximate by design or needs a regular stiffness,
         enumeration in space or of too many contacts.
-    InvalidProblem
-        There is no such algorithm.
     """
-    if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
-        names = ", ".join((*ALGORITHMS, *TAKEN))
-        raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
     if iterated(problem):
         if algorithm not in (None, "tresca"):
             raise Unsupported(

@@ -45,6 +45,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.methods import (
     DEFAULT_METHOD,
+    POLYGON_OPTIONS,
     Method,
     Settings,
     find,
@@ -407,6 +408,13 @@ def _begun(
     started = time.perf_counter()
     method = find(name)
     refuse_unsupported(problem, method, settings, algorithm)
+    if algorithm is not None:
+        from contactqp.solving.friction_runs import refuse_unknown_algorithm
+
+        refuse_unknown_algorithm(algorithm)
+    if settings.options and not problem.frictional:  # cones of friction forces that nothing has
+        others = {name: value for name, value in settings.options.items() if name not in POLYGON_OPTIONS}
+        settings = replace(settings, options=others)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
         run = _run(problem, method, systems, settings, condense, algorithm)
     run.polish, run.seconds = polish, time.perf_counter() - started

@@ -203,8 +203,9 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     settings : their `options` are those that were given
     algorithm : str or None, the algorithm of friction that was asked for
     """
-    in_space = problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
-    options = (*method.options, *(_polygon_options(method) if in_space else ()))
+    in_plane = problem.slip_origin is None or (problem.contacts > 0 and problem.slip_origin.shape[1] == 1)
+    polygons = problem.friction is not None and not in_plane
+    options = (*method.options, *(_polygon_options(method) if polygons else ()))
     unknown = sorted(set(settings.options) - set(options))
     if unknown:
         own = ", ".join(options) or "none"
@@ -217,12 +218,13 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     if missing:
         needed = missing[0] if missing[0] == method.name else f"{method.name}: {missing[0]}"
         raise InvalidProblem(f"{needed} has no default, state it: solve(..., {missing[0]}=...)")
-    if algorithm is not None and problem.frictional and method.solve_friction is not None:
+    if algorithm is not None and problem.friction is not None and method.solve_friction is not None:
         raise Unsupported(
             f"{method.name}: algorithm={shown(algorithm)} takes convex steps of another method, and this one has "
             "systems of stick and slip of its own: leave one of the two out"
         )
-    if algorithm is not None and not problem.frictional:
+    if algorithm is not None and problem.friction is None:
         raise Unsupported(
-            f"{method.name}: algorithm={shown(algorithm)} is an outer law of friction, and this problem has none"
+            f"{method.name}: algorithm={shown(algorithm)} solves problems with friction, and this one states none: "
+            "leave it out, or state friction=0"
         )

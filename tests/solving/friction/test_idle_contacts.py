@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,25 @@ def test_a_load_that_condensation_cancels_drives_no_motion() -> None:
     driven = problem.replace(load=[load[0] * (1 + 1e-9), *load[1:]])
     with pytest.raises(cq.NoEquilibrium, match="drives a rigid motion"):
         cq.solve(driven, algorithm="tresca")
+
+
+@pytest.mark.parametrize("idle", [{"gap": [np.inf], "friction": 0.3}, {"gap": [0.1], "friction": 0.0}])
+@pytest.mark.parametrize("algorithm", ["newton", "tresca", "enumeration"])
+def test_an_algorithm_is_no_mistake_where_nothing_rubs(idle: dict[str, Any], algorithm: str) -> None:
+    # A sweep over the coefficient begins at zero, and one over the gap ends where nothing touches.
+    facts = dict(stiffness=[[2.0, -1.0], [-1.0, 2.0]], load=[1.0, -3.0], normal=[[0, -1.0]], **idle)
+    problem = cq.ContactProblem(tangent=[[1.0, 0]], **facts)
+    found, smooth = cq.solve(problem, algorithm=algorithm), cq.solve(problem)
+    assert np.array_equal(found.displacement, smooth.displacement)
+    assert found.certificate.passed
+    with pytest.raises(cq.InvalidProblem, match="algorithm: expected one of newton"):
+        cq.solve(problem, algorithm="nonsense")
+    with pytest.raises(cq.Unsupported, match="leave it out, or state friction=0"):
+        cq.solve(cq.ContactProblem(**{name: facts[name] for name in facts if name != "friction"}), algorithm=algorithm)
+
+
+@pytest.mark.parametrize("idle", [{"gap": [np.inf], "friction": 0.3}, {"gap": [0.1], "friction": 0.0}])
+def test_polygons_are_no_mistake_where_nothing_rubs(idle: dict[str, Any]) -> None:
+    problem = cq.ContactProblem(np.eye(3), load=[1.0, 0.1, -3.0], normal=[[0, 0, -1.0]], tangent=np.eye(3)[:2], **idle)
+    found = cq.solve(problem, "clarabel", algorithm="tresca", facets=16, polygon="inscribed")
+    np.testing.assert_allclose(found.displacement, cq.solve(problem).displacement, rtol=1e-12)
