@@ -356,9 +356,11 @@ def _on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
 
 def _on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
     """Return the sum of left right' of some pairs on the pattern of CSR rows."""
-    counts, entries = np.diff(rows.indptr), np.zeros(len(rows.indices))
+    counts, entries = np.diff(rows.indptr), None
     for left, right in pairs:
-        entries += np.repeat(left, counts) * right[rows.indices]
+        own = right.take(rows.indices)
+        own *= np.repeat(left, counts)
+        entries = own if entries is None else np.add(entries, own, out=entries)
     return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
 
 

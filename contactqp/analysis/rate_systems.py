@@ -38,8 +38,11 @@ MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
 # A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
 TURNED = 1e-3
-# What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding.
-ENOUGH = 2.0**-10 * EPS
+# What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
+# gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
+ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
+# Of fewer unknowns, whose factors are dense or nearly so, refinement costs next to nothing.
+LARGE = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +137,10 @@ class Rates:
 class _System(Protocol):
     """What is refined by: an approximate inverse, and products of the unknowns with the system."""
 
+    @property
+    def contraction(self) -> float | None:
+        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
+
     def correct(self, left: Parts, transposed: bool) -> Parts:
         """Return a solution in double precision."""
 
@@ -183,10 +190,15 @@ class RateSystem:
         ]
 
     def solve(self, right: Parts, transposed: bool = False) -> Solved:
-        """Return the solution of the system, or of the transposed one."""
+        """Return the solution of the system, or of the transposed one.
+
+        Where the answer's own refinement has told what a substitution leaves, that of a large body is not refined for
+        a gradient if it leaves little, ten thousand times as much allowed.
+        """
         given = (right.displacement, right.normal, right.tangent, right.tie)
         y = [Extended(np.zeros(part.size)) for part in given]
         last, contraction, size = np.inf, 1.0, 0.0
+        foreseen = self._system.contraction if transposed and len(right.displacement) > LARGE else None
         for sweep in range(MAX_SWEEPS):
             left = self._on_own_rows(right) if sweep == 0 else self._residual(right, y, transposed)
             change = self._system.correct(left, transposed)
@@ -197,6 +209,9 @@ class RateSystem:
                 contraction = size / last if last > 0 else 0.0
                 if size * min(contraction * CAUTION, 1.0) <= ENOUGH * whole_size or size > 0.5 * last:
                     break
+            elif foreseen is not None and foreseen * CAUTION <= ENOUGH_OF_GRADIENTS:
+                contraction = foreseen
+                break
             last = size
         u, normal, tangent, tie = zero_beneath(
             [part.double() for part in y], (1.0 / self._unit, *self._sizes), INVISIBLE * whole_size
@@ -265,6 +280,10 @@ class _Frictionless:
         self._saddle = saddle_point(condensation, closed)
         self.redundant = self._saddle.redundant
 
+    @property
+    def contraction(self) -> float | None:
+        return self._saddle.contraction
+
     def correct(self, left: Parts, transposed: bool) -> Parts:
         del transposed
         data = left.displacement, left.normal[self._closed], left.tie
@@ -284,6 +303,8 @@ class _Frictionless:
 
 class _Frictional:
     """The system of one combination of open, stick and slip at an answer."""
+
+    contraction: float | None = None  # of corrections by dense factors, which cost little
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         rows = condensed_frictional_rows(problem, condensation)
