@@ -37,6 +37,7 @@ from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
+from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
@@ -285,7 +286,8 @@ def _worded(
         worst = int(np.argmax(bounds.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, bounds, worst, error_tolerance))
     failures += measured.state.failures
-    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, bounds))
+    notes = (*_hidden_gaps(problem, answer, found), *_friction_on_supports(problem, answer))
+    notes += _notes(problem, measured.grazing, bounds)
     if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
@@ -315,18 +317,26 @@ def _worded(
 
 
 def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> Iterator[str]:
-    """Yield a note where gaps that are no rounding of the lengths around them count as nothing.
-
-    Springs that are far weaker there than those of other contacts with gaps make it so.
-    """
+    """Yield a note where gaps that are no rounding of lengths around them count as nothing: the springs are weak."""
     size = abs(problem.gap)
     hidden = (size > 0) & (size <= found.nothing.normal)
     if hidden.any():
-        lengths = np.concatenate([size[np.isfinite(size)], abs(problem.normal @ answer.displacement)])
-        hidden &= size > NO_ROUNDING * lengths.max()
+        met = np.concatenate([size[np.isfinite(size)], abs(problem.normal @ answer.displacement)])
+        hidden &= size > NO_ROUNDING * met.max()
     if hidden.any():
         i = int(np.argmax(np.where(hidden, size, 0.0)))
         yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
+
+
+def _friction_on_supports(problem: ContactProblem, answer: Answer) -> Iterator[str]:
+    """Yield a note where contacts stick along a tangent of zeros: supports take that friction, whatever it is."""
+    if answer.friction_force is None or problem.friction is None or problem.tangent is None or not problem.contacts:
+        return
+    supported = np.diff(problem.tangent.indptr).reshape(problem.contacts, -1) == 0
+    if supported.any():
+        limit = problem.friction * np.maximum(answer.normal_force, 0.0)
+        sticking = supported.any(axis=1) & (lengths(answer.friction_force) < limit)
+        yield from messages.of_friction_on_supports(problem, np.flatnonzero(sticking))
 
 
 def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:

@@ -224,6 +224,18 @@ def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
     return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
 
 
+def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...]:
+    """Say of which contacts (k,) the friction is not determined, because it acts on supports."""
+    if not len(contacts):
+        return ()
+    names = ", ".join(problem.contact_name(int(i)) for i in contacts[:MOST_NAMED])
+    more = f" and {len(contacts) - MOST_NAMED} more" if len(contacts) > MOST_NAMED else ""
+    return (
+        f"friction on supports: along a tangent whose unknowns are all supported any force within the cone would do "
+        f"({names}{more}); `force_bound` leaves it out",
+    )
+
+
 def of_estimates(bounds: Bounds) -> tuple[str, ...]:
     text = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     return (text,) if bounds.estimated else ()

@@ -111,7 +111,8 @@ class Certificate(ReadOnly, Printed):
     and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
     "local": of the only equilibrium whose displacement is within `radius` of this one, in the energy norm, or, where
     contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. With friction
-    `force_bound` is that of a contact's whole force, in all directions.
+    `force_bound` is that of a contact's whole force, in all directions but tangents whose unknowns are all supported:
+    friction along these moves nothing, any within the cone would do, and a note says so where contacts stick.
 
     Where unknowns have no stiffness, forces on them have no energy: `force_error` then compares the lengths of the
     vectors of all forces, rows having entries near one.

@@ -111,3 +111,25 @@ def test_polygons_are_no_mistake_where_nothing_rubs(idle: dict[str, Any]) -> Non
     problem = cq.ContactProblem(np.eye(3), load=[1.0, 0.1, -3.0], normal=[[0, 0, -1.0]], tangent=np.eye(3)[:2], **idle)
     found = cq.solve(problem, "clarabel", algorithm="tresca", facets=16, polygon="inscribed")
     np.testing.assert_allclose(found.displacement, cq.solve(problem).displacement, rtol=1e-12)
+
+
+@pytest.mark.parametrize("friction", [[0.1], [0.0], [0.7]])
+def test_friction_that_supports_take_is_said_to_be_undetermined(friction: list[float]) -> None:
+    facts = dict(stiffness=[[2.0, -1.0], [-1.0, 2.0]], load=[1.0, -3.0], normal=[[0, -1.0]], gap=[0.1], friction=0.3)
+    problem = cq.ContactProblem(tangent=[[0.0, 0.0]], contact_names=["foot"], **facts)
+    found = cq.certify(problem, [0.45, -0.1], [2.35], friction)
+    assert found.passed
+    assert any("friction on supports" in note and "(foot)" in note for note in found.notes)
+    assert not cq.certify(problem, [0.45, -0.1], [2.35], [0.71]).passed  # the cone is 0.705 wide
+    felt = cq.ContactProblem(tangent=[[1.0, 0.0]], contact_names=["foot"], **facts)
+    assert not any("friction on supports" in note for note in cq.solve(felt).certificate.notes)
+
+
+def test_friction_on_a_symmetry_plane_is_undetermined_where_it_sticks_alone() -> None:
+    # The second tangent is held; along the first one the contact sticks or slips.
+    for load, notes in ((0.2, 1), (5.0, 0)):
+        problem = cq.ContactProblem(
+            np.eye(3), [load, 0.0, -3.0], -np.eye(3)[2:], [0.0], tangent=[[1.0, 0, 0], [0, 0, 0]], friction=0.3
+        )
+        found = cq.solve(problem).certificate
+        assert sum("friction on supports" in note for note in found.notes) == notes
