@@ -137,3 +137,11 @@ def around(width: int) -> Array:
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     corner: float = 1.0 / np.cos(np.pi / SIDES)
     return corner * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
+    """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return None
+    shape = problem.slip_origin.shape
+    return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)

@@ -22,9 +22,8 @@ from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer, certify_given, read_given
 from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judged_contacts, right_answer
-from contactqp.oracle.foreign.recovery import certify_given
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -18,10 +18,10 @@ from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, slips
-from contactqp.oracle.foreign.recovery import certify_given
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer, certify_given
 
 # One thing that is wrong with an answer.
 

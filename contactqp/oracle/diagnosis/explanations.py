@@ -15,11 +15,10 @@ import scipy.sparse as sp
 
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import directions, lengths
+from contactqp.model.coulomb import directions, lengths, slips
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
 from contactqp.oracle.diagnosis.scales import CALLED, factors
-from contactqp.oracle.foreign.foreign_answer import slips
 
 # Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
 MET = 1e-6

@@ -1,27 +1,33 @@
-"""Numbers of another code, brought into the order, the signs and the units of a problem as stated, never guessed.
+"""Numbers of another code: read in the order, the signs and the units that are stated, completed, and certified.
 
     u_j   = given displacement at dof_map[j]
     l_N,i = (+ or -) given normal force at contact_map[i], times pressure_area[i] where it is a pressure
     l_T,i = given friction force at contact_map[i], times pressure_area[i] where it is a traction
 
-The sign of friction is not turned: l_T is what the body does to the obstacle, along its own slip.
+The sign of friction is not turned: l_T is what the body does to the obstacle, along its own slip. What was not given
+is recovered from the rest (`recovery`), and of the completions the first that passes the certificate is taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.certificate import certificate_of
+from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import InvalidProblem, shown
+from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
-from contactqp.model.solution import Answer, all_finite
+from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, all_finite
+from contactqp.oracle.foreign.recovery import displaced, pressed
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
 # Names listed in a message before it says how many more there are.
@@ -64,14 +70,6 @@ def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...
         "tie_force": problem.ties > 0,
     }
     return tuple(name for name, has in wanted.items() if has and getattr(given, name) is None)
-
-
-def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
-    """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
-    if problem.tangent is None or problem.slip_origin is None:
-        return None
-    shape = problem.slip_origin.shape
-    return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
 
 
 def read_given(
@@ -247,3 +245,79 @@ def _friction(problem: ContactProblem, value: Any, places: Indices | None, order
 def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(repr(name) for name in names[:LISTED]) + more
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """A complete answer, and what of it was recovered."""
+
+    answer: Answer
+    recovered: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
+    """Complete answers, the plain way first.
+
+    Raises InvalidProblem: what is recovered is beyond doubles; Unsupported: forces alone were given and the body is too
+    large to factorise.
+    """
+    missing = missing_parts(problem, given)
+    if not missing:
+        yield Recovery(given.filled(problem), ())
+    elif (twin := acting_rows(problem) or near_one(problem)) is not None:
+        yield from _recovered_there(twin, problem, given)
+    elif not given.finite():
+        yield Recovery(
+            given.filled(problem), (), ("nothing was recovered: the given values are not finite, or absurdly large",)
+        )
+    elif "displacement" in missing:
+        for answer, how in displaced(problem, given.filled(problem), missing):
+            yield Recovery(answer, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
+    else:
+        for answer, how in pressed(problem, given.filled(problem), missing):
+            yield Recovery(answer, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
+
+
+def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
+    """Complete answers of the rows that act, or in units in which numbers are near one, as those of the problem.
+
+    What was given stays as it was.
+    """
+    names = [name for name in ANSWER_PARTS if getattr(given, name) is not None]
+    there = twin.answer(given.filled(problem))
+    for found in recoveries(twin.problem, replace(given, **{name: getattr(there, name) for name in names})):
+        whole = twin.whole_answer(found.answer)
+        yield replace(found, answer=replace(whole, **{name: getattr(given, name) for name in names}))
+
+
+def _words(names: tuple[str, ...]) -> str:
+    return ", ".join(names)
+
+
+def certify_given(
+    problem: ContactProblem,
+    given: GivenAnswer,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+) -> tuple[Certificate, Recovery]:
+    """Return the certificate of the first completion that passes, or else of the first one, and the completion.
+
+    Raises InvalidProblem, Unsupported as `contactqp.certify` and `recoveries`.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    given : the parts that came, in the problem's order, signs and units
+    tolerance, error_tolerance : the largest figure and the largest relative error bound that pass
+    factorization : reused instead of factorising again
+    """
+    first: tuple[Certificate, Recovery] | None = None
+    for tried in recoveries(problem, given):
+        found = certificate_of(problem, tried.answer, tolerance, error_tolerance, factorization, prove_friction=True)
+        if found.passed:
+            return found, tried
+        first = first or (found, tried)
+    assert first is not None  # there is always a plain way
+    return first

@@ -16,11 +16,11 @@ from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.model.summary import without_rounding
-from contactqp.oracle.foreign.foreign_answer import slips
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
 

@@ -15,23 +15,19 @@ Both ways multiply rounding: the forces of a stiff body are not known from the d
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
 way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
 and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is;
-`certify_given` takes the completion that passes.
+`foreign_answer.certify_given` takes the completion that passes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.certificate import certificate_of
-from contactqp.certificate.idle_rows import ActingRows, acting_rows
-from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import Unsupported
-from contactqp.linalg.condensation import Condensation, condense, free_motions
+from contactqp.linalg.condensation import condense, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
@@ -41,10 +37,9 @@ from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import forces_without_tension, shift_within_gaps
 from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import directions, lengths
+from contactqp.model.coulomb import directions, lengths, slips
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, missing_parts, slips
+from contactqp.model.solution import Answer
 
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
 
@@ -242,57 +237,8 @@ AT_BOUND = 2e-5
 NO_CONTACTS = np.zeros(0, dtype=np.intp)
 
 
-@dataclass(frozen=True, eq=False)
-class Recovery:
-    """A complete answer, and what of it was recovered."""
-
-    answer: Answer
-    recovered: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-
-def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
-    """Complete answers, the plain way first.
-
-    Raises InvalidProblem: what is recovered is beyond doubles; Unsupported: forces alone were given and the body is too
-    large to factorise.
-    """
-    missing = missing_parts(problem, given)
-    if not missing:
-        yield Recovery(given.filled(problem), ())
-    elif (twin := acting_rows(problem) or near_one(problem)) is not None:
-        yield from _recovered_there(twin, problem, given)
-    elif not given.finite():
-        yield Recovery(
-            given.filled(problem), (), ("nothing was recovered: the given values are not finite, or absurdly large",)
-        )
-    elif "displacement" in missing:
-        for answer, how in _displaced(problem, given, missing):
-            yield Recovery(answer, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
-    else:
-        for answer, how in _pressed(problem, given, missing):
-            yield Recovery(answer, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
-
-
-def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
-    """Complete answers of the rows that act, or in units in which numbers are near one, as those of the problem.
-
-    What was given stays as it was.
-    """
-    names = [name for name in ANSWER_PARTS if getattr(given, name) is not None]
-    there = twin.answer(given.filled(problem))
-    for found in recoveries(twin.problem, replace(given, **{name: getattr(there, name) for name in names})):
-        whole = twin.whole_answer(found.answer)
-        yield replace(found, answer=replace(whole, **{name: getattr(given, name) for name in names}))
-
-
-def _words(names: tuple[str, ...]) -> str:
-    return ", ".join(names)
-
-
-def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
+def pressed(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
     """Yield forces from a displacement."""
-    answer = given.filled(problem)
     rows = extended_rows(problem)
     residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement)
     residual = residual - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
@@ -361,18 +307,17 @@ class _Unknowns:
         return Answer(answer.displacement, normal, friction, rest if "tie_force" in self._missing else tie)
 
 
-def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
+def displaced(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
     """Yield a displacement, and tie forces, from contact forces."""
     if iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
-            yield from _displaced(problem, given, missing)
+            yield from displaced(problem, answer, missing)
         return
     if iterated(problem):
         raise Unsupported(
             "certify: forces alone take a factorisation of the stiffness, and the body is too large for one; expected "
             "displacement too"
         )
-    answer = given.filled(problem)
     rows = extended_rows(problem)
     nothing = extend(np.zeros(problem.ties))
     dragged_load = extend(problem.load) - rows.friction_force(answer.friction_force)
@@ -467,31 +412,3 @@ def _shift_within_law(
     if felt.any():
         start = start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1]))
     return np.asarray(basis @ start)
-
-
-def certify_given(
-    problem: ContactProblem,
-    given: GivenAnswer,
-    tolerance: float = 1e-9,
-    error_tolerance: float = 1e-6,
-    factorization: Condensation | None = None,
-) -> tuple[Certificate, Recovery]:
-    """Return the certificate of the first completion that passes, or else of the first one, and the completion.
-
-    Raises InvalidProblem, Unsupported as `contactqp.certify` and `recoveries`.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    given : the parts that came, in the problem's order, signs and units
-    tolerance, error_tolerance : the largest figure and the largest relative error bound that pass
-    factorization : reused instead of factorising again
-    """
-    first: tuple[Certificate, Recovery] | None = None
-    for tried in recoveries(problem, given):
-        found = certificate_of(problem, tried.answer, tolerance, error_tolerance, factorization, prove_friction=True)
-        if found.passed:
-            return found, tried
-        first = first or (found, tried)
-    assert first is not None  # there is always a plain way
-    return first
