@@ -39,7 +39,7 @@ from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import read_shaped, refuse_not_positive
+from contactqp.model.problem_data import all_finite, read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
@@ -133,7 +133,7 @@ def certificate_of(
     tolerance, error_tolerance, factorization, prove_friction
         As in `compute_certificate`.
     """
-    if not answer.finite():
+    if not all_finite(answer):
         failures = list(messages.not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():

@@ -54,6 +54,7 @@ from contactqp.linalg.measures import (
 from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations
 
 T = TypeVar("T")
@@ -394,7 +395,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
 
     The rigid part of the displacement is left out, and what is nothing beside the intrinsic size is excused.
     """
-    if not answer.finite():
+    if not all_finite(answer):
         return False
     rigid = condense(problem).rigid
     found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)

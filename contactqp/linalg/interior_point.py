@@ -48,6 +48,7 @@ from contactqp.linalg.sparse_saddle import (
 )
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate
 
 # Forces of a linear program beneath this part of what they carry are none.
@@ -444,7 +445,7 @@ def refuse_ray(problem: ContactProblem, diverged: Candidate) -> None:
     along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
     unknowns first, and the rest is formed in extended precision. `diverged` is in the units of the equilibrated twin.
     """
-    if not diverged.finite:
+    if not all_finite(diverged):
         return
     twin, scaling = equilibrated(problem)
     weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)

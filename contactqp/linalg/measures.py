@@ -256,7 +256,9 @@ def bodies(problem: ContactProblem) -> Indices:
     """Return the number of the body, a connected part of K, that each unknown belongs to (n,)."""
     of_stiffness = problem._computed.of_stiffness
     if of_stiffness.bodies is None:
-        of_stiffness.bodies = connected_parts(problem.stiffness_rows)[1].astype(np.intp)
+        K, n = problem.stiffness_rows, problem.dimension
+        one = n > 0 and K.indptr[1] == n and K.has_canonical_format  # the first unknown is joined to each other
+        of_stiffness.bodies = np.zeros(n, dtype=np.intp) if one else connected_parts(K)[1].astype(np.intp)
     return of_stiffness.bodies
 
 

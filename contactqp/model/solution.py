@@ -44,11 +44,6 @@ class Nothing(ReadOnly):
 ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 
 
-def all_finite(*parts: Array | None) -> bool:
-    """Return whether every number of the arrays that are given is finite."""
-    return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
-
-
 @dataclass(frozen=True, eq=False)
 class Answer(ReadOnly):
     """A displacement with its forces, in the shapes of a problem."""
@@ -57,9 +52,6 @@ class Answer(ReadOnly):
     normal_force: Vector  # (m,)
     friction_force: Array | None  # (m, d-1)
     tie_force: Vector  # (k,)
-
-    def finite(self) -> bool:
-        return all_finite(self.displacement, self.normal_force, self.tie_force, self.friction_force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,11 +254,6 @@ class Candidate:
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
     friction_force: Array | None = None  # (m, d-1) l_T, of a method that enforces friction itself
     contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, likewise
-
-    @property
-    def finite(self) -> bool:
-        """Whether all numbers of the candidate are finite."""
-        return all_finite(self.displacement, self.normal_force, self.tie_force, self.friction_force)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.model.arrays import Array, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
@@ -272,7 +273,7 @@ class IteratedFrictionRun(RunByIteration):
 
 def _known_answer(problem: ContactProblem, found: Candidate | None) -> Answer | None:
     """Return a warm start as an answer, or None if it has no friction forces."""
-    if found is None or found.friction_force is None or not found.finite:
+    if found is None or found.friction_force is None or not all_finite(found):
         return None
     friction = found.friction_force.reshape(problem.contacts, -1)
     return Answer(found.displacement, found.normal_force, friction, found.tie_force)

@@ -41,6 +41,7 @@ from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.methods import Method, Settings
@@ -298,7 +299,7 @@ class CondensedRun(Run):
     def _polished(self) -> Final | None:
         """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
         problem, condensation, candidate = self.problem, self._condensation, self.candidate
-        if not candidate.finite:
+        if not all_finite(candidate):
             return None
         u = candidate.displacement
         if not self._whole:
@@ -318,7 +319,7 @@ class CondensedRun(Run):
         """Return the candidate as the method found it, with its free motions put to rest."""
         candidate = self.expanded
         u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
-        if not candidate.finite:
+        if not all_finite(candidate):
             return Final(u, force, tie)
         answer = Answer(u, force, None, tie)
         closed = pushing_contacts(self.problem, answer)

@@ -34,6 +34,7 @@ from contactqp.linalg.sparse_saddle import (
 )
 from contactqp.model.arrays import on_one_thread
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
@@ -182,7 +183,7 @@ class SparseRun(Run):
 
     def final(self) -> Final:
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
-        if self._state is None and self.polish and self.method.polish and self.candidate.finite:
+        if self._state is None and self.polish and self.method.polish and all_finite(self.candidate):
             self._settle(self.candidate)
         if self._state is None:
             found = self.candidate

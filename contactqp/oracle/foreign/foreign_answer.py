@@ -25,8 +25,8 @@ from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, read_array
-from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, all_finite
+from contactqp.model.problem_data import ReadOnly, all_finite, read_array
+from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
 from contactqp.oracle.foreign.recovery import displaced, pressed
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
@@ -45,9 +45,6 @@ class GivenAnswer(ReadOnly):
     compression: str = "positive"  # the sign that its normal forces came with
     pressure_area: Vector | None = None  # (m,) what they were multiplied by
     notes: tuple[str, ...] = ()
-
-    def finite(self) -> bool:
-        return all_finite(self.displacement, self.normal_force, self.friction_force, self.tie_force)
 
     def filled(self, problem: ContactProblem) -> Answer:
         """Return the answer with zeros for what was not given."""
@@ -267,7 +264,7 @@ def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery
         yield Recovery(given.filled(problem), ())
     elif (twin := acting_rows(problem) or near_one(problem)) is not None:
         yield from _recovered_there(twin, problem, given)
-    elif not given.finite():
+    elif not all_finite(given):
         yield Recovery(
             given.filled(problem), (), ("nothing was recovered: the given values are not finite, or absurdly large",)
         )

@@ -18,7 +18,7 @@ from contactqp.linalg.measures import lengths_that_meet
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly, all_finite
 from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.model.summary import without_rounding
 from contactqp.solving.equilibria import equilibria
@@ -36,7 +36,7 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     found = solve(problem)
     others = found.certificate.uniqueness
     plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
-    if not (SEVERAL in others or POSSIBLE in others) or not answer.finite():
+    if not (SEVERAL in others or POSSIBLE in others) or not all_finite(answer):
         return found
     solutions = [found]
     with suppress(ContactQPError):

@@ -32,6 +32,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces
@@ -356,7 +357,7 @@ def _near(
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
     """Return where the iteration starts: the forces of a warm start, or those that hold the bodies, or none."""
     warm = settings.warm_start
-    if warm is not None and warm.finite:
+    if warm is not None and all_finite(warm):
         balanced = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
     if balanced is None:
         return Iterate.nothing(form)

@@ -28,7 +28,7 @@ from contactqp.linalg.equilibration import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import is_whole
+from contactqp.model.problem_data import all_finite, is_whole
 from contactqp.model.solution import Candidate
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.local_form import RELAXATION, Deadline, Iterate, LocalForm, aitken
@@ -217,7 +217,7 @@ def solve_convex(method: Method, problem: ContactProblem, settings: Settings) ->
         candidate = scaling.unscale(method.solve(twin, settings))
     else:
         candidate = method.solve(problem, settings)
-    if not candidate.finite:
+    if not all_finite(candidate):
         raise NotConverged(f"{method.name}: {candidate.status or 'its answer is not finite'}")
     return candidate
 

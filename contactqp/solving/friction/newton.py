@@ -31,6 +31,7 @@ from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.methods import Settings
@@ -275,7 +276,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
         here = found.answer(1)
         solved = rows.system(problem, status).back_substitutions
         spent += solved
-        if not (found.regular and here.finite()):
+        if not (found.regular and all_finite(here)):
             raise NotConverged(f"newton: the system of combination {step} has no inverse")
         following = _suggested(problem, rows, found, status)
         if np.array_equal(following, status):
