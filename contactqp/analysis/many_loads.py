@@ -299,8 +299,8 @@ def solve_many(
     >>> import contactqp as cq
     >>> bar = cq.ContactProblem(stiffness=[[2.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
     >>> many = cq.solve_many(bar, loads=[[1.0], [4.0], [6.0]])
-    >>> many.normal_force.ravel(), many.passed.all(), many.envelope().load
-    (array([0., 2., 4.]), np.True_, array([2]))
+    >>> many.normal_force.ravel(), bool(many.passed.all()), many.envelope().load
+    (array([0., 2., 4.]), True, array([2]))
     """
     for meant in ("loads", "gaps"):
         if meant[:-1] in options:

@@ -222,6 +222,8 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     pivots = factor.diagonal() ** 2
     if (pivots / W.diagonal()).min() < SINGULAR:
         return np.inf
+    if not len(frictional):
+        return 0.0  # NumPy before 2.3 has no norm of what is empty
     half = np.linalg.solve(factor, np.eye(len(W)))
     normal = (half.T @ half)[np.ix_(frictional, frictional)]  # S^-1
     tangent = W[m:, m:]

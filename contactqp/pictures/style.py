@@ -295,8 +295,11 @@ def thumbnail(figure: Figure) -> bytes:
 
     first, *others = figure.axes
     legend = first.get_legend()
-    for part in (*others, *figure.texts, *figure.legends, *first.texts, *([legend] if legend is not None else [])):
+    for part in (*others, *figure.legends, *first.texts, *([legend] if legend is not None else [])):
         part.remove()
+    for text in figure.texts:  # matplotlib 3.10 lays a title out that was removed
+        text.set_visible(False)
+        text.set_in_layout(False)
     for line in first.lines:
         line.set_linewidth(THICKER * line.get_linewidth())
     first.set_title("")

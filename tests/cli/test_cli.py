@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 import contactqp
 from contactqp.solving.methods.method import Method
@@ -360,8 +361,8 @@ def test_python_m_is_the_command_line_and_imports_nothing_in_vain():
     assert not heavy & {name.partition(".")[0] for name in modules}
     assert "scipy.spatial" not in modules
     left_by_numpy = {f"numpy.{name}" for name in ("f2py", "testing", "polynomial", "char", "ctypeslib")}
-    assert not left_by_numpy & set(modules) or not hasattr(np, "__getattr__")
-    assert "scipy.sparse.linalg" not in modules
+    assert not left_by_numpy & set(modules) or np.lib.NumpyVersion(np.__version__) < "2.0.0"
+    assert "scipy.sparse.linalg" not in modules or scipy.__version__ < "1.15"  # which brings it with scipy.sparse
     ours = {name for name in modules if name.startswith("contactqp.")}
     not_needed = (
         "exchange",

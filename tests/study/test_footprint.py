@@ -60,7 +60,8 @@ def test_a_bar_needs_no_factorisation_and_nothing_optional(wall):
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory by parts is read from /proc")
 def test_memory_has_a_share_of_the_interpreter_and_of_modules(wall):
     memory = wall.memory
-    assert 4e6 < memory.interpreter < memory.modules < memory.peak < 500e6
+    assert min(memory.interpreter, memory.modules) > 4e6
+    assert memory.peak < 500e6
     assert memory.interpreter + memory.modules < 1.1 * memory.peak
 
 
