@@ -158,6 +158,7 @@ CURES = {
     "System": "; system.problem(contacts) is the problem of these bodies",
     "Structure": "; structure.assemble(supports, loads).problem(contacts) is the problem of these bodies",
     "ConstrainedEnergy": "; energy.solve() finds its minimum, energy.problem is its ContactProblem",
+    "ndarray": "; contactqp.ContactProblem(stiffness=, load=, normal=, gap=) is a problem of matrices",
     "Problem": "; contactqp.ContactProblem.from_qp takes the arrays of a quadratic program",
 }
 

@@ -210,7 +210,9 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         self.table(time_label).write_csv(file)
 
     def summary(self) -> str:
-        """Return instants with their largest contact forces, and the events, as a table; what `print` shows."""
+        """Return a table of instants, their largest forces, and events, as `print` shows; one solution is its own."""
+        if type(self) is History and len(self) == 1 and not self.notes:
+            return self[0].summary()
         forces, events = self.normal_forces, self.events
         table = history_table(self.times, self, forces, events, exact=self._linear, time_label=self.time_label)
         return "\n".join([table, *wrapped(*(f"note: {note}" for note in self.notes))])

@@ -224,7 +224,7 @@ def _run_loads(
     if csv is not None:
         write_cases(answers, csv)
     if plot is not None:
-        answers.solutions.plot(plot, title=answers.scene.title)
+        answers.solutions.plot(plot, title=answers.scene.title, names=answers.names)
     if as_json:
         print_json(cases_data(answers))
     elif not (quiet and answers.met):

@@ -236,6 +236,8 @@ def _words(stated: Any) -> str:
         return "one of " + ", ".join(map(repr, get_args(stated)))
     if kind in (Path, os.PathLike):
         return "a path"
+    if kind in (Union, UnionType):
+        return " or ".join(map(_words, get_args(stated)))
     if kind in SEQUENCES:
         return f"a sequence, each {_words(get_args(stated)[0])}"
     if kind is Mapping:

@@ -493,7 +493,10 @@ def read_units(value: Units | Mapping[str, str] | None) -> Units:
     if value is None or isinstance(value, Units):
         return value or Units()
     if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):
-        raise InvalidProblem(f"units: expected the keys 'length' and 'force', both of them, got {shown(value)}")
+        example = '{"length": "mm", "force": "N"}'
+        raise InvalidProblem(
+            f"units: expected the keys 'length' and 'force', both of them, as in {example}, got {shown(value)}"
+        )
     for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
         if not isinstance(value[what], str) or value[what] in (*others, *NEITHER):
             raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")

@@ -15,6 +15,7 @@ from contactqp.analysis.load_cases import Solutions
 from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
+from contactqp.model.problem_data import read_names
 from contactqp.pictures import style
 from contactqp.pictures.history_panels import (
     ALL,
@@ -39,6 +40,8 @@ ROOM = 0.022
 ONE_LINE = 1 / 2000
 # Events that one label names at most, and letters of a name.
 MOST_NAMED, MOST_LETTERS = 2, 20
+# Load cases that are named below the axis, and letters of a name up to which it stands level there.
+NAMED_CASES, SHORT_NAME = 16, 4
 KINDS: Mapping[str, dict[str, Any]] = {
     "closed": dict(color="black", linestyle="-"),
     "opened": dict(color="0.45", linestyle="--"),
@@ -238,13 +241,15 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
     return result
 
 
-def cases_figure(many: Solutions, *, title: str = "") -> Figure:
-    """Return the figure of many load cases: gaps and forces of contacts over the numbers of the cases.
+def cases_figure(many: Solutions, *, title: str = "", names: Sequence[str] | None = None) -> Figure:
+    """Return the figure of many load cases: gaps and forces of contacts over the cases.
+
+    A few cases with `names` are named below the axis, others numbered.
 
     Curves are those of the contacts with the largest forces, and of all together. A case without an answer is a gap in
     the curves and an upright line.
 
-    Raises InvalidProblem: the problem has no contacts.
+    Raises InvalidProblem: the problem has no contacts, or `names` are not one for each case.
     """
     if not many.problem.contacts:
         raise InvalidProblem("draw: expected cases with contacts, got none; displacement(i) is that of case i")
@@ -259,7 +264,12 @@ def cases_figure(many: Solutions, *, title: str = "") -> Figure:
         for case in _apart(failed.astype(float), ONE_LINE * len(many)).tolist():
             drawn.axvline(case, color=style.PRESSURE, linewidth=0.8, zorder=1, gid="failed case")
     axes[-1].set_xlabel("load case")
-    axes[-1].xaxis.get_major_locator().set_params(integer=True)
+    called = read_names("names", names, len(many)) or ()
+    if 0 < len(called) <= NAMED_CASES:
+        short = [style.plain(name, most=MOST_LETTERS) for name in called]
+        axes[-1].set_xticks(range(len(many)), short, rotation=30 if max(map(len, short)) > SHORT_NAME else 0)
+    else:
+        axes[-1].xaxis.get_major_locator().set_params(integer=True)
     what = f"{counted('load case', len(many))}, {int(many.passed.sum())} passed"
     result.suptitle(style.headline(title, what))
     handle = style.line_handle(f"without a certified answer: {len(failed)}", color=style.PRESSURE, linewidth=0.8)

@@ -96,7 +96,8 @@ def _no_bodies(scene: SceneData) -> None:
     """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
     for key in ("supports", "tractions", "pressures", "point_loads"):
         if getattr(scene, key):
-            raise SceneError(f"{key}: expected none in a scene without bodies")
+            held = '; fixed = ["C.y"] holds the node C along y' if key == "supports" else ""
+            raise SceneError(f"{key}: expected none in a scene without bodies{held}")
     if not scene.nodes:
         raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")
     for i, obstacle in enumerate(scene.obstacles):

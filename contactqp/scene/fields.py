@@ -285,13 +285,21 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         "bool_type": "true or false",
     }
     if kind in expected:
-        return f"expected {expected[kind]}, got {describe(error['input'])}"
+        needed = _needed(model, error["loc"]) if kind == "model_type" else ""
+        return f"expected {expected[kind]}{needed}, got {describe(error['input'])}"
     return f"{error['msg'][:1].lower()}{error['msg'][1:]}, got {describe(error['input'])}"
 
 
 def table_keys(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
     """Return the keys that the table at a location of the scene can have."""
     return list(_table(model, location).model_fields)
+
+
+def _needed(model: type[BaseModel], location: Sequence[int | str]) -> str:
+    """Return which keys the table at a location must have; empty where none."""
+    fields = _table(model, location).model_fields
+    needed = [repr(key) for key, field in fields.items() if field.is_required()]
+    return f" with {' and '.join(needed)}" if 0 < len(needed) < 4 else ""
 
 
 def _table(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel]:

@@ -20,12 +20,13 @@ from contactqp.errors import InvalidProblem, StartWarning, warn
 from contactqp.scene.units import number, read_unit, vector
 
 if TYPE_CHECKING:  # meshes are imported where a scene has bodies
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from contactqp.elements.mesh import Mesh
     from contactqp.elements.mesh_files import Lattice
     from contactqp.elements.structure import Part
     from contactqp.model.arrays import Array
+    from contactqp.model.solution import Solution
     from contactqp.scene.schema import Contact, SceneData
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
 
@@ -188,13 +189,20 @@ def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
 
 def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
     """Warn of contacts of nodes, whose initial gaps are these [length]."""
+    for place, doubt in _doubts_of_nodes(scene, gaps).items():
+        warn_of_start(scene, place, doubt)
+
+
+def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
+    """Return what is doubtful of the contacts of nodes, by their places."""
     if not len(gaps) or np.min(gaps) > 0:
-        return
+        return {}
     from contactqp.elements.pairing import CURE, doubt_of_depth
 
     points = {node: np.array(scene.point(node), dtype=float) for node in scene.every_node}
     size = float(np.ptp(np.array(list(points.values())), axis=0).max())
     beside = _neighbours(scene)
+    doubts = {}
     for place in np.flatnonzero(gaps <= 0).tolist():
         contact, depth = scene.contacts[place], -float(gaps[place])
         if contact.obstacle is None:
@@ -206,7 +214,31 @@ def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
             doubt = f"it starts {where} {what}: {CURE}; turn it round?"
         else:
             doubt = doubt_of_depth(depth, size, repr(contact.obstacle), scene.units.length)
-        warn_of_start(scene, place, doubt)
+        if doubt:
+            doubts[place] = doubt
+    return doubts
+
+
+def warn_of_unpushed(scene: SceneData, gaps: Array, history: Sequence[Solution]) -> None:
+    """Warn of contacts of nodes, with these initial gaps, that never push and end outside of what they start inside of.
+
+    A beam along an obstacle lies as deep inside of it as the node that touches: only the answer tells that the obstacle
+    is turned the wrong way. Of motions nothing is said.
+    """
+    if scene.motion is not None or scene.large or scene.bodies or scene.membranes or not np.min(gaps, initial=0.0) < 0:
+        return
+    from contactqp.elements.pairing import CURE
+
+    told = _doubts_of_nodes(scene, gaps)
+    for place in np.flatnonzero((gaps < 0) & (history[-1].contact_status == "open")).tolist():
+        contact, depth = scene.contacts[place], -float(gaps[place])
+        if (
+            place not in told
+            and contact.obstacle is not None
+            and not any(solution.normal_force[place] > 0 for solution in history)
+        ):
+            where = f"it starts {depth:.6g} {scene.units.length} inside {contact.obstacle!r}"
+            warn_of_start(scene, place, f"{where} and ends outside, and nothing has pushed it: {CURE}; turn it round?")
 
 
 def _neighbours(scene: SceneData) -> Mapping[str, set[str]]:

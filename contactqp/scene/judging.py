@@ -30,8 +30,9 @@ from contactqp.model.solution import Solution
 from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
+from contactqp.scene.geometry import warn_of_unpushed
 from contactqp.scene.scene import STANDARD_INPUT, build_for, run_model
-from contactqp.scene.schema import SceneData, end_time, has_corners
+from contactqp.scene.schema import SceneData, end_time, has_corners, is_rotation
 from contactqp.scene.shipped import case_path
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.solving.methods import find, options_of
@@ -214,6 +215,7 @@ def judge(scene: SceneData, trial: Trial) -> Judgement:
         history = run_model(model, trial.method, **options)
     else:
         history = History([solve(model.problem, trial.method, **options)], [float(end_time(scene))])
+        warn_of_unpushed(scene, model.problem.gap, history)
     answers = _Answers(model, trial, history)
     return Judgement(
         scene=scene,
@@ -408,6 +410,8 @@ def _shown(numbers: Sequence[Number]) -> Shown:
 
 def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
     """Return the unit of the claim's numbers; none for a matrix of ties, where every column has its own."""
+    if is_rotation(claim.at or "") and not any(targets[0].dimension):
+        return "rad"
     return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
 
 

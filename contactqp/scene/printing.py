@@ -117,7 +117,6 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, _gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
-        _print_unpushed(console, judgement)
     print_courses(console, judgement)
     if verbose:
         print_instants(console, judgement, most)
@@ -161,15 +160,6 @@ def _print_largest(
     print_table(console, header, [rows[i] for i in chosen], drawn)
     if len(chosen) < len(rows):
         console.print(f"the {len(chosen)} largest of {len(rows)} (--verbose, --json)")
-
-
-def _print_unpushed(console: Console, judgement: Judgement) -> None:
-    """Print what is doubtful of contacts that start inside of their obstacles and end outside, without a force."""
-    problem, solution, unit = judgement.solution.problem, judgement.solution, judgement.scene.units.length
-    for contact, gap, status in zip(judgement.scene.contacts, problem.gap, solution.contact_status, strict=False):
-        if contact.obstacle is not None and gap < 0 and status == "open":
-            where = f"{escape(contact.name)} starts {-gap:.6g} {unit} inside of {escape(contact.obstacle)}"
-            console.print(f"[yellow]{where} and ends outside without a force: is the normal turned round?[/yellow]")
 
 
 def _gaps(solution: Solution) -> Array:

@@ -31,6 +31,7 @@ from contactqp.scene.building import build
 from contactqp.scene.checking import check
 from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_errors
+from contactqp.scene.geometry import warn_of_unpushed
 from contactqp.scene.schema import SceneData, end_time
 from contactqp.scene.shipped import case_path, nearest_files, nearest_names
 from contactqp.solving.solve import solve
@@ -317,7 +318,9 @@ def run_model(
         return found
     if checkpoint is not None:
         raise Unsupported("checkpoint: only engine='petsc' keeps the steps of a load path")
-    return follow(model, model.problem, method, **options)
+    history = follow(model, model.problem, method, **options)
+    warn_of_unpushed(model.scene, model.problem.gap, history)
+    return history
 
 
 def follow(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:

@@ -183,6 +183,8 @@ def solve(
 def _solve_any(
     problem: Any, method: str, engine: str, condense: bool | str, warm_start: Any, same: dict[str, Any]
 ) -> Solution | LocalSolution:
+    if not isinstance(problem, LocalProblem) and type(problem) is not ContactProblem:
+        refuse_other("solve", problem, ContactProblem, LocalProblem)
     if isinstance(engine, str) and engine == SERIAL:  # other engines have methods of their own
         method = registered_name(method)
     else:
@@ -193,8 +195,6 @@ def _solve_any(
         from contactqp.solving.local_solving import solve_local
 
         return solve_local(problem, method, warm_start=warm_start, **same)
-    if type(problem) is not ContactProblem:
-        refuse_other("solve", problem, ContactProblem, LocalProblem)
     limit = same["time_limit"]
     refuse_arguments(same["tolerance"], condense, same["polish"], limit, same["max_iter"])
     with nullcontext() if limit is None else within_time(limit):

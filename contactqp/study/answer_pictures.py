@@ -200,6 +200,7 @@ def draw(
     title: str = "",
     scale: float | None = None,
     time_unit: str = "",
+    names: Sequence[str] | None = None,
 ) -> Figure:
     """Draw an answer: bodies and structures where their geometry is known, a history, else forces and gaps as bars.
 
@@ -226,6 +227,8 @@ def draw(
         five-hundredth of their size. The title states it. Membranes, histories and bars of forces have no scale.
     time_unit : str
         Unit of the times of a motion, for labels.
+    names : sequence of str, optional
+        What load cases are called, one name each; they stand below the axis where the cases are few.
 
     Returns
     -------
@@ -257,7 +260,7 @@ def draw(
             if isinstance(answer, Solutions):
                 if scene is not None or system is not None:
                     raise InvalidProblem("draw: many load cases are drawn as curves; with a scene or a system one [i]")
-                drawn = cases_figure(answer, title=title)
+                drawn = cases_figure(answer, title=title, names=names)
             elif scene is None and system is None and isinstance(answer, History) and len(answer) > 1:
                 drawn = history_figure(answer, title=title, time_unit=time_unit)
             else:

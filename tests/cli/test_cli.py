@@ -157,8 +157,8 @@ def test_a_contact_that_leaves_its_obstacle_unpushed_is_doubted(capsys, tmp_path
     )
     for normal, doubted in ((1, False), (-1, True)):
         (tmp_path / "beam.toml").write_text(beam % normal)
-        out = run(capsys, "run", tmp_path / "beam.toml")[1]
-        assert ("stop starts 5 mm inside of block and ends outside without a force" in out) is doubted
+        _, out, err = run(capsys, "run", tmp_path / "beam.toml")
+        assert ("('stop'): it starts 5 mm inside 'block' and ends outside, and nothing has pushed it" in err) is doubted
         assert re.search(r"tip\.theta +-0\.0\d+ rad", out)
 
 

@@ -214,6 +214,12 @@ def sled(feet: int = 21) -> cq.History:
 
 
 @pytest.mark.slow
+def test_a_history_of_one_solution_prints_as_the_solution() -> None:
+    history = cq.run("bar_wall")
+    assert str(history) == str(history[0])
+    assert "legs" not in str(history)
+
+
 def test_a_history_with_friction_prints_its_states_its_friction_and_its_events_together() -> None:
     lines = str(sled()).splitlines()
     assert lines[0] == "9 instants; 31 events"
@@ -253,7 +259,7 @@ def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_
         ({"length": "mm", "force": "MPa"}, "expected a force, got 'MPa'"),
         ({"length": "rad", "force": "N"}, "expected a length, got 'rad'"),
         ({"length": "m"}, "both of them"),
-        ("m", "both of them"),
+        ("mm,N", 'both of them, as in ."length": "mm", "force": "N"., got \'mm,N\''),
     ],
 )
 def test_units_that_are_none_or_half_given_are_refused(units, words: str) -> None:

@@ -125,6 +125,15 @@ def test_load_cases_are_curves_over_their_numbers(tmp_path) -> None:
     np.testing.assert_array_equal(curves[f"foot.{worst}"], many.normal_force[:, worst])
 
 
+def test_a_few_load_cases_are_called_by_their_names() -> None:
+    many = cq.solve_many(chain(3), loads=[[1.0, 0.0, 2.0, 0.0, 1.0, 0.0], [0.0, 0.0, 5.0, 0.0, 1.0, 0.0]])
+    figure = many.plot(names=["dead weight", "$storm$"])
+    figure.canvas.draw()
+    assert [label.get_text() for label in figure.axes[-1].get_xticklabels()] == ["dead weight", r"\$storm\$"]
+    with pytest.raises(cq.InvalidProblem, match="names: expected"):
+        many.plot(names=["dead weight"])
+
+
 def test_friction_beside_almost_no_normal_force_is_drawn_at_its_own_size() -> None:
     """With friction 1e20 a normal force of 3e-20 holds 3: limits of the axis made of 3e-20 would be one number."""
     jammed = cq.ContactProblem(np.eye(2), [0.0, 3.0], [[1.0, 0.0]], [0.0], [[0.0, 1.0]], friction=1e20)

@@ -97,7 +97,10 @@ def test_the_good_membrane_is_good(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("added", "words"),
     [
-        ('supports = [{ name = "a", on = "b.c", axis = "x" }]', "supports: expected none in a scene without bodies"),
+        (
+            'supports = [{ name = "a", on = "b.c", axis = "x" }]',
+            "supports: expected none in a scene without bodies; fixed =",
+        ),
         ('contacts = [{ name = "a", side = "b.c", obstacle = "o" }]', "contacts[0] ('a'): expected 'node' or 'nodes'"),
         (
             'obstacles = [{ name = "o", kind = "circle", centre = ["0 m", "0 m"], radius = "1 m" }]',

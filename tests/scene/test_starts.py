@@ -14,6 +14,7 @@ import contactqp as cq
 from contactqp.cli import main
 from contactqp.elements.shapes import disc, rectangle
 from contactqp.elements.surface import Surface
+from contactqp.scene.judging import judge_all
 from tests.shipped_cases import SCENES
 
 LIES_DEEPER, SAME_WAY, DRAGGED = (
@@ -240,6 +241,59 @@ def test_the_command_line_warns_once_and_refuses_with_strict(
         main([*command, "--strict", str(REVERSED)])
     assert end.value.code == 0
     assert capfd.readouterr().err == ""
+
+
+def beam_along_a_stop(height: float, normal: int, load: float = -20.0, **more: Any) -> cq.Scene:
+    """A cantilever over or under a stop, which all of its nodes are as far from."""
+    return cq.Scene(
+        title="beam", axes=["x", "y"], units={"length": "m", "force": "kN"},
+        nodes=[{"name": "root", "at": ["0 m", "0 m"]}, {"name": "end", "at": ["2 m", "0 m"]}],
+        beams=[{"name": "b", "nodes": ["root", "end"],
+                "area": "3e-3 m^2", "inertia": "2e-5 m^4", "modulus": "2e8 kPa"}],
+        fixed=["root"], obstacles=[{"name": "stop", "point": ["2 m", f"{height} mm"], "normal": [0, normal]}],
+        contacts=[{"name": "end on stop", "node": "end", "obstacle": "stop"}],
+        loads=[{"unknown": "end.y", "value": f"{load} kN"}], **more,
+    )  # fmt: skip
+
+
+UNPUSHED = "it starts 0.003 m inside 'stop' and ends outside, and nothing has pushed it"
+BY_STEPS = dict(path={"steps": 2})
+
+
+@pytest.mark.parametrize(
+    ("height", "normal", "load", "more", "doubt"),
+    [
+        (-3.0, 1, -20.0, {}, ""),
+        (-3.0, -1, -20.0, {}, UNPUSHED),
+        (-3.0, -1, -20.0, BY_STEPS, ""),  # unloaded it is pushed off, which the events tell
+        (3.0, 1, -20.0, {}, ""),  # a stop that bends it up before it is loaded
+        (3.0, 1, 20.0, BY_STEPS, ""),  # it pushes at first, and the load lifts the end off
+        (3.0, -1, 20.0, {}, ""),  # a ceiling
+    ],
+)
+def test_a_beam_along_a_stop_is_doubted_where_nothing_has_pushed_it(
+    height: float, normal: int, load: float, more: dict[str, Any], doubt: str
+) -> None:
+    scene = beam_along_a_stop(height, normal, load, **more)
+    assert doubts_of(scene.problem) == []  # before it is solved nothing tells
+    for run in (lambda: cq.run(scene), lambda: judge_all(scene)):
+        found = doubts_of(run)
+        assert len(found) == bool(doubt)
+        assert all(text.startswith("contacts[0] ('end on stop'): ") and doubt in text for text in found)
+
+
+def test_strict_refuses_a_stop_that_never_pushes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    text = (REVERSED.parent / "cantilever_stop.toml").read_text(encoding="utf-8")
+    assert "normal = [0, 1]" in text
+    file = tmp_path / "beam.toml"
+    file.write_text(text.replace("normal = [0, 1]", "normal = [0, -1]"), encoding="utf-8")
+    for options, words in (([], "contactqp: warning: "), (["--strict"], "contactqp: ")):
+        with pytest.raises(SystemExit) as end:
+            main(["run", *options, str(file)])
+        assert end.value.code == (2 if options else 1)
+        said = capfd.readouterr().err
+        assert said.startswith(f"{words}{file}: contacts[0] ('end on stop'): it starts 0.001 m inside 'stop'")
+        assert len(said.splitlines()) == 1
 
 
 def test_a_strict_refusal_is_json_where_that_is_asked_for(

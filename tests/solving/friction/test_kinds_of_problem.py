@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 import contactqp as cq
@@ -19,6 +20,14 @@ BODIES = cq.ContactProblem(
     ("call", "message"),
     [
         (lambda: cq.certify(LOCAL, [0.0], [0.0]), "certify: expected a ContactProblem, got LocalProblem"),
+        (
+            lambda: cq.solve(np.eye(2), [0.0, 1.0]),  # type: ignore[call-overload]
+            "solve: expected a ContactProblem or LocalProblem, got ndarray; contactqp.ContactProblem",
+        ),
+        (
+            lambda: cq.Structure(cq.Membrane(cq.rectangle(1.0, 1.0, (1, 1)), tension=1.0)),  # type: ignore[arg-type]
+            "Structure: bodies: expected a sequence, each a Body or a Membrane, got Membrane",
+        ),
         (
             lambda: cq.certify_local(BODIES, [0.0, 0.0]),
             "certify_local: problem: expected a LocalProblem, got Contact",
