@@ -44,7 +44,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.model.unknown_names import describe_motion
-from contactqp.solving.methods import Method, Settings
+from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 
@@ -228,7 +228,8 @@ CONDENSES_ITSELF = "active set"
 class CondensedRun(Run):
     """The method on the contact unknowns alone, or on all where condensing is not wanted or makes nothing smaller.
 
-    Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as `solve` does.
+    Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as `solve` does; Unsupported too where the dense
+    matrices are predicted to be too large.
 
     Parameters
     ----------
@@ -238,6 +239,8 @@ class CondensedRun(Run):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
         super().__init__(problem, method)
+        if problem.contacts + problem.ties > FEW_ROWS or problem.dimension > LARGE:
+            refuse_too_dense(problem, method, condense)
         with self.meter.running():
             self._condensation = _condensed(problem)
             refuse_late(f"{method.name} began")

@@ -16,7 +16,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import extended, pardiso, schur, sparse_saddle
 from contactqp.linalg.iteration import constraints_are_many
-from contactqp.solving import sparse_run
+from contactqp.solving import methods, sparse_run
 from contactqp.solving.methods import inexact_active_set
 from contactqp.solving.solve import _routes
 from tests.solving.test_linear_programs import transport
@@ -92,6 +92,27 @@ def test_a_plate_with_contacts_all_over_stays_sparse() -> None:
     assert sparse.certificate.proven
     assert 100 < np.count_nonzero(sparse.normal_force) < problem.contacts
     assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.parametrize("method", ["daqp", "lagrange-multiplier"])
+def test_dense_matrices_of_ten_thousand_ties_are_refused_before_they_are_made(method: str) -> None:
+    n, ties = 15_000, 10_000
+    K = sp.diags([-1.0, 4.0, -1.0], [-1, 0, 1], shape=(n, n), format="csr")
+    equal = sp.diags([1.0, -1.0], [0, 1], shape=(ties, n), format="csr")
+    stop = sp.identity(n, format="csr")[n - 50 :]
+    problem = cq.ContactProblem(K, np.ones(n), stop, np.full(50, 0.1), tie=equal, tie_value=np.zeros(ties))
+    with pytest.raises(cq.Unsupported, match=rf"^{method}: 50 contacts and 10000 ties would .* active-set") as refusal:
+        cq.solve(problem, method)
+    assert "\n" not in str(refusal.value)
+    assert cq.solve(problem, "piqp").certificate.proven
+
+
+def test_dense_matrices_that_do_not_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = membrane(40, 0.03)
+    assert cq.solve(problem, "daqp").certificate.passed
+    monkeypatch.setattr(methods, "free_memory", lambda: 100 * 2**20)
+    with pytest.raises(cq.Unsupported, match=r"about 0.2 GiB \(0.1 GiB are free\)"):
+        cq.solve(problem, "active-set", condense=True)
 
 
 @pytest.mark.slow

@@ -6,7 +6,12 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, shown
+from contactqp.linalg.iteration import constraints_are_many
+from contactqp.linalg.pardiso import MOST_OF_MEMORY
+from contactqp.linalg.runtime import free_memory
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole, refuse_not_positive
 from contactqp.model.solution import Candidate, Solution
@@ -24,6 +29,7 @@ from contactqp.solving.methods import (
 from contactqp.solving.methods.method import Method, Settings
 
 __all__ = [
+    "FEW_ROWS",
     "Method",
     "Settings",
     "find",
@@ -31,6 +37,7 @@ __all__ = [
     "of_same_letters",
     "options_of",
     "refuse_arguments",
+    "refuse_too_dense",
     "refuse_unsupported",
     "register",
     "registered_name",
@@ -228,3 +235,34 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
             f"{method.name}: algorithm={shown(algorithm)} solves problems with friction, and this one states none: "
             "leave it out, or state friction=0"
         )
+
+
+# Dense matrices of the unknowns that a method is shown, held at a time: 10 by DAQP, 24 by Lemke's method. Where sparse
+# systems are predicted to cost less, dense ones of so many operations, minutes, are not begun. Few rows do not matter.
+COPIES, MOST_DENSE, FEW_ROWS = 10, 5e11, 1000
+
+
+def refuse_too_dense(problem: ContactProblem, method: Method, condense: bool | str) -> None:
+    """Raise Unsupported where dense matrices of the unknowns that a method is shown would take too much.
+
+    Parameters
+    ----------
+    problem, method : ContactProblem, Method
+    condense : bool or "auto", as in `solve`; where it is True only what does not fit into memory is refused
+    """
+    rows = [some for some in (problem.normal, problem.tangent, problem.tie) if some is not None]
+    shown = len(np.unique(np.concatenate([some.indices for some in rows])))
+    if condense is False and not method.sparse:
+        shown = problem.dimension
+    size = max(shown, problem.contacts + problem.ties)
+    needed, free = 8 * COPIES * size**2, free_memory()
+    too_large = free is not None and needed > MOST_OF_MEMORY * free
+    too_long = condense is not True and float(size) ** 3 > MOST_DENSE and constraints_are_many(problem)
+    if not (too_large or too_long):
+        return
+    why = f"{free / 2**30:.1f} GiB are free" if too_large and free is not None else "minutes to hours"
+    raise Unsupported(
+        f"{method.name}: {problem.contacts} contacts and {problem.ties} ties would become dense matrices of {size} "
+        f"rows, about {needed / 2**30:.1f} GiB ({why}); active-set, clarabel and piqp take sparse systems "
+        "(condense='auto')"
+    )
