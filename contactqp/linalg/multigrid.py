@@ -100,16 +100,14 @@ class Hierarchy:
             diagonal = _positive(matrix.diagonal())
             largest = largest_eigenvalue(matrix.__matmul__, diagonal)
             aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None
+            if not self.levels:  # K B is not K T B_coarse of unknowns that nothing couples, which no aggregate has
+                self.held, self.soft = self._least_energies(B, matrix @ B, diagonal)
             if aggregates is None or len(self.levels) == MOST_LEVELS:
-                if not self.levels:
-                    self.held, self.soft = self._least_energies(B, matrix @ B, diagonal)
                 self.levels.append(Level(matrix, diagonal, largest))
                 return
             tentative, coarse_B = _tentative(aggregates, B)
             blocks = _as_blocks(matrix)
             product = blocks @ tentative
-            if not self.levels:
-                self.held, self.soft = self._least_energies(B, product @ coarse_B, diagonal)
             prolong = tentative - _scaled_rows(product, JACOBI / largest / diagonal, tentative)
             self.levels.append(Level(matrix, diagonal, largest, prolong, prolong.T))
             size = B.shape[1]
@@ -123,6 +121,9 @@ class Hierarchy:
             for j in range(q):
                 energy[:, i, j] = np.bincount(self.bodies, B[:, i] * forces[:, j], count)
                 size[:, i, j] = np.bincount(self.bodies, B[:, i] * diagonal * B[:, j], count)
+        if q == 1:  # of as many bodies as unknowns, where K is diagonal
+            ratio = (energy / size).ravel()
+            return ratio, (ratio <= FLOATING).astype(np.intp)
         ratios = [energy_ratios(e, s)[0] for e, s in zip(energy, size, strict=True)]
         soft = [np.count_nonzero(ratio <= FLOATING) for ratio in ratios]
         return np.array([ratio[0] for ratio in ratios]), np.array(soft)

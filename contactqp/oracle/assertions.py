@@ -16,7 +16,7 @@ from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.model.solution import Answer
+from contactqp.model.solution import BY_DISPLACEMENT, Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.foreign.judging import aligned, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
@@ -117,7 +117,7 @@ def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
         found.tie_force,
         found.contact_status == "open",
         slip,
-        only,
+        only and not found.free_motions and found.certificate.determined == BY_DISPLACEMENT,
         only if problem.frictional else found.certificate.force_bound is not None,
     )
 

@@ -42,7 +42,7 @@ from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
 
 # Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
 # the units of the problem that it is shown. Clarabel scales best what it is given as it is, and its factors of rows
-# fill least; with bounds of single unknowns alone PIQP's are those of K.
+# fill least; with bounds of single unknowns alone PIQP's are those of K, and of the ties where K is diagonal.
 OWN, EQUILIBRATED, BALANCED_UNITS = range(3)
 IDENTIFICATIONS = (
     ("clarabel", 1e-9, OWN),
@@ -128,7 +128,8 @@ class SparseRun(Run):
             yield replace(settings.warm_start, iterations=0)
         elif (found := _by_iteration(self.problem, settings)) is not None:
             yield found
-        bounded = not self.problem.ties and bool(np.all(np.diff(self.problem.normal.indptr) == 1))
+        bounded = bool(np.all(np.diff(self.problem.normal.indptr) == 1))
+        bounded = bounded and (not self.problem.ties or _separate(self.problem))
         order, steps = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None
         program = mostly_bare(self.problem)
         if not program:
@@ -225,9 +226,14 @@ class SparseRun(Run):
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
     """Return the answer of the inexact active set, where a multigrid hierarchy suits K: held bodies and membranes."""
-    if problem.dimension < LARGE or not held_by_hierarchy(problem):
+    if problem.dimension < LARGE or _separate(problem) or not held_by_hierarchy(problem):
         return None
     return identified_by_iteration(problem, iteration(problem), settings)
+
+
+def _separate(problem: ContactProblem) -> bool:
+    """Return whether K is diagonal and positive, so that ties alone couple the unknowns."""
+    return problem.stiffness_rows.nnz == problem.dimension and bool(problem.diagonal.all())
 
 
 def _candidate(state: ClosedState, status: str = "") -> Candidate:

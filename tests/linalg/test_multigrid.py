@@ -127,3 +127,20 @@ def test_steps_of_conjugate_gradients_tell_the_energy_of_the_error_and_the_spect
         assert least <= run.least_eigenvalue() <= 1
     assert run.gained == pytest.approx(exact, rel=1e-6)
     assert run.square() == pytest.approx(run.unbalanced @ cycle(run.unbalanced), rel=1e-12)
+
+
+def test_a_lone_unknown_on_a_spring_does_not_float():
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(200, 200))
+    hierarchy = Hierarchy(sp.block_diag([chain, [[7.0]]], format="csr"))
+    assert len(hierarchy.levels) > 1
+    assert hierarchy.held[1] == pytest.approx(1.0)
+    assert not hierarchy.soft.any()
+
+
+def test_bodies_of_one_motion_are_measured_at_once(monkeypatch):
+    # A diagonal K of 93 261 unknowns has as many bodies; an eigenvalue problem of each took nine seconds.
+    monkeypatch.setattr(multigrid, "energy_ratios", None)
+    pairs = sp.block_diag([[[2.0, -1.0], [-1.0, 2.0]], [[3.0, -3.0], [-3.0, 3.0]], [[5.0]]], format="csr")
+    hierarchy = Hierarchy(pairs, coarsest=2)
+    assert hierarchy.held == pytest.approx([0.5, 0.0, 1.0], abs=1e-15)
+    assert list(hierarchy.soft) == [0, 1, 0]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp import testing
 from tests.examples import block_between, seeded_problem, truss, two_bars
 from tests.solving.friction.space import several
 
@@ -292,3 +293,27 @@ def test_gaps_that_are_rounding_stand_as_zero_beside_wrong_ones() -> None:
     closed = [one for one in judged.contacts if right.contact_status[one.index] == "closed"]
     assert any(right.gap[one.index] != 0 for one in closed)
     assert [one.right_gap for one in closed] == [0.0] * len(closed)
+
+
+@pytest.mark.parametrize("energies", [np.zeros((3, 3)), np.diag([0.0, 0.0, 2.0])])
+def test_contacts_of_another_best_vertex_are_not_called_wrong(energies: np.ndarray) -> None:
+    # x_0 + x_1 <= 1 closes: all answers between its two ends have the same energy. x_2 rests at 1.
+    program = cq.ContactProblem.from_qp(energies, [-1.0, -1.0, 1.0], G=[[1.0, 1.0, 0.0]], h=[1.0], lb=[0.0, 0.0, 1.0])
+    forces = cq.solve(program).normal_force
+    for end in ([1.0, 0.0], [0.0, 1.0], [0.25, 0.75]):
+        assert cq.certify(program, [*end, 1.0], forces).passed
+        judged = cq.certify(program, [*end, 1.01], forces)
+        assert [one.name for one in judged.contacts] == ["lower 2"]
+        assert judged.contacts[0].right_gap == pytest.approx(0.0, abs=1e-15)
+        assert judged.diagnosis.endswith("the right answer is not the only one: other displacements have the same "
+                                         "energy, and other gaps")  # fmt: skip
+        testing.assert_contact_solution(program, displacement=[*end, 1.0], normal_force=forces)
+        with pytest.raises(AssertionError):
+            testing.assert_contact_solution(program, displacement=[*end, 1.01], normal_force=forces)
+
+
+def test_contacts_of_a_unique_answer_are_called_wrong_by_their_gap() -> None:
+    program = cq.ContactProblem.from_qp(np.eye(2), [-1.0, -1.0], lb=[0.0, 1.5])
+    judged = cq.certify(program, [2.0, 1.5], [0.0, 0.5])
+    assert [(one.name, one.figure) for one in judged.contacts] == [("lower 0", "gap")]
+    assert "not the only one" not in judged.diagnosis

@@ -29,7 +29,7 @@ from contactqp.oracle.diagnosis.explanations import duplicates, laws, one_value,
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, missing_parts
-from contactqp.oracle.foreign.judging import JudgedContact
+from contactqp.oracle.foreign.judging import EQUALLY_GOOD, JudgedContact, determined_gaps
 from contactqp.solving.solve import solve
 
 # Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
@@ -297,8 +297,8 @@ def diagnose(
     if all(one.finding.kind == "scaled" for one in found):
         found = two_mistakes(evidence, _explained) or found
     if found:
-        return (*_best(found), *violated, *_others(right))
-    return (*violated, *_not_examined(problem), *_not_asked(evidence.effort), *_others(right))
+        return (*_best(found), *violated, *_others(problem, right))
+    return (*violated, *_not_examined(problem), *_not_asked(evidence.effort), *_others(problem, right))
 
 
 def _explained(evidence: Evidence) -> list[Explanation]:
@@ -310,7 +310,7 @@ def _explained(evidence: Evidence) -> list[Explanation]:
     return []
 
 
-def _others(right: Solution | None) -> Iterator[Finding]:
+def _others(problem: ContactProblem, right: Solution | None) -> Iterator[Finding]:
     """Yield the finding that other answers may be as right as the one that was found."""
     if right is None:
         return
@@ -318,6 +318,8 @@ def _others(right: Solution | None) -> Iterator[Finding]:
         yield Finding("several", "other answers exist at this load; the nearest that was found is set beside this one")
     elif POSSIBLE in right.certificate.uniqueness:
         yield Finding("several", "other answers are not excluded; one that was found is set beside this one")
+    elif not np.all(determined_gaps(problem, right)):
+        yield Finding("several", EQUALLY_GOOD)
 
 
 def _best(found: list[Explanation]) -> list[Finding]:

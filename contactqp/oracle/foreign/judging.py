@@ -14,12 +14,13 @@ import numpy as np
 from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
+from contactqp.linalg.equilibration import unknown_scale
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, all_finite
-from contactqp.model.solution import Answer, Candidate, Certificate, Solution
+from contactqp.model.solution import BY_ENERGY, Answer, Candidate, Certificate, Solution
 from contactqp.model.summary import without_rounding
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
@@ -51,6 +52,24 @@ def _from(problem: ContactProblem, answer: Answer) -> Solution:
         return of_problem(near, _from(near.problem, near.answer(answer)))
     start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
     return begin(problem, start=start).finish()
+
+
+# Said where some gaps are not `determined_gaps`.
+EQUALLY_GOOD = "the right answer is not the only one: other displacements have the same energy, and other gaps"
+
+
+def determined_gaps(problem: ContactProblem, right: Solution) -> Mask:
+    """Return the contacts (m,) whose gaps are those of the right answer in every answer that is as good.
+
+    A linear program may have several best vertices, and contacts that are open may come nearer as bodies slide freely.
+    """
+    if right.certificate.determined == BY_ENERGY:
+        return np.zeros(problem.contacts, dtype=bool)
+    moved, scale = np.zeros(problem.contacts, dtype=bool), unknown_scale(problem)
+    for motion in right.free_motions:
+        largest = np.max(abs(motion.direction) / scale)
+        moved |= abs(problem.normal @ motion.direction) > SAME * largest * (abs(problem.normal) @ scale)
+    return ~moved
 
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
@@ -164,7 +183,7 @@ def _measures(
         names.append("gap")
         length = lengths_that_meet(problem, problem.normal, problem.gap, right.displacement)
         apart = abs(found.gap - right.gap) / np.where(np.isfinite(length), length, np.inf)
-        table.append(np.where(apart > SAME, apart, 0.0))
+        table.append(np.where((apart > SAME) & determined_gaps(problem, right), apart, 0.0))
     return names, np.array(table).reshape(len(names), m)
 
 
