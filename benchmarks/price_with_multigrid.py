@@ -28,7 +28,7 @@ from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.iteration import Iteration
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 
 LINEAR = 1e-8
 

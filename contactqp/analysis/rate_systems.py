@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
 from contactqp.linalg.friction_states import StateSystem, friction_bound, refined_in, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -27,8 +27,7 @@ from contactqp.analysis.rate_systems import Direction, Parts, Rates, RateSystem,
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.nonnegative import forces_without_tension

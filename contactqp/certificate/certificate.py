@@ -30,8 +30,8 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, residuals
-from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage

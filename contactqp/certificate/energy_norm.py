@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import REGULAR, SaddlePoint, orthonormal, saddle_point
+from contactqp.linalg.dense import REGULAR, RigidMotions, SaddlePoint, orthonormal, saddle_point
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
-from contactqp.linalg.factorization import RIGID_ENERGY, RIGID_FORCE, RigidMotions
+from contactqp.linalg.factorization import RIGID_ENERGY, RIGID_FORCE
 from contactqp.linalg.measures import forces_that_meet, rigid_part, row_sizes
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Vector

@@ -33,8 +33,9 @@ from contactqp.certificate.coulomb_law import (
     slips_that_are_nothing,
 )
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, extend, extended_rows, residuals
-from contactqp.linalg.factorization import RigidMotions, images
+from contactqp.linalg.factorization import images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,

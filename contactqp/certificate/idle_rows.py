@@ -20,9 +20,9 @@ from contactqp.certificate.energy_norm import energy_norm, response
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.dense import independent_rows
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.extended import extend
+from contactqp.linalg.floating import independent_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
 from contactqp.linalg.measures import force_measure, forces_that_meet

@@ -17,8 +17,8 @@ from contactqp.certificate.bounds import Bounds, error_bounds, no_bounds
 from contactqp.certificate.figures import violations
 from contactqp.certificate.state_answer import StateVerdict, figures_alone, last_verdict, state_verdict
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, extend, residuals
-from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance

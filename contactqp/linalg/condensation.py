@@ -6,43 +6,51 @@ i the interior,
     S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c),
 
 and min 1/2 x'Sx - f_S'x subject to E_c x <= g, A_c x = b has the forces of the full problem as its own. K_ii is
-factorised once, for every load, gap, method and certificate that follows (`elimination`).
+factorised once, for every load, gap, method and certificate that follows (`contactqp.linalg.schur`).
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.linalg.convexity import refuse_indefinite
-from contactqp.linalg.dense import SUSPICIOUS_PIVOT, WRITTEN_OUT, Delassus, DenseCholesky, SaddlePoint, orthonormal
-from contactqp.linalg.equilibration import balancing_factors, unknown_scale
+from contactqp.linalg.dense import (
+    DENSE_SIZE,
+    SUSPICIOUS_PIVOT,
+    WRITTEN_OUT,
+    BackSubstitution,
+    Delassus,
+    DenseCholesky,
+    RigidMotions,
+    SaddlePoint,
+    orthonormal,
+    unknown_scale,
+)
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     FAR_APART,
-    RigidMotions,
     condensed_null_space,
     connected_parts,
+    factorise,
     fixing_unknowns,
     null_space,
-    right_singular,
     stated_motions,
     unknowns_far_apart,
 )
-from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.pardiso import NotPositive
+from contactqp.linalg.floating import NullSpace, unresisted
+from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
-from contactqp.linalg.schur import LARGE, Elimination, LastBlock, NestedBlock, eliminate
+from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock
 from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
-from contactqp.model.solution import Candidate
 
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
@@ -241,7 +249,7 @@ class Condensation:
         """Take the rounding of S along rigid motions away: there S is zero."""
         if not self.rigid.count or not len(self.schur):
             return
-        Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
+        Q, _ = np.linalg.qr(self._scaled_motions)
         cleared = self.schur * (self.scale[:, None] * self.scale)
         cleared = cleared - Q @ (Q.T @ cleared)
         cleared = cleared - (cleared @ Q) @ Q.T
@@ -261,7 +269,10 @@ class Condensation:
         if self._reduced is not None and np.array_equal(self._reduced[0], load):
             return self._reduced[1:]
         reduced, inner = self._elimination.reduce(load)
-        return self._balanced(load, reduced) if self.rigid.count else reduced, inner
+        if self.rigid.count:
+            added = self.rigid.work_to_add(self._scaled_motions, self.bodies, load, reduced * self.scale)
+            reduced = reduced + added / self.scale
+        return reduced, inner
 
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
         """Return `reduce_residual` of a load that was never reduced, such as that of a time step; no body may float."""
@@ -307,20 +318,6 @@ class Condensation:
         """Have `reduce_load` know a load that is combined from reduced ones."""
         self._reduced = (load.copy(), reduced, inner)
 
-    def _balanced(self, load: Vector, reduced: Vector) -> Vector:
-        """Return the condensed load with the work on rigid motions that the load itself does, which rounding changes.
-
-        A body that nothing loads keeps no load at all: the rounding of its neighbours' would be all that drives it.
-        """
-        motions = self.rigid.motions[self.retained] / self.scale[:, None]
-        missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
-        rounding = 4 * np.finfo(float).eps * (abs(self.rigid.motions).T @ abs(load))
-        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
-        acting = np.isin(of_body, of_body[abs(missing) > rounding])
-        change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
-        loaded = np.isin(self.bodies, of_body[acting])
-        return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))
-
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
         """Return the sizes behind each entry of f_S (p,): where a body floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
         size = problem.load_size[self.retained]
@@ -350,26 +347,20 @@ class Condensation:
     def idle_motions(self) -> Array:
         """Return an orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists."""
         rows = np.vstack([self.normal, self.tie]) * self.scale
-        motions = self.rigid.motions[self.retained] / self.scale[:, None]
-        return orthonormal(motions @ self.unresisted(rows))
+        return orthonormal(self._scaled_motions @ self.unresisted(rows))
 
     def unresisted(self, rows: Array) -> Array:
-        """Return the coordinates (r, q) of the rigid motions that scaled rows (k, p) do not resist.
+        """Return the coordinates (r, q) of the rigid motions that scaled rows (k, p) do not resist."""
+        return unresisted(self._scaled_motions, self.bodies, rows)
 
-        In this scale stiff bodies move little beside soft ones, and how far a body moves is a question of units. What a
-        row may feel of each body, its largest entry there times the size of the motion, is therefore brought to one,
-        as far as a factor for every row and one for every body can, and what it does feel is measured by that.
-        """
-        motions = self.rigid.motions[self.retained] / self.scale[:, None]
-        coordinates = _orthonormal_by_body(motions)
-        if not len(rows) or not len(coordinates):
-            return coordinates
-        motions = motions @ coordinates
-        of_motion = self.bodies[np.argmax(abs(motions), axis=0)]
-        felt = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_motion])
-        of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
-        values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
-        return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+    @property
+    def _scaled_motions(self) -> Array:
+        """The rigid motions (p, r) of the retained unknowns, scaled."""
+        return self.rigid.motions[self.retained] / self.scale[:, None]
+
+    def null_space(self, closed: Indices, tied: bool) -> SaddlePoint:
+        """Return the saddle point of closed contacts by the null-space method, which takes any."""
+        return NullSpace(self, closed, tied)
 
     def _held_schur(self) -> Array:
         """Return S with springs on the idle motions; no load drives these, so that the springs carry nothing."""
@@ -406,27 +397,50 @@ class Condensation:
         self._elimination = eliminate(self._sparse, self.retained)
         self.expand, self.solver = self._elimination.expand, self._elimination.solver
 
-    def restrict_candidate(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with the displacement of the retained unknowns alone (p,)."""
-        return replace(candidate, displacement=candidate.displacement[self.retained])
 
-    def spread_candidate(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with its displacement (p,) among zeros at the eliminated unknowns (n,)."""
-        displacement = np.zeros(len(self._diagonal))
-        displacement[self.retained] = candidate.displacement
-        return replace(candidate, displacement=displacement)
+def eliminate(stiffness: Any, retained: Indices, singular: bool = True) -> Elimination:
+    """Return the fastest available elimination for a stiffness (n, n) in CSR and unknowns (p,) to retain.
 
-
-def _orthonormal_by_body(motions: Array) -> Array:
-    """Return coordinates (r, r) of orthonormal combinations of motions (p, r), each of one body to the last digit.
-
-    Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
+    Raises
+    ------
+    NotPositive
+        The interior is singular, as far as PARDISO can tell. Raised only if `singular` is False; otherwise SuperLU is
+        tried, whose pivots are known, and which takes much longer.
+    InvalidProblem
+        The environment names a solver that is none.
+    Unsupported
+        S, or the factors of the stiffness, do not fit into memory.
     """
-    coordinates = np.diag(1 / np.linalg.norm(motions, axis=0))
-    for _ in range(2):
-        unit = motions @ coordinates
-        coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T
-    return np.asarray(coordinates)
+    try:
+        return _eliminate(stiffness, retained, singular)
+    except TooLarge as error:
+        raise Unsupported(str(error)) from None
+    except MemoryError:
+        count = len(retained)
+        size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"
+        raise Unsupported(
+            f"{count} unknowns at contacts and ties that may act: their dense stiffness takes {size}, and memory is "
+            "full"
+        ) from None
+
+
+def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination:
+    chosen = os.environ.get(CHOICE, "")
+    if chosen and chosen not in CHOICES:
+        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
+    interior = np.ones(stiffness.shape[0], dtype=bool)
+    interior[retained] = False
+    count = np.count_nonzero(interior)
+    wanted = count >= LARGE and available() if chosen in ("", "pyamg") else chosen == "pardiso" and count > 0
+    if wanted and np.all(stiffness.diagonal()[interior] > 0):
+        try:
+            return LastBlock(stiffness, retained)
+        except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
+            if not singular:
+                raise
+    if count > max(DENSE_SIZE, FEW * len(retained)):
+        return TrailingBlock(sp.csr_matrix(stiffness), retained)
+    return BackSubstitution(stiffness, retained, factorise)
 
 
 def columns_of(rows: Any, columns: Indices) -> Array:

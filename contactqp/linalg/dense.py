@@ -1,4 +1,4 @@
-"""Dense systems: Cholesky factors, small interiors, contacts and ties as condensed bodies feel them.
+"""Dense systems: Cholesky factors, scales, small interiors, contacts and ties as condensed bodies feel them.
 
 An interior that is small, or only a few times what is retained, is eliminated by `BackSubstitution`. The Delassus
 operator of what is retained is
@@ -19,14 +19,15 @@ Where S and W_BB are regular the range-space method does (`_RangeSpace`; Nocedal
 
     y = S^-1 r,    W_BB l = [E_B; A] y - (e; a),    x = y - S^-1 [E_B; A]' l,
 
-which costs a Cholesky factorisation of W_BB alone. Elsewhere it is the null-space method (`NullSpace`, the same
-section): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). There, rows that depend on others
-get no force, and rigid motions of K that no row resists stay at rest.
+which costs a Cholesky factorisation of W_BB alone. Elsewhere it is the null-space method
+(`contactqp.linalg.floating.NullSpace`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -129,6 +130,89 @@ def orthonormal(motions: Array) -> Array:
     return motions @ np.linalg.inv(np.linalg.cholesky(gram).T) if least > REGULAR * np.trace(gram) else motions
 
 
+@dataclass(frozen=True, eq=False)
+class RigidMotions:
+    """The null space of K."""
+
+    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
+    softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
+    forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
+
+    @cached_property
+    def count(self) -> int:
+        """The number of motions."""
+        return int(self.motions.shape[1])
+
+    @property
+    def uncertainty(self) -> float:
+        """How much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them apart."""
+        return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
+
+    @cached_property
+    def basis(self) -> Array:
+        """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
+        return orthonormal(self.motions)
+
+    def work_to_add(self, motions: Array, bodies: Indices, load: Vector, reduced: Vector) -> Vector:
+        """Return what to add to a condensed load so that its work on rigid motions is that of the load: (p,), scaled.
+
+        Rounding changes that. A body that nothing loads keeps no load at all: the rounding of its neighbours' would be
+        all that drives it.
+
+        Parameters
+        ----------
+        motions, bodies : (p, r) and (p,) arrays, the motions of the retained unknowns, scaled, and their bodies
+        load, reduced : (n,) and (p,) arrays, the load and the condensed one, scaled
+        """
+        missing = self.motions.T @ load - motions.T @ reduced
+        rounding = 4 * np.finfo(float).eps * (abs(self.motions).T @ abs(load))
+        of_body = bodies[np.argmax(abs(motions), axis=0)]
+        acting = np.isin(of_body, of_body[abs(missing) > rounding])
+        change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
+        return np.where(np.isin(bodies, of_body[acting]), change, 0.0)
+
+
+def unknown_scale(problem: ContactProblem) -> Array:
+    """Return D (n,), positive everywhere: 1/sqrt(K_jj), or without stiffness what makes row entries like others'.
+
+    Systems are scaled by it, which takes some number for every unknown. What answers are measured by is
+    `measures.scale_through_rows`, which is zero where nothing stiff is reached.
+    """
+    if problem._computed.unknown_scale is not None:
+        return problem._computed.unknown_scale
+    D = problem.own_scale.copy()
+    bare = problem.diagonal == 0
+    if bare.any():
+        largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
+        stiff = (largest * D)[~bare & (largest > 0)]
+        if not stiff.size and problem.tangent is not None:
+            along = _largest_entries(problem.tangent)
+            stiff = (along * D)[~bare & (along > 0)]
+        size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
+        if problem.tangent is not None:  # what tangents alone touch has their unit
+            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
+        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
+    return D
+
+
+def _apart(D: Vector, bare: Mask, largest: Vector) -> float:
+    """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
+
+    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
+    """
+    felt = largest[bare & (largest > 0)]
+    if bare.all() or not felt.size:
+        return 1.0
+    return float(np.median(D[~bare]) * np.median(felt))
+
+
+def _largest_entries(rows: Any) -> Array:
+    """Return the size (n,) of the largest entry of rows at each unknown."""
+    return np.asarray(
+        abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
+    )
+
+
 class BackSubstitution:
     """The Schur complement S from the factors of K_ii alone, formed column by column.
 
@@ -221,6 +305,9 @@ class Condensed(Protocol):
 
     def unresisted(self, rows: Array) -> Array:
         """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
+
+    def null_space(self, closed: Indices, tied: bool) -> SaddlePoint:
+        """Return the saddle point of closed contacts by the null-space method, which takes any."""
 
 
 def orthonormal_motions(condensation: Condensed) -> Array:
@@ -324,10 +411,11 @@ class _RangeSpace:
         return np.zeros(len(load))
 
 
-# Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
-DEPENDENT = 1e-13
-# Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
-KEPT = 6
+# Rounding of K mixes motions this far apart in energy by MIXED over their distance.
+MIXING = 1e-6
+MIXED = 64 * np.finfo(float).eps
+# What is more mixed than this is refused rather than forgiven.
+MIXED_AT_MOST = 1e-6
 # Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
 BALANCED = 1e-12
 # So is a push of this part of all forces on a body rounding, on a motion of it that lies where no force acts.
@@ -358,96 +446,8 @@ class SaddlePoint(Protocol):
         """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`."""
 
 
-class NullSpace:
-    """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
-
-    def __init__(self, condensation: Condensed, closed: Indices, tied: bool = True) -> None:
-        from scipy.linalg import qr
-
-        self.closed = np.asarray(closed, dtype=np.intp)
-        self.contraction: float | None = None
-        self.corrected_motions: Array | None = None
-        self._scale = condensation.scale
-        self._uncertainty = condensation.rigid.uncertainty
-        self._bodies = condensation.bodies
-        ties = condensation.tie if tied else condensation.tie[:0]
-        rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
-        self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
-        rows = rows * self._row_scale[:, None]
-        self._S = condensation.schur * (self._scale[:, None] * self._scale)
-        size = len(self._S)
-        self._rows = rows
-        self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
-        Q, R = qr(rows[self.independent].T) if self.independent.size else (np.eye(size), np.zeros((size, 0)))
-        if not np.all(apart := R.diagonal() != 0):
-            self.independent, (Q, R) = self.independent[apart], qr(rows[self.independent[apart]].T)
-        self.redundant = (rank := len(self.independent)) < len(rows)
-        self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
-        self.free_coordinates = condensation.unresisted(rows)
-        motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
-        self.free = orthonormal(motions @ self.free_coordinates)
-        self._hessian = self._factorise_hessian()
-
-    def _factorise_hessian(self) -> DenseCholesky | None:
-        motion = self._N.T @ self.free
-        inner = self._N.T @ self._S @ self._N if self.independent.size else self._S
-        hessian = inner + motion @ motion.T
-        return DenseCholesky(hessian) if len(hessian) else None
-
-    def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
-        """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
-
-        Each right-hand side is a vector, or has a column for each of several systems.
-        """
-        from scipy.linalg import solve_triangular
-
-        r = (r.T * self._scale).T
-        rows = (np.concatenate([e, a]).T * self._row_scale).T
-        x = np.zeros_like(r)
-        if self.independent.size:
-            x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T", check_finite=False)
-        if self._hessian is not None:
-            step = self._N @ self._hessian.solve(self._N.T @ (r - self._S @ x))
-            x = x + step - self.free @ (self.free.T @ step)
-        force = np.zeros_like(rows)
-        if self.independent.size:
-            force[self.independent] = solve_triangular(self._R, self._Y.T @ (r - self._S @ x), check_finite=False)
-        force = (force.T * self._row_scale).T
-        return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
-
-    def exchange(self, entering: int, force: Vector) -> int | None:
-        """Return the place of the contact that must open for the dependent one at place `entering` to take its share.
-
-        With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
-        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
-        conflict.
-        """
-        from scipy.linalg import solve_triangular
-
-        share = solve_triangular(self._R, self._Y.T @ self._rows[entering])
-        contacts = self.independent < len(self.closed)
-        gives = np.flatnonzero(contacts & (share > DEPENDENT * len(self._rows)))
-        if not gives.size:
-            return None
-        positions = self.independent[gives]
-        ratios = force[positions] / self._row_scale[positions] / share[gives]
-        return int(positions[np.argmin(ratios)])
-
-    def drive(self, load: Vector, size: Vector) -> Vector:
-        """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`.
-
-        Contacts and ties may carry a part of the load, which does no work on a free motion but for rounding.
-        """
-        if not self.free.shape[1]:
-            return np.zeros(len(load))
-        load, size = load * self._scale, size * self._scale
-        push = self.free.T @ load
-        motion = self.free @ push
-        part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
-        on_bodies = np.bincount(self._bodies, weights=(size + abs(load)) ** 2)
-        of_bodies = np.bincount(self._bodies, weights=motion**2)
-        rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
-        return motion if float(push @ push) > rounding else np.zeros(len(load))
+# Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
+KEPT = 6
 
 
 def saddle_point(condensation: Condensed, closed: Indices, tied: bool = True) -> SaddlePoint:
@@ -469,23 +469,4 @@ def _factorised(condensation: Condensed, closed: Indices, tied: bool) -> SaddleP
         found = _RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
         if found.regular:
             return found
-    return NullSpace(condensation, closed, tied)
-
-
-def _independent_first(rows: Array, first: Indices) -> Indices:
-    """Return the indices of independent unit rows that span all of them, with as many of `first` as possible."""
-    chosen = first[independent_rows(rows[first])]
-    others = np.setdiff1d(np.arange(len(rows)), first)
-    basis, _ = np.linalg.qr(rows[chosen].T)
-    beyond = rows[others] - (rows[others] @ basis) @ basis.T
-    return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
-
-
-def independent_rows(rows: Array) -> Indices:
-    """Return the indices of independent rows among unit rows, as many as their rank."""
-    if not rows.size:
-        return np.zeros(0, dtype=np.intp)
-    columns, geqp3 = np.asarray_chkfinite(rows).T, lapack().dgeqp3
-    R, pivots, *_ = geqp3(columns, lwork=int(geqp3(columns, lwork=-1)[3][0]))
-    rank = int(np.sum(abs(R.diagonal()) > DEPENDENT * max(rows.shape)))
-    return np.sort(pivots[:rank] - 1).astype(np.intp)
+    return condensation.null_space(closed, tied)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
@@ -347,59 +348,6 @@ def balanced_exponents(entries: Any, exponent: Index, unknowns: Index, free: Mas
     balanced[columns] = found[count:]
     left = exponent + balanced[entries.col] - found[entries.row]
     return balanced if int(np.max(abs(left), initial=0)) <= ALIKE else None
-
-
-def unknown_scale(problem: ContactProblem) -> Array:
-    """Return D (n,), positive everywhere: 1/sqrt(K_jj), or without stiffness what makes row entries like others'.
-
-    Systems are scaled by it, which takes some number for every unknown. What answers are measured by is
-    `measures.scale_through_rows`, which is zero where nothing stiff is reached.
-    """
-    if problem._computed.unknown_scale is not None:
-        return problem._computed.unknown_scale
-    D = problem.own_scale.copy()
-    bare = problem.diagonal == 0
-    if bare.any():
-        largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
-        stiff = (largest * D)[~bare & (largest > 0)]
-        if not stiff.size and problem.tangent is not None:
-            along = _largest_entries(problem.tangent)
-            stiff = (along * D)[~bare & (along > 0)]
-        size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
-        if problem.tangent is not None:  # what tangents alone touch has their unit
-            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
-        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
-    return D
-
-
-def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
-    """Return arrays with zeros where |value| times its unit is at most `least`: the rounding that refinement leaves.
-
-    Units turn displacements and forces into square roots of energy, in which they compare: 1/D for displacements, the
-    scaled length of its row for a force.
-    """
-    return [
-        np.where(abs(value) * unit <= least, 0.0, value) if value.size else value
-        for value, unit in zip(values, units, strict=True)
-    ]
-
-
-def _apart(D: Vector, bare: Mask, largest: Vector) -> float:
-    """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
-
-    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
-    """
-    felt = largest[bare & (largest > 0)]
-    if bare.all() or not felt.size:
-        return 1.0
-    return float(np.median(D[~bare]) * np.median(felt))
-
-
-def _largest_entries(rows: Any) -> Array:
-    """Return the size (n,) of the largest entry of rows at each unknown."""
-    return np.asarray(
-        abs(sp.csc_matrix(rows)).max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(rows.shape[1])
-    )
 
 
 # Numbers without dimension for backends that have absolute tolerances. With u = l D y, D = 1/sqrt(K_jj) and rows of

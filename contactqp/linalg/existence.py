@@ -21,11 +21,11 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import BALANCED, IDLE
-from contactqp.linalg.equilibration import equilibrated, unknown_scale
+from contactqp.linalg.dense import BALANCED, IDLE, RigidMotions, unknown_scale
+from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.linalg.factorization import RigidMotions, right_singular
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows

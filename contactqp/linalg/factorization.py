@@ -6,8 +6,6 @@ interior: it can be factorised.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -20,8 +18,8 @@ from contactqp.linalg.dense import (
     LIFT,
     DenseCholesky,
     Factorization,
+    RigidMotions,
     dense_factor,
-    orthonormal,
     refuse_negative,
 )
 from contactqp.linalg.extended import SparseRows, extend
@@ -29,11 +27,6 @@ from contactqp.model.arrays import Array, Indices, Mask, inverse_root
 
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
-# Rounding of K mixes motions this far apart in energy by MIXED over their distance.
-MIXING = 1e-6
-MIXED = 64 * np.finfo(float).eps
-# What is more mixed than this is refused rather than forgiven.
-MIXED_AT_MOST = 1e-6
 # SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
 # of the pattern of A + A' that keeps the factors sparse.
 DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -131,30 +124,6 @@ def right_singular(rows: Array) -> tuple[Array, Array]:
     """Return the singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
     _, values, rotation = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
     return values, rotation
-
-
-@dataclass(frozen=True, eq=False)
-class RigidMotions:
-    """The null space of K."""
-
-    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
-    softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
-    forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
-
-    @cached_property
-    def count(self) -> int:
-        """The number of motions."""
-        return int(self.motions.shape[1])
-
-    @property
-    def uncertainty(self) -> float:
-        """How much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them apart."""
-        return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
-
-    @cached_property
-    def basis(self) -> Array:
-        """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
-        return orthonormal(self.motions)
 
 
 def images(matrix: Any, columns: Array) -> Array:

@@ -7,6 +7,10 @@ With Z the rigid motions of all bodies as columns, a body moved by Z a touches w
 a linear program with a few unknowns. Its multipliers are contact forces that balance the load on every motion, its
 active contacts hold the bodies, and where it is unbounded the load drives a motion that nothing holds back.
 
+Condensed, the answer on closed contacts B of bodies that may float comes from the null-space method (`NullSpace`;
+Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). Rows
+that depend on others get no force, and rigid motions of K that no row resists stay at rest.
+
 Vectors are what one process has of them, as in `contactqp.linalg.contact_iteration`; sums are of all processes.
 """
 
@@ -20,12 +24,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, RigidMotions, orthonormal
+from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.krylov import ConstrainedRows
 from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.linalg.runtime import lapack
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -78,9 +85,9 @@ class OneProcess:
 
 
 # A load that does at most this part of its work on a motion does none: it is rounding.
-BALANCED = 1e-10
+WORKLESS = 1e-10
 # A multiplier of the linear program below this part of the largest is none.
-IDLE = 1e-9
+NO_MULTIPLIER = 1e-9
 # SciPy's numbers for the end of a linear program.
 _INFEASIBLE, _UNBOUNDED = 2, 3
 _DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
@@ -175,7 +182,7 @@ class FloatingMotions(MotionProjections):
             raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
         first = self._processes.offset(len(limit))
         push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
-        pressed = push[first : first + self.contacts] > IDLE * np.max(abs(push), initial=0.0)
+        pressed = push[first : first + self.contacts] > NO_MULTIPLIER * np.max(abs(push), initial=0.0)
         return self.motions @ a, pressed
 
     def loose(self, closed: Mask) -> Array:
@@ -194,7 +201,7 @@ class FloatingMotions(MotionProjections):
     def holds(self, closed: Mask, load: Vector) -> bool:
         """Return whether closed contacts and ties hold every motion that the load drives."""
         loose, work = self.loose(closed), self._work(load)
-        return not np.any(abs(loose.T @ work) > BALANCED * (abs(loose).T @ abs(work)))
+        return not np.any(abs(loose.T @ work) > WORKLESS * (abs(loose).T @ abs(work)))
 
     def projections(self, rows: ConstrainedRows, closed: Mask) -> ConstrainedRows:
         """Return the projections of constrained rows that also remove motions which no closed contact or tie holds.
@@ -228,7 +235,7 @@ class FloatingMotions(MotionProjections):
     def _work(self, load: Vector) -> Vector:
         """Return Z'f (r,), zero where it is rounding."""
         work, size = self._processes.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
-        return np.where(abs(work) > BALANCED * size, work, 0.0)
+        return np.where(abs(work) > WORKLESS * size, work, 0.0)
 
     def balance(self, residual: Vector, weight: Vector) -> Vector:
         """Return the forces l (a,), least in the metric of 1/weight, with Z'(r - E'l) = 0 for a residual r."""
@@ -336,3 +343,148 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
     outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
     missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
     return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
+
+
+def _orthonormal_by_body(motions: Array) -> Array:
+    """Return coordinates (r, r) of orthonormal combinations of motions (p, r), each of one body to the last digit.
+
+    Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
+    """
+    coordinates = np.diag(1 / np.linalg.norm(motions, axis=0))
+    for _ in range(2):
+        unit = motions @ coordinates
+        coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T
+    return np.asarray(coordinates)
+
+
+def unresisted(motions: Array, bodies: Indices, rows: Array) -> Array:
+    """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist.
+
+    In this scale stiff bodies move little beside soft ones, and how far a body moves is a question of units. What a
+    row may feel of each body, its largest entry there times the size of the motion, is therefore brought to one,
+    as far as a factor for every row and one for every body can, and what it does feel is measured by that.
+    """
+    coordinates = _orthonormal_by_body(motions)
+    if not len(rows) or not len(coordinates):
+        return coordinates
+    motions = motions @ coordinates
+    of_motion = bodies[np.argmax(abs(motions), axis=0)]
+    felt = np.column_stack([np.max(abs(rows[:, bodies == b]), axis=1) for b in of_motion])
+    of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
+    values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
+    return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+
+# Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
+DEPENDENT = 1e-13
+
+
+class NullSpace:
+    """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
+
+    def __init__(self, condensation: Condensed, closed: Indices, tied: bool = True) -> None:
+        from scipy.linalg import qr
+
+        self.closed = np.asarray(closed, dtype=np.intp)
+        self.contraction: float | None = None
+        self.corrected_motions: Array | None = None
+        self._scale = condensation.scale
+        self._uncertainty = condensation.rigid.uncertainty
+        self._bodies = condensation.bodies
+        ties = condensation.tie if tied else condensation.tie[:0]
+        rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
+        self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
+        rows = rows * self._row_scale[:, None]
+        self._S = condensation.schur * (self._scale[:, None] * self._scale)
+        size = len(self._S)
+        self._rows = rows
+        self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
+        Q, R = qr(rows[self.independent].T) if self.independent.size else (np.eye(size), np.zeros((size, 0)))
+        if not np.all(apart := R.diagonal() != 0):
+            self.independent, (Q, R) = self.independent[apart], qr(rows[self.independent[apart]].T)
+        self.redundant = (rank := len(self.independent)) < len(rows)
+        self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
+        self.free_coordinates = condensation.unresisted(rows)
+        motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
+        self.free = orthonormal(motions @ self.free_coordinates)
+        self._hessian = self._factorise_hessian()
+
+    def _factorise_hessian(self) -> DenseCholesky | None:
+        motion = self._N.T @ self.free
+        inner = self._N.T @ self._S @ self._N if self.independent.size else self._S
+        hessian = inner + motion @ motion.T
+        return DenseCholesky(hessian) if len(hessian) else None
+
+    def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Solve for (x, l_B, nu): displacement, forces of the closed contacts and of the ties.
+
+        Each right-hand side is a vector, or has a column for each of several systems.
+        """
+        from scipy.linalg import solve_triangular
+
+        r = (r.T * self._scale).T
+        rows = (np.concatenate([e, a]).T * self._row_scale).T
+        x = np.zeros_like(r)
+        if self.independent.size:
+            x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T", check_finite=False)
+        if self._hessian is not None:
+            step = self._N @ self._hessian.solve(self._N.T @ (r - self._S @ x))
+            x = x + step - self.free @ (self.free.T @ step)
+        force = np.zeros_like(rows)
+        if self.independent.size:
+            force[self.independent] = solve_triangular(self._R, self._Y.T @ (r - self._S @ x), check_finite=False)
+        force = (force.T * self._row_scale).T
+        return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
+
+    def exchange(self, entering: int, force: Vector) -> int | None:
+        """Return the place of the contact that must open for the dependent one at place `entering` to take its share.
+
+        With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
+        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
+        conflict.
+        """
+        from scipy.linalg import solve_triangular
+
+        share = solve_triangular(self._R, self._Y.T @ self._rows[entering])
+        contacts = self.independent < len(self.closed)
+        gives = np.flatnonzero(contacts & (share > DEPENDENT * len(self._rows)))
+        if not gives.size:
+            return None
+        positions = self.independent[gives]
+        ratios = force[positions] / self._row_scale[positions] / share[gives]
+        return int(positions[np.argmin(ratios)])
+
+    def drive(self, load: Vector, size: Vector) -> Vector:
+        """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`.
+
+        Contacts and ties may carry a part of the load, which does no work on a free motion but for rounding.
+        """
+        if not self.free.shape[1]:
+            return np.zeros(len(load))
+        load, size = load * self._scale, size * self._scale
+        push = self.free.T @ load
+        motion = self.free @ push
+        part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
+        on_bodies = np.bincount(self._bodies, weights=(size + abs(load)) ** 2)
+        of_bodies = np.bincount(self._bodies, weights=motion**2)
+        rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
+        return motion if float(push @ push) > rounding else np.zeros(len(load))
+
+
+def _independent_first(rows: Array, first: Indices) -> Indices:
+    """Return the indices of independent unit rows that span all of them, with as many of `first` as possible."""
+    chosen = first[independent_rows(rows[first])]
+    others = np.setdiff1d(np.arange(len(rows)), first)
+    basis, _ = np.linalg.qr(rows[chosen].T)
+    beyond = rows[others] - (rows[others] @ basis) @ basis.T
+    return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
+
+
+def independent_rows(rows: Array) -> Indices:
+    """Return the indices of independent rows among unit rows, as many as their rank."""
+    if not rows.size:
+        return np.zeros(0, dtype=np.intp)
+    columns, geqp3 = np.asarray_chkfinite(rows).T, lapack().dgeqp3
+    R, pivots, *_ = geqp3(columns, lwork=int(geqp3(columns, lwork=-1)[3][0]))
+    rank = int(np.sum(abs(R.diagonal()) > DEPENDENT * max(rows.shape)))
+    return np.sort(pivots[:rank] - 1).astype(np.intp)

@@ -22,8 +22,7 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows
-from contactqp.linalg.dense import BALANCED, independent_rows
-from contactqp.linalg.equilibration import unknown_scale, zero_beneath
+from contactqp.linalg.dense import BALANCED, unknown_scale
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -35,10 +34,10 @@ from contactqp.linalg.extended import (
     two_product,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED, imbalance
+from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
 from contactqp.linalg.runtime import lapack, refuse_late
 from contactqp.linalg.sliced import elastic_after
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem

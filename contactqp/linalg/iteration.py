@@ -18,8 +18,9 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso, schur
 from contactqp.linalg.contact_iteration import RESTART, ContactIteration
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
-from contactqp.linalg.factorization import RigidMotions, stated_motions
+from contactqp.linalg.factorization import stated_motions
 from contactqp.linalg.floating import FloatingMotions, OneProcess
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import force_measure

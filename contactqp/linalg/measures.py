@@ -39,9 +39,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
-from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
+from contactqp.linalg.factorization import RIGID_FORCE, connected_parts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
@@ -268,15 +269,13 @@ def parts(problem: ContactProblem) -> Indices:
     if found is None:
         found = bodies(problem)
         count = int(found.max(initial=-1)) + 1
-        if count <= 1:
-            problem._computed.parts = found
-            return found
-        joined = [_joined(rows, found) for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
-        one, other = np.concatenate(joined, axis=1)
-        apart = one != other
-        if apart.any():
-            edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
-            found = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][found].astype(np.intp)
+        if count > 1:
+            rows = [rows for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
+            one, other = np.concatenate([_joined(some, found) for some in rows], axis=1)
+            apart = one != other
+            if apart.any():
+                edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
+                found = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][found].astype(np.intp)
         problem._computed.parts = found
     return found
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
-from contactqp.linalg.equilibration import zero_beneath
 from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
@@ -26,7 +25,7 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

@@ -6,7 +6,8 @@ With the interior unknowns i and the retained unknowns c,
 
 There are four ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K
 with the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and
-solves once for every retained unknown; `NestedBlock` goes on from any of these to fewer unknowns.
+solves once for every retained unknown; `NestedBlock` goes on from any of these to fewer unknowns. Which is taken is
+decided where a stiffness is condensed (`contactqp.linalg.condensation.eliminate`).
 
 SuperLU is given springs T > 0 on c,
 
@@ -24,17 +25,16 @@ difference K_cc - K_ci K_ii^-1 K_ic loses anyway.
 
 from __future__ import annotations
 
-import os
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem, Unsupported, shown
-from contactqp.linalg.dense import DENSE_SIZE, LIFT, SUSPICIOUS_PIVOT, BackSubstitution, DenseCholesky, refuse_negative
-from contactqp.linalg.factorization import DIAGONAL_PIVOTS, factorise, fill_reducing_order, forget_triangles
-from contactqp.linalg.pardiso import CHOICE, NotPositive, Pardiso, TooLarge, available
+from contactqp.errors import InvalidProblem
+from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
+from contactqp.linalg.factorization import DIAGONAL_PIVOTS, fill_reducing_order, forget_triangles
+from contactqp.linalg.pardiso import NotPositive, Pardiso
 from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Indices, Vector, inverse_root
 
@@ -258,48 +258,3 @@ class NestedBlock:
         both = np.empty((len(self._kept) + len(self._gone), *kept.shape[1:]))
         both[self._kept], both[self._gone] = kept, gone
         return both
-
-
-def eliminate(stiffness: Any, retained: Indices, singular: bool = True) -> Elimination:
-    """Return the fastest available elimination for a stiffness (n, n) in CSR and unknowns (p,) to retain.
-
-    Raises
-    ------
-    NotPositive
-        The interior is singular, as far as PARDISO can tell. Raised only if `singular` is False; otherwise SuperLU is
-        tried, whose pivots are known, and which takes much longer.
-    InvalidProblem
-        The environment names a solver that is none.
-    Unsupported
-        S, or the factors of the stiffness, do not fit into memory.
-    """
-    try:
-        return _eliminate(stiffness, retained, singular)
-    except TooLarge as error:
-        raise Unsupported(str(error)) from None
-    except MemoryError:
-        count = len(retained)
-        size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"
-        raise Unsupported(
-            f"{count} unknowns at contacts and ties that may act: their dense stiffness takes {size}, and memory is "
-            "full"
-        ) from None
-
-
-def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination:
-    chosen = os.environ.get(CHOICE, "")
-    if chosen and chosen not in CHOICES:
-        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
-    interior = np.ones(stiffness.shape[0], dtype=bool)
-    interior[retained] = False
-    count = np.count_nonzero(interior)
-    wanted = count >= LARGE and available() if chosen in ("", "pyamg") else chosen == "pardiso" and count > 0
-    if wanted and np.all(stiffness.diagonal()[interior] > 0):
-        try:
-            return LastBlock(stiffness, retained)
-        except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
-            if not singular:
-                raise
-    if count > max(DENSE_SIZE, FEW * len(retained)):
-        return TrailingBlock(sp.csr_matrix(stiffness), retained)
-    return BackSubstitution(stiffness, retained, factorise)

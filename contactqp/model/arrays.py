@@ -62,6 +62,18 @@ def inverse_root(diagonal: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, TINY), 1.0)))
 
 
+def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
+    """Return arrays with zeros where |value| times its unit is at most `least`: the rounding that refinement leaves.
+
+    Units turn displacements and forces into square roots of energy, in which they compare: 1/D for displacements, the
+    scaled length of its row for a force.
+    """
+    return [
+        np.where(abs(value) * unit <= least, 0.0, value) if value.size else value
+        for value, unit in zip(values, units, strict=True)
+    ]
+
+
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function overflow, underflow and divide by zero silently, whatever `np.seterr` says.
 

@@ -23,8 +23,8 @@ from contactqp.certificate.figures import contact_status
 from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.condensation import condense as condensation_of
-from contactqp.linalg.dense import DENSE_SIZE, saddle_point
-from contactqp.linalg.equilibration import nondimensional, unknown_scale, zero_beneath
+from contactqp.linalg.dense import DENSE_SIZE, saddle_point, unknown_scale
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
@@ -39,7 +39,7 @@ from contactqp.linalg.refinement import (
 )
 from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
-from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point
+from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
@@ -272,7 +272,11 @@ class CondensedRun(Run):
     @property
     def start(self) -> Candidate:
         """The start for another load, in the problem's unknowns; exact only if the method was shown those."""
-        return self.candidate if self._whole else self._condensation.spread_candidate(self.candidate)
+        if self._whole:
+            return self.candidate
+        displacement = np.zeros(self.problem.dimension)
+        displacement[self._condensation.retained] = self.candidate.displacement
+        return replace(self.candidate, displacement=displacement)
 
     def work(self, corrections: int) -> Work:
         """Return what the answer has cost so far, and how many unknowns the method was shown."""
@@ -291,7 +295,8 @@ class CondensedRun(Run):
         if not bare and not (smaller if wanted == "auto" else wanted):
             return True, _run_scaled(problem, method, settings)
         if settings.warm_start is not None:
-            settings = replace(settings, warm_start=condensation.restrict_candidate(settings.warm_start))
+            retained = settings.warm_start.displacement[condensation.retained]
+            settings = replace(settings, warm_start=replace(settings.warm_start, displacement=retained))
         if method.solve_condensed is not None and not bare:
             return False, method.solve_condensed(problem, condensation, settings)
         load, inner = condensation.reduce_load(problem.load)

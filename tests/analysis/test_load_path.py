@@ -14,7 +14,7 @@ import scipy.sparse.linalg as spla
 import contactqp as cq
 from benchmarks.load_path import price
 from benchmarks.price_of_contact import block, fresh
-from contactqp.linalg import pardiso, schur
+from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from tests.examples import block_between, seeded_problem, truss, two_bars
 
@@ -105,7 +105,7 @@ STEPS = 100
 def made(request, monkeypatch):
     """The sizes of the sparse matrices that were factorised, in order."""
     sizes = []
-    monkeypatch.setenv(schur.CHOICE, request.param)
+    monkeypatch.setenv(pardiso.CHOICE, request.param)
     if request.param == "pardiso":
         pytest.importorskip("pypardiso")
         factorise = pardiso.Pardiso.__init__

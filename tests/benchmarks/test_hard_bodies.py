@@ -5,7 +5,7 @@ import pytest
 
 import contactqp as cq
 from benchmarks import hard_bodies
-from contactqp.linalg import schur
+from contactqp.linalg import pardiso, schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.pardiso import available
 
@@ -17,7 +17,7 @@ def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):
     problem = hard_bodies.VARIANTS[variant](1600)
     found = {}
     for solver in schur.SOLVERS:
-        monkeypatch.setenv(schur.CHOICE, solver)
+        monkeypatch.setenv(pardiso.CHOICE, solver)
         twin = problem.replace(stiffness=problem.stiffness)
         solution = found[solver] = cq.solve(twin)
         assert condense(twin).solver == solver

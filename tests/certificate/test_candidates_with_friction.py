@@ -14,8 +14,8 @@ from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import iteration
-from contactqp.linalg.condensation import condense
-from contactqp.linalg.schur import NestedBlock, eliminate
+from contactqp.linalg.condensation import condense, eliminate
+from contactqp.linalg.schur import NestedBlock
 from contactqp.scene import explaining
 
 CELLS, CONTACTS = 8, 81

@@ -16,11 +16,11 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, factorization, pardiso, schur
-from contactqp.linalg.condensation import condense
+from contactqp.linalg.condensation import condense, eliminate
 from contactqp.linalg.dense import BackSubstitution, DenseCholesky, orthonormal
 from contactqp.linalg.factorization import connected_parts, factorise, null_space, with_added_diagonal
 from contactqp.linalg.pardiso import EliminationOrder, NotPositive, Pardiso, available
-from contactqp.linalg.schur import LastBlock, TrailingBlock, eliminate
+from contactqp.linalg.schur import LastBlock, TrailingBlock
 
 needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso")
 WAYS = [partial(BackSubstitution, factorise=factorise), TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
@@ -59,13 +59,13 @@ def test_pardiso_refuses_what_is_not_positive_definite_and_elimination_then_goes
     indefinite = sp.csr_matrix(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 1.0], [0.0, 1.0, 4.0]]))
     with pytest.raises(NotPositive):
         Pardiso(indefinite, np.array([2]))
-    monkeypatch.setenv(schur.CHOICE, "pardiso")
+    monkeypatch.setenv(pardiso.CHOICE, "pardiso")
     floating = sp.csr_matrix(np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]))
     assert eliminate(floating, np.array([2])).smallest_pivot <= 1e-15
 
 
 def test_a_solver_that_does_not_exist_is_refused(monkeypatch):
-    monkeypatch.setenv(schur.CHOICE, "parsido")
+    monkeypatch.setenv(pardiso.CHOICE, "parsido")
     with pytest.raises(InvalidProblem, match=r"expected one of superlu, pardiso, pyamg, got .parsido."):
         cq.solve(pressed_block(3))
 
@@ -77,7 +77,7 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
     """Held, and free to slide sideways: then the interior is held by the unknowns that are retained for it."""
     solutions = {}
     for solver in schur.SOLVERS:
-        monkeypatch.setenv(schur.CHOICE, solver)
+        monkeypatch.setenv(pardiso.CHOICE, solver)
         problem = pressed_block(12, free=free)
         solutions[solver] = cq.solve(problem)
         assert condense(problem).solver == solver
@@ -91,7 +91,7 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
 @pytest.mark.parametrize(("step", "way"), [(2, BackSubstitution), (4, BackSubstitution), (9, TrailingBlock)])
 def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, way):
     """Among many that are retained, and in small bodies, back-substitutions are cheaper."""
-    monkeypatch.setenv(schur.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.CHOICE, "superlu")
     K = pressed_block(12).stiffness_rows
     assert K.shape[0] > 300
     assert isinstance(eliminate(K, np.arange(0, K.shape[0], step)), way)
@@ -101,7 +101,7 @@ def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, 
 
 def test_superlu_needs_few_back_substitutions(monkeypatch):
     """Not one for every retained unknown: a reduced load and an expanded displacement take one each."""
-    monkeypatch.setenv(schur.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.CHOICE, "superlu")
     problem = pressed_block(20)
     solution = cq.solve(problem)
     assert isinstance(eliminate(problem.stiffness_rows, condense(problem).retained), TrailingBlock)
@@ -115,7 +115,7 @@ def test_superlu_needs_few_back_substitutions(monkeypatch):
 
 @needs_pardiso
 def test_large_bodies_take_pardiso_and_few_back_substitutions(monkeypatch):
-    monkeypatch.delenv(schur.CHOICE, raising=False)
+    monkeypatch.delenv(pardiso.CHOICE, raising=False)
     problem = pressed_block(40)
     solution = cq.solve(problem)
     assert condense(problem).solver == "pardiso"
@@ -243,7 +243,7 @@ QUARTER = (Support("block", "left", 0), Support("block", "front", 1))
 )
 def test_a_body_whose_motions_nobody_states_is_factorised_once_too(monkeypatch, solver, problem, motions):
     """Nodes that hold it are retained from the start: no factorisation shows only that the interior floats."""
-    monkeypatch.setenv(schur.CHOICE, solver)
+    monkeypatch.setenv(pardiso.CHOICE, solver)
     tried = []
     monkeypatch.setattr(condensation, "eliminate", lambda *a: tried.append(1) or eliminate(*a))
     twin = problem.replace(stiffness=problem.stiffness)
@@ -282,7 +282,7 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
 @pytest.mark.parametrize("bare", [False, True])
 def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
     """Six motions that are looked for take one each."""
-    monkeypatch.setenv(schur.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.CHOICE, "superlu")
     problem = floating_in_space(**({"near_null_space": None} if bare else {}))
     solution = cq.solve(problem)
     assert solution.certificate.proven

@@ -13,7 +13,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import multigrid
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from tests.blocks_in_space import fresh
 
 pytestmark = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")

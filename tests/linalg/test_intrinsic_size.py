@@ -8,7 +8,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 import contactqp as cq
-from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.measures import intrinsic_size, nothing, scale_through_rows, without_rigid_part
 from contactqp.model.solution import Answer
 

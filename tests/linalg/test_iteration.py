@@ -11,7 +11,7 @@ import contactqp as cq
 from contactqp.certificate.multigrid_bounds import ENOUGH_STEPS
 from contactqp.linalg import multigrid
 from contactqp.linalg.iteration import iterated, iteration
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.solving.methods import inexact_active_set
 from tests.blocks_in_space import fresh, layered, on_paraboloid, on_sphere, stacked, with_ties
 

@@ -11,9 +11,10 @@ from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
+from contactqp.linalg.condensation import eliminate
 from contactqp.linalg.dense import DENSE_SIZE, BackSubstitution
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, SuperLU, fill_reducing_order, forget_triangles
-from contactqp.linalg.schur import TrailingBlock, eliminate
+from contactqp.linalg.schur import TrailingBlock
 
 
 def two_blocks(second_modulus=1.0):

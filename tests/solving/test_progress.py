@@ -9,7 +9,7 @@ import contactqp as cq
 from contactqp.cli import output
 from contactqp.cli.solving import whereabouts
 from contactqp.linalg import multigrid, runtime
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from tests.blocks_in_space import fresh, on_paraboloid
 
 

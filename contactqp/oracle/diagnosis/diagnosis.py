@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, NoEquilibrium
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.iteration import grid_operations, iterated
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem

@@ -16,7 +16,7 @@ import numpy as np
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.foreign.foreign_answer import certify_given

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from contactqp.elements.nodal_pressure import nodal_pressure, node_normals, tributary_areas
 from contactqp.elements.surface import kind_of
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.oracle.foreign.recovery import balancing_forces
 from contactqp.scene.deck.contacts import DeckContact, Discretisation

@@ -28,8 +28,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, free_motions
-from contactqp.linalg.dense import orthonormal, saddle_point
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm

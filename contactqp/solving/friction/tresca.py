@@ -23,8 +23,8 @@ from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.existence import refuse_driven_motion
-from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.runtime import stated_limit, tell
 from contactqp.model.arrays import Array, Vector

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged, shown
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.factorization import null_space
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix

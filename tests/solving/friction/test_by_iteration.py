@@ -12,7 +12,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.linalg import multigrid
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.schur import CHOICE
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.solving.friction import by_iteration
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
