@@ -106,7 +106,7 @@ def run_command(
     --plot, --vtu and --csv show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
     displacements, forces and energies with its events, to FILE with "history" before the suffix; a problem of matrices
-    as forces and gaps.
+    as forces and gaps. A deck is drawn with its bodies, as a case of bodies is.
 
     With --loads, one CASE is solved under each row of a table, by one method. The first column of the table is "case",
     a name for each row; the others are named as unknowns (loads), as contacts (gaps) or "friction", with plain numbers
@@ -166,7 +166,7 @@ def run_command(
         met = met and all(outcome.passed for outcome in solved)
         if speakers.speaks:
             data += _print_files(solved, as_json, verbose)
-            for file in [] if files is None else write_files(solved, files.plot, files.csv):
+            for file in [] if files is None else write_files(solved, files.plot, files.vtu, files.csv):
                 click.echo(f"written: {file}", err=as_json)
     if as_json and speakers.speaks:
         print_json(data)
@@ -185,8 +185,11 @@ def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None, unit
 
 def _refuse_combinations(asked: _Asked, cases: int, foreign: Sequence[str], vtu: str | None) -> None:
     """Raise an error for options that contradict each other or the files that they are for."""
-    if foreign and vtu is not None:
-        raise InvalidProblem(f"{foreign[0]}: --vtu needs a case file, this file has no geometry")
+    from contactqp.exchange.problem_files import is_deck
+
+    bare = [file for file in foreign if not is_deck(file)] if foreign and vtu is not None else []
+    if bare:
+        raise InvalidProblem(f"{bare[0]}: --vtu needs a case file or a deck, this file has no geometry")
     if asked.knobs and cases and not asked.methods and asked.engine == SERIAL:
         raise InvalidProblem(f"run: {', '.join(asked.knobs)} belong to a method; state it by --method")
     if asked.time_limit is not None and not asked.time_limit > 0:

@@ -339,22 +339,38 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
         steps += name == "STEP"
         if name == "END STEP":
             yield from (f"*NODE PRINT, NSET={NODES}", "U")
-        yield from _folded(card.head.text)
+        yield from _folded(_head(card))
         if name == "SPRING":
             yield ""  # which the stiffness of SPRINGA stands behind
         for line in card.lines:
-            yield from _data(name, line)
+            yield from _data(card, line)
 
 
-def _data(keyword: str, line: Line) -> Iterator[str]:
+def _head(card: Card) -> str:
+    """Return a keyword with its parameters, without blanks around them, on which CalculiX stumbles.
+
+    It has no type of contact by default.
+    """
+    if card.keyword.any_parameter:
+        return card.head.text
+    given = dict(card.parameters)
+    if card.keyword.name == "CONTACT PAIR":
+        given.setdefault("TYPE", "NODE TO SURFACE")
+    names = (card.keyword.names[key] + (f"={value}" if value else "") for key, value in given.items())
+    return ", ".join([card.name, *names])
+
+
+def _data(card: Card, line: Line) -> Iterator[str]:
     """Yield a line of data; CalculiX has no words for supports, and gravity of everything is that of all sections."""
-    words = line.words
+    words, keyword = line.words, card.keyword.name
     if keyword == "BOUNDARY" and len(words) == 2 and words[1] in HELD:
         yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in HELD[words[1]])
     elif keyword == "DLOAD" and not words[0]:
         yield ", ".join([ELEMENTS, *words[1:]])
-    else:
+    elif card.keyword.any_parameter:
         yield line.text
+    else:
+        yield ", ".join(words) + ("," if line.text.rstrip().endswith(",") else "")
 
 
 def _folded(keyword: str) -> Iterator[str]:

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeSolution, LoadedBody
 from contactqp.elements.deformable import ContactGeometry, ContactGroup, ObstacleContact, Supported, SupportedContact
-from contactqp.elements.mesh import Mesh
 from contactqp.elements.nonlinear_solid import NonlinearSolid
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.reference_elements import Block, Reference, facet_keys
+from contactqp.elements.reference_elements import Reference
 from contactqp.elements.solid import Body, stress_at_nodes, von_mises
 from contactqp.elements.structure import Structure, System
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index, Indices, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
+from contactqp.scene.deck.deck import Deck
 
 # A contact's point is a copy of its node's coordinates: beyond this distance, relative to the structure, is another.
 SAME_PLACE = 1e-9
@@ -61,79 +61,6 @@ def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[In
     first = np.cumsum([0, *[len(body.mesh.points) for body in structure.bodies]])
     owner = np.searchsorted(first, found, side="right") - 1
     return owner, found - first[owner], bool(np.all(rows.col // d == found[rows.row]))
-
-
-# Chords that a curved edge is drawn with: those of a parabola are off by 1/144 of its rise.
-CURVED_PIECES = 6
-# Number of elements beyond which the curve of a single one is not visible.
-MANY = 20_000
-
-
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """Reference points (q, d) of one kind of element or facet, and the triangles (t, 3) between them."""
-
-    points: Array
-    triangles: Index
-
-
-def pieces(kind: Reference, cuts: int) -> Pieces:
-    """Return a triangle cut into cuts^2 triangles, or a quadrilateral into 2 cuts^2."""
-    steps = np.arange(cuts + 1)
-    i, j = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
-    a, b = (a.ravel() for a in np.meshgrid(steps[:-1], steps[:-1], indexing="ij"))
-    corner = (cuts + 1) * a + b
-    lower = np.stack([corner, corner + cuts + 1, corner + 1], axis=1)
-    upper = np.stack([corner + cuts + 1, corner + cuts + 2, corner + 1], axis=1)
-    if kind.linear.startswith("tri"):
-        inside = i + j <= cuts
-        place = np.cumsum(inside) - 1
-        triangles = np.concatenate([lower[a + b < cuts], upper[a + b < cuts - 1]])
-        return Pieces(np.stack([i, j], axis=1)[inside] / cuts, place[triangles])
-    return Pieces(2 * np.stack([i, j], axis=1) / cuts - 1, np.concatenate([lower, upper]))
-
-
-def cuts(block: Block) -> int:
-    """Return the number of cuts of each edge of a block's elements; bilinear fields on quadrilaterals need two."""
-    if len(block) > MANY:
-        return 1
-    if len(block.kind.nodes) > block.kind.corners:
-        return CURVED_PIECES
-    return 1 if block.kind.linear == "tri3" else 2
-
-
-def sample(block: Block, values: Array, points: Array) -> Array:
-    """Interpolate nodal values (N, c) at the reference points (q, d) of each element: Σ N_i values_i, (E, q, c)."""
-    return np.asarray(np.matmul(block.kind.shape(points), values[block.nodes]))
-
-
-def edges(mesh: Mesh) -> tuple[Block, ...]:
-    """Return every edge of a plane mesh once, the inner ones too, by kind."""
-    total = sum(len(block) for block in mesh.blocks)
-    counts = np.concatenate([np.full(len(block), len(block.kind.facets)) for block in mesh.blocks])
-    element = np.repeat(np.arange(total), counts)
-    local = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return tuple(_distinct(block) for block in mesh.facets_of(np.stack([element, local], axis=1)))
-
-
-def _distinct(block: Block) -> Block:
-    _, first = np.unique(facet_keys(block.nodes, block.kind.name), axis=0, return_index=True)
-    return Block(block.kind, block.nodes[first])
-
-
-def edge_points(block: Block) -> Array:
-    """Return reference points (q, 1) along the lines of a block: the ends, or as many as a curve needs."""
-    count = CURVED_PIECES if block.kind.name == "line3" else 1
-    return np.linspace(-1.0, 1.0, count + 1)[:, np.newaxis]
-
-
-def outline_points(kind: Reference) -> Array:
-    """Return reference points (q, 2) once around a triangle or quadrilateral, along its edges."""
-    corners = kind.nodes[: kind.corners]
-    count = CURVED_PIECES if len(kind.nodes) > kind.corners else 1
-    along = np.arange(count)[:, np.newaxis] / count
-    following = np.roll(corners, -1, axis=0)
-    return np.concatenate([start + along * (end - start) for start, end in zip(corners, following, strict=True)])
 
 
 # State of a contact that is not in the problem as all its nodes are supported, so that its force is not determined.
@@ -281,7 +208,88 @@ def contact_fields(
     names = _default_names(len(pairings)) if names is None else names
     if len(names) != len(pairings):
         raise InvalidProblem(f"names: expected one for each of {len(pairings)} pairings, got {len(names)}")
-    structure, u = system.structure, system.expand(solution.displacement)
+    structure, d = system.structure, len(system.structure.bodies[0].axes)
+    bodies = [body for body in structure.bodies if isinstance(body, Body)]
+    if len(bodies) < len(structure.bodies):
+        other = next(body for body in structure.bodies if not isinstance(body, Body))
+        raise Unsupported(f"{other.name}: a membrane has no stresses to draw or to write")
+    first = [structure.first(body.name) // d for body in bodies]
+    nodes = [start + np.arange(len(body.mesh.points)) for start, body in zip(first, bodies, strict=True)]
+    owners = [contact_nodes(structure, pairing, name) for pairing, name in zip(pairings, names, strict=True)]
+    whole = _Whole(tuple(bodies), nodes, system.expand(solution.displacement), system.load)
+    return _fields_of(whole, pairings, kept, solution, names, owners)
+
+
+def fields_of_deck(deck: Deck, solution: Solution) -> ContactFields:
+    """Return the fields of a solution of ``deck.problem()``: elements of one type and section are a body.
+
+    Trusses and springs, which are lines, are left out.
+
+    Raises
+    ------
+    InvalidProblem
+        The solution is not one of this deck.
+    Unsupported
+        The deck has no solid elements.
+
+    Parameters
+    ----------
+    deck : Deck, read by `read_deck`
+    solution : Solution
+    """
+    parts, contacts = deck.assembly.bodies, deck.by_nodes
+    if not parts:
+        raise Unsupported(f"{deck.model.file}: a deck without solid elements has no bodies to draw")
+    kept = contacts.free.kept
+    expected, got = (len(deck.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
+    if expected != got:
+        raise InvalidProblem(
+            f"{deck.model.file}: expected a solution of its {expected[0]} unknowns and {expected[1]} contacts, got one "
+            f"of {got[0]} and {got[1]}"
+        )
+    nodes = [unknowns[:: body.dimension] // body.dimension for _, body, unknowns in parts]
+    pairings = [one.pairing for one in contacts.pairs]
+    load = deck.assembly.load
+    whole = _Whole(tuple(body for _, body, _ in parts), nodes, deck.expand(solution.displacement), load)
+    owners = [(*whole.owners(pairing.nodes), False) for pairing in pairings]
+    return _fields_of(whole, pairings, kept, solution, [one.pair.name for one in contacts.pairs], owners)
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """Bodies that share unknowns: those at node i along axis k are in place d i + k of all.
+
+    Attributes
+    ----------
+    bodies : tuple of Body
+    nodes : for each body the places (N,) of its nodes among all
+    displacement, load : (n,) arrays [length], [force]
+    """
+
+    bodies: tuple[Body, ...]
+    nodes: Sequence[Index]
+    displacement: Vector
+    load: Vector
+
+    def owners(self, nodes: Index) -> tuple[Index, Index]:
+        """Return a body for each node, that with the most of them where it has several, and its place in it."""
+        within = [np.isin(nodes, mine) for mine in self.nodes]
+        owner, place = np.full(len(nodes), -1), np.full(len(nodes), -1)
+        for number in sorted(range(len(self.bodies)), key=lambda one: -np.count_nonzero(within[one])):
+            here = within[number] & (owner < 0)
+            owner[here], place[here] = number, np.searchsorted(self.nodes[number], nodes[here])
+        return owner, place
+
+
+def _fields_of(
+    whole: _Whole,
+    pairings: Sequence[Pairing],
+    kept: Indices,
+    solution: Solution,
+    names: Sequence[str],
+    owners: Sequence[tuple[Index, Index, bool]],
+) -> ContactFields:
+    """Return the fields of bodies and pairings, whose contacts `kept` are those of the solution."""
     sizes = [len(pairing.gap) for pairing in pairings]
     force, status = np.full(sum(sizes), np.nan), np.full(sum(sizes), HELD, dtype="<U8")
     force[kept], status[kept] = solution.normal_force, solution.contact_status
@@ -289,20 +297,19 @@ def contact_fields(
     if solution.friction_force is not None:
         friction = np.full((sum(sizes), solution.friction_force.shape[1]), np.nan)
         friction[kept] = solution.friction_force
-    on_nodes = _contact_forces(pairings, kept, solution, structure.size)
-    bodies = []
-    for body in structure.bodies:
-        if not isinstance(body, Body):
-            raise Unsupported(f"{body.name}: a membrane has no stresses to draw or to write")
-        mine = slice(structure.first(body.name), structure.first(body.name) + body.size)
-        own, pushed, load = (v[mine].reshape(body.mesh.points.shape) for v in (u, on_nodes, system.load))
-        bodies.append(BodyFields(body, own, stress_at_nodes(body, u[mine]), pushed, load))
-    ends = np.cumsum(sizes)
-    fields = []
-    for pairing, name, size, end in zip(pairings, names, sizes, ends, strict=True):
-        here = slice(end - size, end)
+    on_nodes = _contact_forces(pairings, np.asarray(kept), solution, len(whole.load))
+    bodies, load = [], whole.load.copy()
+    for body, nodes in zip(whole.bodies, whole.nodes, strict=True):
+        mine = (body.dimension * nodes[:, None] + np.arange(body.dimension)).ravel()
+        own, pushed, acting = (v[mine].reshape(body.mesh.points.shape) for v in (whole.displacement, on_nodes, load))
+        bodies.append(BodyFields(body, own, stress_at_nodes(body, own.ravel()), pushed, acting))
+        load[mine] = 0.0  # of nodes of several bodies the first one has the load
+    fields, end = [], 0
+    for pairing, name, size, at in zip(pairings, names, sizes, owners, strict=True):
+        here = slice(end, end + size)
+        end += size
         dragged = None if friction is None else friction[here]
-        fields.append(_pairing_fields(system, bodies, pairing, name, u, force[here], dragged, status[here]))
+        fields.append(_pairing_fields(whole, bodies, pairing, name, at, force[here], dragged, status[here]))
     return ContactFields(tuple(bodies), tuple(fields), solution.problem.units)
 
 
@@ -326,22 +333,21 @@ def _contact_forces(pairings: Sequence[Pairing], kept: Index, solution: Solution
 
 
 def _pairing_fields(
-    system: System,
+    whole: _Whole,
     bodies: Sequence[BodyFields],
     pairing: Pairing,
     name: str,
-    u: Vector,
+    own: tuple[Index, Index, bool],
     force: Vector,
     friction: Array | None,
     status: NDArray[np.str_],
 ) -> PairingFields:
-    owner, node, on_obstacle = contact_nodes(system.structure, pairing, name)
-    first = np.cumsum([0, *[len(body.points) for body in bodies]])
-    dragged = None if friction is None else _friction_on_nodes(pairing, first[owner] + node, friction)
-    displacement = np.empty(pairing.points.shape)
+    owner, node, on_obstacle = own
+    displacement, among_all = np.empty(pairing.points.shape), np.empty(len(node), dtype=np.int64)
     for number in np.unique(owner):
         mine = owner == number
-        displacement[mine] = bodies[number].displacement[node[mine]]
+        displacement[mine], among_all[mine] = bodies[number].displacement[node[mine]], whole.nodes[number][node[mine]]
+    dragged = None if friction is None else _friction_on_nodes(pairing, among_all, friction)
     return PairingFields(
         name=name,
         body=owner,
@@ -355,7 +361,7 @@ def _pairing_fields(
         shear=None
         if dragged is None or pairing.projection is None
         else np.column_stack([pairing.per_area(component) for component in dragged.T]),
-        gap=np.asarray(pairing.gap - pairing.normal @ u),
+        gap=np.asarray(pairing.gap - pairing.normal @ whole.displacement),
         initial_gap=pairing.gap,
         status=status,
         on_obstacle=on_obstacle,

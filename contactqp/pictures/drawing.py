@@ -14,20 +14,9 @@ import numpy as np
 from contactqp.elements.reference_elements import Block
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
-from contactqp.pictures.contact_fields import (
-    MANY,
-    BodyFields,
-    ContactFields,
-    PairingFields,
-    contact_facets,
-    cuts,
-    edge_points,
-    edges,
-    pieces,
-    sample,
-)
+from contactqp.pictures.contact_fields import BodyFields, ContactFields, PairingFields, contact_facets
 from contactqp.pictures.space_drawing import draw_space, load_arrows, load_handle
-from contactqp.pictures.style import Colour, magnification, scale_text
+from contactqp.pictures.style import MANY, Colour, cuts, edge_points, edges, magnification, pieces, sample, scale_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

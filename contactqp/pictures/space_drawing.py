@@ -14,16 +14,8 @@ from contactqp.elements.reference_elements import Block
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import Units
 from contactqp.pictures import style
-from contactqp.pictures.contact_fields import (
-    ContactFields,
-    PairingFields,
-    contact_facets,
-    cuts,
-    edge_points,
-    outline_points,
-    pieces,
-    sample,
-)
+from contactqp.pictures.contact_fields import ContactFields, PairingFields, contact_facets
+from contactqp.pictures.style import cuts, edge_points, outline_points, pieces, sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""The style of pictures: colours, markers of contact states, labels with units, legends, magnification, files."""
+"""The style of pictures: colours, markers, labels with units, legends, magnification, pieces of elements, files."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.reference_elements import Block, Reference, facet_keys
 from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import PICTURES, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array, Index
@@ -287,6 +289,79 @@ PALETTE_SIZE = 64
 # Pixels of the longer side of the smallest picture.
 THUMBNAIL, DPI_OF_THUMBNAIL = 240, 60
 THICKER = 2.0  # lines of it, which would vanish
+
+
+# Chords that a curved edge is drawn with: those of a parabola are off by 1/144 of its rise.
+CURVED_PIECES = 6
+# Number of elements beyond which the curve of a single one is not visible.
+MANY = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Reference points (q, d) of one kind of element or facet, and the triangles (t, 3) between them."""
+
+    points: Array
+    triangles: Index
+
+
+def pieces(kind: Reference, cuts: int) -> Pieces:
+    """Return a triangle cut into cuts^2 triangles, or a quadrilateral into 2 cuts^2."""
+    steps = np.arange(cuts + 1)
+    i, j = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    a, b = (a.ravel() for a in np.meshgrid(steps[:-1], steps[:-1], indexing="ij"))
+    corner = (cuts + 1) * a + b
+    lower = np.stack([corner, corner + cuts + 1, corner + 1], axis=1)
+    upper = np.stack([corner + cuts + 1, corner + cuts + 2, corner + 1], axis=1)
+    if kind.linear.startswith("tri"):
+        inside = i + j <= cuts
+        place = np.cumsum(inside) - 1
+        triangles = np.concatenate([lower[a + b < cuts], upper[a + b < cuts - 1]])
+        return Pieces(np.stack([i, j], axis=1)[inside] / cuts, place[triangles])
+    return Pieces(2 * np.stack([i, j], axis=1) / cuts - 1, np.concatenate([lower, upper]))
+
+
+def cuts(block: Block) -> int:
+    """Return the number of cuts of each edge of a block's elements; bilinear fields on quadrilaterals need two."""
+    if len(block) > MANY:
+        return 1
+    if len(block.kind.nodes) > block.kind.corners:
+        return CURVED_PIECES
+    return 1 if block.kind.linear == "tri3" else 2
+
+
+def sample(block: Block, values: Array, points: Array) -> Array:
+    """Interpolate nodal values (N, c) at the reference points (q, d) of each element: Σ N_i values_i, (E, q, c)."""
+    return np.asarray(np.matmul(block.kind.shape(points), values[block.nodes]))
+
+
+def edges(mesh: Mesh) -> tuple[Block, ...]:
+    """Return every edge of a plane mesh once, the inner ones too, by kind."""
+    total = sum(len(block) for block in mesh.blocks)
+    counts = np.concatenate([np.full(len(block), len(block.kind.facets)) for block in mesh.blocks])
+    element = np.repeat(np.arange(total), counts)
+    local = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return tuple(_distinct(block) for block in mesh.facets_of(np.stack([element, local], axis=1)))
+
+
+def _distinct(block: Block) -> Block:
+    _, first = np.unique(facet_keys(block.nodes, block.kind.name), axis=0, return_index=True)
+    return Block(block.kind, block.nodes[first])
+
+
+def edge_points(block: Block) -> Array:
+    """Return reference points (q, 1) along the lines of a block: the ends, or as many as a curve needs."""
+    count = CURVED_PIECES if block.kind.name == "line3" else 1
+    return np.linspace(-1.0, 1.0, count + 1)[:, np.newaxis]
+
+
+def outline_points(kind: Reference) -> Array:
+    """Return reference points (q, 2) once around a triangle or quadrilateral, along its edges."""
+    corners = kind.nodes[: kind.corners]
+    count = CURVED_PIECES if len(kind.nodes) > kind.corners else 1
+    along = np.arange(count)[:, np.newaxis] / count
+    following = np.roll(corners, -1, axis=0)
+    return np.concatenate([start + along * (end - start) for start, end in zip(corners, following, strict=True)])
 
 
 def thumbnail(figure: Figure) -> bytes:

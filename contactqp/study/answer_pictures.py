@@ -19,11 +19,19 @@ from contactqp.elements.solid import Membrane
 from contactqp.elements.structure import Assembly, System
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
 from contactqp.exchange.files import check_file, check_installed, write_whole
+from contactqp.exchange.problem_files import is_deck
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
-from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields, contacts_of, fields_of_solid
+from contactqp.pictures.contact_fields import (
+    HELD,
+    ContactFields,
+    contact_fields,
+    contacts_of,
+    fields_of_deck,
+    fields_of_solid,
+)
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, solution_figure, structure_figure
 from contactqp.pictures.history_drawing import cases_figure, draw_history, history_figure
@@ -31,6 +39,7 @@ from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.building import exact_problem
+from contactqp.scene.deck.deck import Deck, read_deck
 from contactqp.scene.geometry import obstacle
 from contactqp.scene.judging import Failure, Judgement, Trial
 from contactqp.scene.scene import load_scene
@@ -169,18 +178,24 @@ TIME_UNIT = "s"
 DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
-def answer_figure(scene: SceneData, solution: Solution, *, title: str = "", scale: float | None = None) -> Figure:
+def answer_figure(
+    scene: SceneData | Deck, solution: Solution, *, title: str = "", scale: float | None = None
+) -> Figure:
     """Return the figure of geometry, deformed shape and contact forces; large displacements are true to scale.
 
     `scale` magnifies displacements; by default it is chosen, and membranes have their own.
 
     Parameters
     ----------
-    scene : SceneData
+    scene : SceneData or Deck
     solution : of the scene's problem
     title : str
     scale : by how much displacements are magnified
     """
+    if isinstance(scene, Deck):
+        if not scene.assembly.bodies:  # trusses and springs alone
+            return solution_figure(solution, title=title)
+        return figure(fields_of_deck(scene, solution), title=title, scale=scale)
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)
     fields = fields_of(scene, solution)
@@ -194,7 +209,7 @@ def draw(
     answer: Solution | History | Solutions,
     file: str | Path | None = None,
     *,
-    scene: SceneData | str | Path | None = None,
+    scene: SceneData | Deck | str | Path | None = None,
     system: System | None = None,
     contacts: Sequence[Pairing] = (),
     title: str = "",
@@ -214,7 +229,7 @@ def draw(
         `NotConverged`. Of a history with geometry, and of one of a single instant, the last solution is drawn.
     file : str or Path, optional
         A file to write, which ends in .png, .pdf or .svg.
-    scene : Scene, or str or Path of a case file, optional
+    scene : Scene, Deck, or str or Path of a case file or a deck, optional
         The scene that was run: draws what ``contactqp run CASE --plot FILE`` does.
     system, contacts : System and sequence of Pairing, optional
         ``structure.assemble(...)`` and the pairings of ``system.problem(contacts)``: draws the deformed bodies with the
@@ -277,7 +292,7 @@ def draw(
 
 def _drawn(
     answer: Solution | History,
-    scene: SceneData | str | Path | None,
+    scene: SceneData | Deck | str | Path | None,
     system: System | None,
     contacts: Sequence[Pairing],
     title: str,
@@ -287,8 +302,9 @@ def _drawn(
     if scene is not None and system is not None:
         raise InvalidProblem("draw: expected a scene or a system, got both")
     if scene is not None:
-        read = load_scene(scene) if isinstance(scene, str | Path) else scene
-        return answer_figure(read, solution, title=title or read.title, scale=scale)
+        read = (read_deck if is_deck(scene) else load_scene)(scene) if isinstance(scene, str | Path) else scene
+        called = Path(read.model.file).stem if isinstance(read, Deck) else read.title
+        return answer_figure(read, solution, title=title or called, scale=scale)
     if system is not None:
         _refuse_another("system", len(system.free), solution)
         return _figure_of_system(system, contacts, solution, title, scale)
@@ -316,7 +332,7 @@ def _figure_of_system(
     return figure(contact_fields(system, pairings, solution), title=title, scale=scale)
 
 
-HOW_BODIES = "draw(solution, system=..., contacts=[...]) draws the bodies, scene=... those of a case file"
+HOW_BODIES = "draw(solution, system=..., contacts=[...]) draws the bodies, scene=... those of a case file or a deck"
 
 
 def _refuse_another(what: str, unknowns: int, solution: Solution) -> None:

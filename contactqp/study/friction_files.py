@@ -45,6 +45,7 @@ from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
+from contactqp.scene.deck.deck import read_deck
 from contactqp.scene.tables import ENDLESS, print_noted, print_wrapped
 from contactqp.scene.units import Quantity, UnitSystem, number
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
@@ -157,8 +158,8 @@ def _outcome(
     seconds: float,
     options: Mapping[str, Any],
 ) -> FileOutcome:
-    message = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
-    return FileOutcome(file, outline, solution, message[0], seconds, dict(options), message[1])
+    told = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
+    return FileOutcome(file, outline, solution, told[0], seconds, dict(options), told[1])
 
 
 def _read(file: str, ranks: Ranks) -> tuple[Outline, ProblemRows]:
@@ -308,23 +309,28 @@ def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dic
     return numbers
 
 
-def write_files(outcomes: Sequence[FileOutcome], plot: Path | None, csv: Path | None) -> list[Path]:
-    """Draw forces and gaps of answers, write the tables of their contacts, and return the files.
+def write_files(outcomes: Sequence[FileOutcome], plot: Path | None, vtu: Path | None, csv: Path | None) -> list[Path]:
+    """Draw answers, write fields of decks and the tables of all contacts, and return the files.
 
-    Of several files or methods their names are put before the suffix.
+    Decks are drawn with their bodies, matrices as forces and gaps. Of several files or methods their names are put
+    before the suffix.
     """
+    from contactqp.pictures.contact_fields import fields_of_deck
+    from contactqp.pictures.vtu import write_vtu
     from contactqp.study.answer_pictures import draw, named_file
 
     found = [(outcome, outcome.solution) for outcome in outcomes if isinstance(outcome.solution, Solution)]
-    stems = {Path(outcome.file).stem for outcome, _ in found}
-    written = []
+    stems, written = {Path(outcome.file).stem for outcome, _ in found}, list[Path]()
     for outcome, solution in found:
         stem = Path(outcome.file).stem
-        names = [stem] if len(stems) > 1 else []
-        names += [solution.method] if len(found) > len(stems) else []
+        names = [stem][: len(stems) > 1] + [solution.method][: len(found) > len(stems)]
+        deck = read_deck(outcome.file) if is_deck(outcome.file) and (plot, vtu) != (None, None) else None
         if plot is not None:
             written.append(named_file(plot, names))
-            draw(solution, written[-1], title=f"{stem}, {solution.method}")
+            draw(solution, written[-1], scene=deck, title=f"{stem}, {solution.method}")
+        if vtu is not None and deck is not None:
+            written.append(named_file(vtu, names))
+            write_vtu(fields_of_deck(deck, solution), written[-1])
         if csv is not None:
             written.append(named_file(csv, names))
             write_whole(written[-1], contact_table([solution], [1.0], History.time_label).write_csv)

@@ -60,6 +60,23 @@ def test_included_files_are_looked_for_beside_the_deck(tmp_path: pathlib.Path) -
         read_deck_model(tmp_path / "model.inp")
 
 
+def test_a_file_that_is_not_there_is_named_with_the_line_that_includes_it(tmp_path: pathlib.Path) -> None:
+    said = refusal(tmp_path, STACK.replace("*MATERIAL", "*INCLUDE, INPUT=parts/steel.inp\n*MATERIAL"))
+    assert "model.inp: line 27: *INCLUDE: there is no file " in said
+    assert said.endswith("steel.inp")
+
+
+def test_a_mark_of_the_order_of_bytes_is_no_text(tmp_path: pathlib.Path) -> None:
+    (tmp_path / "model.inp").write_bytes(("\ufeff" + STACK.replace("two cubes", "zwei Würfel")).encode("utf-8"))
+    assert len(read_deck_model(tmp_path / "model.inp").labels) == 16
+
+
+@pytest.mark.parametrize("number", ["2.1D5", "2.1d+05", "2.1+5", "2.1E5", "21.+4", "+2.1+05", "210000"])
+def test_numbers_are_those_of_fortran(tmp_path: pathlib.Path, number: str) -> None:
+    model = read_deck_model(write(tmp_path, STACK.replace("1000., 0.\n", f"{number}, -1.-1\n")))
+    assert (model.materials["STEEL"].modulus, model.materials["STEEL"].poisson) == (210_000.0, -0.1)
+
+
 def test_files_that_include_each_other_are_refused(tmp_path: pathlib.Path) -> None:
     assert "circle" in refusal(tmp_path, "*INCLUDE, INPUT=model.inp\n")
 
@@ -94,6 +111,20 @@ MISTAKES = {
         "*CONTACT INTERFERENCE\n1.\n*BOUNDARY\nBOTTOM",
         "*CLEARANCE, VALUE=-",
     ),
+    "a table in the place of contact": ("=LINEAR", "=TABULAR", "are no Signorini contact; in the place of TIED take"),
+    "friction without a bound": ("1e4\n*CONT", "1e4\n*FRICTION, ROUGH\n*CONT", "ROUGH is not offered; state a coeff"),
+    "a rigid line": ("NAME=BELOW", "NAME=BELOW, TYPE=SEGMENTS", "'SEGMENTS'; for a rigid surface take elements whose"),
+    "local axes": (
+        "*BOUNDARY\nBOTTOM",
+        "*TRANSFORM, NSET=TOP\n1.\n*BOUNDARY\nBOTTOM",
+        "*TRANSFORM: it is not offered; turn",
+    ),
+    "general contact": (
+        "*BOUNDARY\nBOTTOM",
+        "*CONTACT\n*BOUNDARY\nBOTTOM",
+        "name each pair of surfaces by *CONTACT PAIR",
+    ),
+    "numbers that are computed": ("*MATERIAL", "*PARAMETER\nE=1.\n*MATERIAL", "*PARAMETER: numbers are not computed"),
     "another overclosure": ("=LINEAR", "=EXPONENTIAL", "expected PRESSURE-OVERCLOSURE=HARD or LINEAR"),
     "another procedure": ("*STATIC", "*DYNAMIC", "*DYNAMIC: the steps of a deck are *STATIC here"),
     "a plastic material": ("*DENSITY", "*PLASTIC", "materials are linear elastic"),

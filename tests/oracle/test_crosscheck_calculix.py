@@ -169,3 +169,16 @@ def test_results_in_the_other_format_are_read(tmp_path: pathlib.Path) -> None:
     run(tmp_path, text)
     found = cq.crosscheck(write(tmp_path, text), tmp_path / "job.frd")
     assert found.passed, found.summary()
+
+
+def test_a_deck_in_another_hand_is_run_as_it_is_meant(tmp_path: pathlib.Path) -> None:
+    """CalculiX itself takes no blanks and quotes around names, no number of +7, and no contact without a type."""
+    text = STACK.replace("1e4\n", "1.0+7\n").replace("ABOVE, BELOW", '\t"Above" ,\tBelow')
+    text = text.replace(
+        "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=NODE TO SURFACE", '*Contact Pair,\n interaction = "Touch"'
+    )
+    text = text.replace("1, 1, 2, 3, 4, 5, 6, 7, 8", "1, 1, 2, 3, 4,\n** within\n 5, 6, 7, 8").replace("\n", "\r\n")
+    (tmp_path / "model.inp").write_bytes(("\ufeff" + text).encode("utf-8"))
+    found = cq.crosscheck(tmp_path / "model.inp")
+    assert found.passed, found.summary()
+    assert found.pairs[0].resultant == pytest.approx(5.0, rel=1e-4)

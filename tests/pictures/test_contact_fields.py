@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
-from contactqp.pictures.contact_fields import contact_fields
+from contactqp.pictures.contact_fields import contact_fields, fields_of_deck
+from tests.decks import STACK, lame_force, press_fit, two_blocks, write
 from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial
 
 
@@ -180,3 +182,62 @@ def test_plane_strain_has_the_stress_across_the_plane():
     np.testing.assert_allclose(body.stress[:, 2], -POISSON * PRESSURE, rtol=1e-10)
     shape = np.sqrt(1 - POISSON + POISSON**2)  # of (0, -p, -nu p)
     np.testing.assert_allclose(body.von_mises, PRESSURE * shape, rtol=1e-10)
+
+
+def test_a_deck_has_the_fields_of_its_bodies(tmp_path):
+    steel = "*SOLID SECTION, ELSET=SOLID, MATERIAL=STEEL\n"
+    two = STACK.replace(steel, "*ELSET, ELSET=A\n1\n*ELSET, ELSET=B\n2\n" + steel.replace("SOLID,", "A,")
+                        + steel.replace("SOLID,", "B,"))  # fmt: skip
+    for text, bodies in ((STACK, 1), (two, 2)):
+        deck = cq.read_deck(write(tmp_path, text))
+        fields = fields_of_deck(deck, cq.solve(deck.problem()))
+        (pairing,) = fields.pairings
+        assert len(fields.bodies) == bodies
+        assert (pairing.name, set(pairing.body)) == ("ABOVE on BELOW", {bodies - 1})
+        np.testing.assert_allclose(pairing.pressure, 5.0, rtol=1e-10)  # 0.01 over two bars of modulus 1000
+        np.testing.assert_allclose(pairing.displacement, np.tile([0, 0, -0.015], (4, 1)), atol=1e-12)
+        np.testing.assert_allclose(pairing.gap, 0.0, atol=1e-12)
+        for body in fields.bodies:
+            np.testing.assert_allclose(body.von_mises, 5.0, rtol=1e-9)
+        pushed = sum(body.contact_force[:, 2].clip(min=0).sum() for body in fields.bodies)
+        assert pushed == pytest.approx(5.0)
+
+
+def test_nodes_of_several_parts_of_a_deck_bear_their_load_once(tmp_path):
+    text = STACK.replace("2, 11, 12, 13, 14, 15, 16, 17, 18\n", "2, 11, 12, 13, 14, 15, 16, 17, 18\n"
+                         "*NODE, NSET=ALL\n21, 0., 0., 3.\n22, 1., 0., 3.\n23, 1., 1., 3.\n24, 0., 1., 3.\n"
+                         "*ELEMENT, TYPE=C3D8, ELSET=SOFT\n3, 15, 16, 17, 18, 21, 22, 23, 24\n")  # fmt: skip
+    text = text.replace("*SURFACE, NAME=BELOW", "*MATERIAL, NAME=RUBBER\n*ELASTIC\n1., 0.\n"
+                        "*SOLID SECTION, ELSET=SOFT, MATERIAL=RUBBER\n*SURFACE, NAME=BELOW", 1)  # fmt: skip
+    text = text.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*CLOAD\nTOP, 3, -2.\n")
+    deck = cq.read_deck(write(tmp_path, text))
+    fields = fields_of_deck(deck, cq.solve(deck.problem()))
+    assert [len(body.points) for body in fields.bodies] == [16, 8]
+    assert sum(body.load[:, 2].sum() for body in fields.bodies) == -8.0
+
+
+def test_friction_of_a_deck_acts_on_its_slave_nodes(tmp_path):
+    text = two_blocks("hex8", "NODE TO SURFACE", "LINEAR\n1e8, 1e-6", push=5e-4, friction="0.3, 1e7")
+    deck = cq.read_deck(write(tmp_path, text))
+    solution = cq.solve(deck.problem())
+    (pairing,) = fields_of_deck(deck, solution).pairings
+    full = deck.by_nodes.tangent
+    expected = -(full.T @ solution.friction_force.ravel())  # on all nodes, those of the master included
+    slave = pairing.friction.sum(axis=0)
+    assert sp.issparse(full)
+    assert abs(expected.reshape(-1, 3).sum(axis=0)).max() < 1e-9 * abs(slave).max()
+    nodes = deck.by_nodes.pairs[0].pairing.nodes
+    np.testing.assert_allclose(pairing.friction, expected.reshape(-1, 3)[nodes], atol=1e-12 * abs(slave).max())
+
+
+def test_a_curved_pair_of_a_deck_is_mapped_with_its_pressures(tmp_path):
+    deck = cq.read_deck(write(tmp_path, press_fit("SURFACE TO SURFACE", "LINEAR\n1e8")))
+    (pairing,) = fields_of_deck(deck, cq.solve(deck.problem())).pairings
+    np.testing.assert_allclose(pairing.pressure, lame_force() / (np.pi / 2 * 20.0 * 4.0), rtol=0.03)
+
+
+def test_the_fields_of_a_deck_are_those_of_its_own_solution(tmp_path):
+    deck = cq.read_deck(write(tmp_path, STACK))
+    other = cq.read_deck(write(tmp_path, STACK.replace("ALL, 1, 2", "ALL, 1"), "other.inp"))
+    with pytest.raises(InvalidProblem, match="a solution of its 8 unknowns and 4 contacts, got one of 20 and 4"):
+        fields_of_deck(deck, cq.solve(other.problem()))

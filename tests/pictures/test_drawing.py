@@ -13,10 +13,19 @@ import contactqp as cq
 from contactqp.elements.reference_elements import REFERENCES, Block
 from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
-from contactqp.pictures.contact_fields import contact_fields, edge_points, edges, outline_points, pieces, sample
+from contactqp.pictures.contact_fields import contact_fields
 from contactqp.pictures.drawing import contact_zone, draw, figure, segments, triangles
 from contactqp.pictures.space_drawing import facets, fans, sharp_edges, surface
-from contactqp.pictures.style import MARKERS, arrows_to_draw, magnification
+from contactqp.pictures.style import (
+    MARKERS,
+    arrows_to_draw,
+    edge_points,
+    edges,
+    magnification,
+    outline_points,
+    pieces,
+    sample,
+)
 from tests.elements.bodies import PLANE, SOLID, distorted
 from tests.pictures.examples import MODULUS, PRESSURE, block, cube, solved, stack, unloaded
 

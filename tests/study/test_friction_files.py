@@ -10,6 +10,7 @@ import pytest
 import contactqp as cq
 from contactqp.study.friction_files import run_file
 from tests.cli.test_cli import CASES, run
+from tests.decks import STACK, write
 from tests.exchange.files import (
     H,
     M,
@@ -140,7 +141,7 @@ def test_bad_files_and_options_without_meaning_are_exit_2(capsys, tmp_path, slid
             "1e8 kN/m",
         ): "--penalty: expected a number, as this file states no units, got '1e8 kN/m'",
         ("run", sliding, "--plot", tmp_path / "a.png"): "a problem in local form has forces in --json",
-        ("run", sliding, "--vtu", tmp_path / "a.vtu"): "--vtu needs a case file, this file has no geometry",
+        ("run", sliding, "--vtu", tmp_path / "a.vtu"): "--vtu needs a case file or a deck, this file has no",
         ("run", sliding, "--option", "algorithm=magic"): "sliding.dat: algorithm: expected one of",
     }.items():
         code, _, err = run(capsys, *arguments)
@@ -195,6 +196,29 @@ def test_a_folder_of_matrices_prints_its_answer_and_draws_forces_and_gaps(capsys
     assert (tmp_path / "a.csv").read_text().splitlines()[1].startswith("0,1.0,contact 0,closed,2.5,")
     run(capsys, "run", "bare", "--method", "osqp", "--method", "lemke", "--csv", "b.csv")
     assert {file.name for file in tmp_path.glob("b*.csv")} == {"b.osqp.csv", "b.lemke.csv"}
+
+
+def test_a_deck_is_drawn_and_written_with_its_bodies(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, STACK)
+    code, out, _ = run(capsys, "run", "model.inp", "--plot", "a.svg", "--vtu", "a.vtu", "--units", "mm,N")
+    assert (code, out.splitlines()[-2:]) == (0, ["written: a.svg", "written: a.vtu"])
+    picture = (tmp_path / "a.svg").read_text()
+    assert "ABOVE on BELOW: at most 5 N/mm²" in picture
+    assert "displacement, magnitude [mm]" in picture
+    assert "model, active-set" in picture
+    assert "contact_pressure" in (tmp_path / "a.vtu").read_text(errors="replace")
+    solution = cq.solve(cq.read_deck("model.inp").problem())
+    for scene in ("model.inp", cq.read_deck("model.inp")):
+        titles = [axes.get_title() for axes in cq.draw(solution, scene=scene).axes]
+        assert "ABOVE on BELOW: at most 5 force/length²" in titles
+    springs = "*NODE\n1, 0.\n2, 1.\n*ELEMENT, TYPE=SPRINGA, ELSET=E\n1, 1, 2\n*SPRING, ELSET=E\n\n3.\n"
+    springs += "*BOUNDARY\n1, 1, 3\n2, 2, 3\n*STEP\n*STATIC\n*CLOAD\n2, 1, 1.\n*END STEP\n"
+    write(tmp_path, springs, "springs.inp")
+    code, out, err = run(capsys, "run", "springs.inp", "--plot", "b.png")
+    assert (code, err) == (0, "")
+    code, _, err = run(capsys, "run", "springs.inp", "--vtu", "b.vtu")
+    assert (code, err.strip()) == (2, "contactqp: springs.inp: a deck without solid elements has no bodies to draw")
 
 
 def test_a_stiffness_of_a_method_is_a_number_in_the_units_of_the_matrices(capsys, tmp_path, monkeypatch):

@@ -12,7 +12,9 @@ error, and so is a parameter: nothing is passed over in silence.
 
 from __future__ import annotations
 
+import codecs
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -22,7 +24,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.deck.model import BEAMS
+from contactqp.exchange.deck.model import ELASTIC, PROCEDURE, REFUSED
 from contactqp.exchange.files import DECIMAL_COMMA, Path, number, read_bytes
 from contactqp.model.arrays import Index, Vector
 
@@ -32,6 +34,8 @@ DEEPEST = 10
 # Lines of all files together, of which each costs some hundred bytes of memory.
 MOST_LINES = 5_000_000
 LARGEST_LABEL = 2**40
+# Fortran, by which both programs read, takes 2.1+5 for 2.1e5.
+_BARE_EXPONENT = re.compile(r"(?<=[\d.])(?=[+-]\d+$)")
 MOST_GENERATED = 10**7
 # CalculiX reads the first 20 characters of a number, and says nothing of the others.
 CALCULIX_COLUMNS = 20
@@ -135,7 +139,7 @@ class Card:
     def real_word(self, line: Line, word: str, what: str) -> float:
         """Return a word as a finite number."""
         try:
-            value = number(word[: self.columns])
+            value = number(_BARE_EXPONENT.sub("e", word[: self.columns]))
         except ValueError:
             comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word) else ""
             raise self.wrong(what, f"{word[:40]!r}{comma}", line) from None
@@ -216,7 +220,14 @@ def _lines(path: Path, above: list[str], count: list[int]) -> Iterator[Line]:
     if os.path.abspath(name) in above or len(above) >= DEEPEST:
         raise InvalidProblem(f"{name}: *INCLUDE: expected files that do not include each other, got a circle")
     above = [*above, os.path.abspath(name)]
-    texts = read_bytes(path, EXPECTED).decode("latin-1").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    texts = (
+        read_bytes(path, EXPECTED)
+        .removeprefix(codecs.BOM_UTF8)
+        .decode("latin-1")
+        .replace("\r\n", "\n")
+        .replace("\r", "\n")
+        .split("\n")
+    )
     count[0] += len(texts)
     if count[0] > MOST_LINES:
         raise InvalidProblem(f"{name}: expected a deck of at most {MOST_LINES} lines")
@@ -242,7 +253,10 @@ def _included(line: Line) -> FilePath:
         if squeezed(name) != "INPUT":
             raise _unknown_parameter(line, "INCLUDE", name, ["INPUT"])
         if value.strip():
-            return FilePath(line.file).parent / value.strip().strip('"')
+            file = FilePath(line.file).parent / value.strip().strip('"')
+            if not file.is_file():
+                raise InvalidProblem(f"{line.place}: *INCLUDE: there is no file {file}")
+            return file
     raise InvalidProblem(f"{line.place}: *INCLUDE: expected INPUT=FILE, got none")
 
 
@@ -338,7 +352,8 @@ class Keyword:
 
     def cure(self, key: str) -> str:
         """Return what to do about a parameter, after a semicolon."""
-        return f"; {self.cures[key]}" if key in self.cures else ""
+        told = self.cures.get(key.replace("-", ""))
+        return f"; {told}" if told else ""
 
 
 def squeezed(name: str) -> str:
@@ -365,9 +380,6 @@ def _read(name: str, where: str, *parameters: str, idle: str = "", refused: str 
 
 
 _SMALL = "displacements are small here; take it out to judge the small-displacement problem"
-_ELASTIC = "materials are linear elastic and isotropic here"
-_GENERATED = "nodes and elements that are generated are not followed; write them out"
-_PROCEDURE = "the steps of a deck are *STATIC here"
 
 _READ = (
     _read("NODE", MODEL, "NSET", "SYSTEM=R", refused="INPUT"),
@@ -380,14 +392,16 @@ _READ = (
     _read("END ASSEMBLY", MODEL),
     _read("INSTANCE", MODEL, "NAME", "PART", refused="INSTANCE, LIBRARY"),
     _read("END INSTANCE", MODEL),
-    _read("SURFACE", MODEL, "NAME", "TYPE=ELEMENT|NODE", idle="INTERNAL", refused="COMBINE, CROP"),
+    _read("SURFACE", MODEL, "NAME", "TYPE=ELEMENT|NODE", idle="INTERNAL", refused="COMBINE, CROP",
+          combine="state all faces below one *SURFACE",
+          type="for a rigid surface take elements whose nodes are all held"),
     _read("MATERIAL", MODEL, "NAME"),
-    _read("ELASTIC", MODEL, "TYPE=ISO|ISOTROPIC", refused="MODULI, DEPENDENCIES", type=_ELASTIC),
+    _read("ELASTIC", MODEL, "TYPE=ISO|ISOTROPIC", refused="MODULI, DEPENDENCIES", type=ELASTIC),
     _read("DENSITY", MODEL, refused="DEPENDENCIES"),
     _read("SOLID SECTION", MODEL, "ELSET", "MATERIAL", idle="ORIENTATION, CONTROLS", refused="COMPOSITE, REF NODE"),
     _read("SPRING", MODEL, "ELSET", refused="NONLINEAR, ORIENTATION, DEPENDENCIES, RTOL"),
     _read("BOUNDARY", ANYWHERE, "OP=MOD|NEW", "AMPLITUDE", "TYPE=DISPLACEMENT", idle="LOAD CASE",
-          refused="SUBMODEL, STEP, DATA SET, TIME DELAY, FIXED, USER, MASS FLOW", type=_PROCEDURE),
+          refused="SUBMODEL, STEP, DATA SET, TIME DELAY, FIXED, USER, MASS FLOW", type=PROCEDURE),
     _read("CLOAD", STEP, "OP=MOD|NEW", "AMPLITUDE", idle="LOAD CASE",
           refused="FOLLOWER, OMEGA0, SECTOR, SUBMODEL, STEP, DATA SET, TIME DELAY, USER, CYCLIC MODE"),
     _read("DLOAD", STEP, "OP=MOD|NEW", "AMPLITUDE", idle="LOAD CASE",
@@ -402,20 +416,24 @@ _READ = (
     _read("CONTACT PAIR", MODEL, "INTERACTION", "TYPE=NODE TO SURFACE|SURFACE TO SURFACE|MORTAR|LINMORTAR", "ADJUST",
           idle="SMALL SLIDING, NO THICKNESS, EXTENSION ZONE",
           refused="TIED, HCRIT, SUPPLEMENTARY CONSTRAINTS, SMOOTH, GEOMETRIC CORRECTION, MINIMUM DISTANCE",
-          type="PGLINMORTAR, MASSLESS and IN-FACE contact have no counterpart here"),
+          type="PGLINMORTAR, MASSLESS and IN-FACE contact have no counterpart here",
+          tied="*TIE joins two surfaces"),
     _read("SURFACE INTERACTION", MODEL, "NAME", refused="USER, UNSYMM"),
     _read("SURFACE BEHAVIOR", MODEL, "PRESSURE-OVERCLOSURE=HARD|LINEAR", idle="PENALTY, DIRECT, AUGMENTED LAGRANGE",
           refused="NO SEPARATION",
-          pressure_overclosure="EXPONENTIAL, TABULAR and TIED are none that can be judged as Signorini contact"),
+          pressure_overclosure="EXPONENTIAL and TABULAR are no Signorini contact; in the place of TIED take *TIE",
+          no_separation="contact does not pull; surfaces that stay together are joined by *TIE"),
     _read("FRICTION", MODEL, idle="SLIP TOLERANCE, ELASTIC SLIP",
-          refused="ROUGH, TAUMAX, EXPONENTIAL DECAY, ANISOTROPIC, LAGRANGE, USER, DEPENDENCIES, SLIP DEPENDENT"),
+          refused="ROUGH, TAUMAX, EXPONENTIAL DECAY, ANISOTROPIC, LAGRANGE, USER, DEPENDENCIES, SLIP DEPENDENT",
+          rough="state a coefficient so large that nothing slips", lagrange="take it out: sticking is exact here"),
     _read("CLEARANCE", MODEL, "MASTER", "SLAVE", "VALUE", refused="CPSET, TABULAR, BOLT, SEARCH NSET"),
     _read("STEP", MODEL, "NLGEOM=NO|OFF", idle="INC, INCF, NAME, AMPLITUDE, UNSYMM, EXTRAPOLATION, CONVERT SDI",
           refused="PERTURBATION, THERMOMECHANICAL", nlgeom=_SMALL,
           perturbation="it keeps contact as it was before the step"),
     _read("STATIC", STEP, idle="SOLVER, DIRECT, TIME RESET, TOTAL TIME AT START, ELECTROMAGNETICS",
           refused="STABILIZE, RIKS, ADIABATIC, FULLY PLASTIC, FACTOR, ALLSDTOL, CONTINUE",
-          stabilize="it adds forces that are none of the model's"),
+          stabilize="it adds forces that are none of the model's",
+          riks="nothing snaps through at small displacements; take it out"),
     _read("END STEP", STEP),
 )  # fmt: skip
 
@@ -438,45 +456,11 @@ _IDLE = {
     "SECTION CONTROLS": "the elements are fully integrated",
 }  # fmt: skip
 
-_REFUSED = {
-    **dict.fromkeys(("BEAM SECTION", "BEAM GENERAL SECTION"), BEAMS),
-    "CONTACT INTERFERENCE": "it is not offered; state an interference by coordinates, or as *CLEARANCE, VALUE=-...",
-    **dict.fromkeys(("SYSTEM", "NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY"), _GENERATED),
-    **dict.fromkeys(
-        ("PLASTIC", "HYPERELASTIC", "HYPERFOAM", "CREEP", "CYCLIC HARDENING", "DEFORMATION PLASTICITY",
-         "USER MATERIAL", "MOHR COULOMB", "VISCOELASTIC", "DEPVAR", "RATE DEPENDENT", "NO COMPRESSION", "POTENTIAL",
-         "ANISOTROPIC HARDENING"), _ELASTIC),
-    **dict.fromkeys(
-        ("SHELL SECTION", "MEMBRANE SECTION", "SURFACE SECTION",
-         "FLUID SECTION", "COHESIVE SECTION", "GASKET SECTION", "CONNECTOR SECTION", "USER SECTION", "MASS", "DASHPOT",
-         "GAP", "USER ELEMENT", "MATRIX ASSEMBLE", "SUBSTRUCTURE GENERATE", "ROTARY INERTIA"),
-        "the elements that are offered are solids of one body, plane, axisymmetric or in space, trusses and springs"),
-    **dict.fromkeys(
-        ("RIGID BODY", "MPC", "COUPLING", "KINEMATIC", "DISTRIBUTING", "DISTRIBUTING COUPLING", "KINEMATIC COUPLING",
-         "TRANSFORM", "NODAL THICKNESS", "CYCLIC SYMMETRY MODEL", "EMBEDDED ELEMENT", "PRE-TENSION SECTION",
-         "RIGID SURFACE", "CONTACT", "CONTACT INCLUSIONS", "CONTACT PROPERTY ASSIGNMENT", "SURFACE PROPERTY ASSIGNMENT",
-         "CONTACT FORMULATION", "CONTACT INITIALIZATION ASSIGNMENT"),
-        "it is not offered; write the constraint as *EQUATION, contact as *CONTACT PAIR between faces of elements"),
-    **dict.fromkeys(
-        ("INITIAL CONDITIONS", "TEMPERATURE", "CFLUX", "DFLUX", "FILM", "RADIATE", "GAP CONDUCTANCE",
-         "GAP HEAT GENERATION", "MODEL CHANGE", "CHANGE FRICTION", "CHANGE SURFACE BEHAVIOR", "CHANGE CONTACT TYPE",
-         "CHANGE MATERIAL", "CHANGE PLASTIC", "CHANGE SOLID SECTION", "BASE MOTION", "PREDEFINED FIELD", "SUBMODEL",
-         "GLOBAL", "FIELD", "IMPERFECTION", "RETAINED NODAL DOFS", "ROBUST DESIGN", "BOUNDARYF", "COUPLED"),
-        "one load is put on a body without stress and of one temperature here"),
-    **dict.fromkeys(
-        ("FREQUENCY", "BUCKLE", "DYNAMIC", "MODAL DYNAMIC", "STEADY STATE DYNAMICS", "HEAT TRANSFER", "VISCO",
-         "COUPLED TEMPERATURE-DISPLACEMENT", "UNCOUPLED TEMPERATURE-DISPLACEMENT", "GREEN", "SENSITIVITY",
-         "CRACK PROPAGATION", "COMPLEX FREQUENCY", "ELECTROMAGNETICS", "CFD", "RANDOM RESPONSE", "GEOSTATIC",
-         "MODAL DAMPING",
-         "SELECT CYCLIC SYMMETRY MODES", "DESIGN VARIABLES", "OBJECTIVE", "CONSTRAINT", "FEASIBLE DIRECTION"),
-        _PROCEDURE),
-}  # fmt: skip
-
 KEYWORDS: dict[str, Keyword] = {
     squeezed(keyword.name): keyword
     for keyword in (
         *_READ,
         *(Keyword(name, Effect.IDLE, why, any_parameter=True) for name, why in _IDLE.items()),
-        *(Keyword(name, Effect.REFUSED, why) for name, why in _REFUSED.items()),
+        *(Keyword(name, Effect.REFUSED, why) for name, why in REFUSED.items()),
     )
 }

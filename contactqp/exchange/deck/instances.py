@@ -31,6 +31,7 @@ _NAMING = {
     "EQUATION": _EVERY_THIRD, "BOUNDARY": _FIRST_WORD, "CLOAD": _FIRST_WORD, "DLOAD": _FIRST_WORD,
     "SOLID SECTION": slice(0, 0), "SPRING": slice(0, 0),
 }  # fmt: skip
+_ON_PARTS = "put loads and supports on nodes of the instances"
 _OF_INSTANCE = re.compile(r"(.+)\.(\d+)")
 
 
@@ -99,7 +100,7 @@ def _taken_apart(cards: Sequence[Card]) -> tuple[dict[str, _Instance], list[Card
             inside.append(card)
         else:
             if frames and name in ("NODE", "ELEMENT"):
-                raise card.refuse("nodes and elements of an assembly, such as reference points, are not offered")
+                raise card.refuse(f"those of an assembly, such as reference points, are not offered; {_ON_PARTS}")
             others.append(card)
     if frames:
         raise cards[-1].refuse(f"expected *END {frames[-1]} before the end of the deck")

@@ -43,6 +43,58 @@ OTHER_ELEMENTS = {
     **dict.fromkeys(("SPRING1", "SPRING2", "GAPUNI", "DASHPOTA", "MASS", "DCOUP3D", "R3D3", "R3D4", "D", "RNODE3D"),
                     "SPRINGA is offered, and *EQUATION"),
 }  # fmt: skip
+ELASTIC = "materials are linear elastic and isotropic here"
+PROCEDURE = "the steps of a deck are *STATIC here"
+_GENERATED = "nodes and elements that are generated are not followed; write them out"
+_LOADED = "it is not offered; put forces on its nodes by *CLOAD or *DSLOAD, and bind nodes by *EQUATION"
+_RIGID = "it is not offered; make the body of elements, stiff ones or ones whose nodes are all held"
+_GENERAL = "it is not offered; name each pair of surfaces by *CONTACT PAIR"
+# Keywords that are known and refused, and why.
+REFUSED = {
+    **dict.fromkeys(("BEAM SECTION", "BEAM GENERAL SECTION"), BEAMS),
+    "CONTACT INTERFERENCE": "it is not offered; state an interference by coordinates, or as *CLEARANCE, VALUE=-...",
+    "PARAMETER": "numbers are not computed from others; write them out",
+    **dict.fromkeys(("SYSTEM", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"), _GENERATED),
+    **dict.fromkeys(
+        ("PLASTIC", "HYPERELASTIC", "HYPERFOAM", "CREEP", "CYCLIC HARDENING", "DEFORMATION PLASTICITY",
+         "USER MATERIAL", "MOHR COULOMB", "VISCOELASTIC", "DEPVAR", "RATE DEPENDENT", "NO COMPRESSION", "NO TENSION",
+         "POTENTIAL", "ANISOTROPIC HARDENING", "DRUCKER PRAGER", "CONCRETE", "CONCRETE DAMAGED PLASTICITY",
+         "DAMAGE INITIATION", "DAMAGE EVOLUTION", "CRUSHABLE FOAM", "HYSTERESIS", "MULLINS EFFECT", "SWELLING"),
+        ELASTIC),
+    **dict.fromkeys(
+        ("SHELL SECTION", "SHELL GENERAL SECTION", "MEMBRANE SECTION", "SURFACE SECTION",
+         "FLUID SECTION", "COHESIVE SECTION", "GASKET SECTION", "CONNECTOR SECTION", "CONNECTOR BEHAVIOR",
+         "CONNECTOR ELASTICITY", "USER SECTION", "MASS", "DASHPOT",
+         "GAP", "USER ELEMENT", "MATRIX ASSEMBLE", "MATRIX INPUT", "SUBSTRUCTURE GENERATE", "ROTARY INERTIA"),
+        "the elements that are offered are solids of one body, plane, axisymmetric or in space, trusses and springs"),
+    "TRANSFORM": "it is not offered; turn the model, or write an inclined support as *EQUATION",
+    **dict.fromkeys(("RIGID BODY", "RIGID SURFACE", "DISPLAY BODY"), _RIGID),
+    **dict.fromkeys(
+        ("COUPLING", "KINEMATIC", "DISTRIBUTING", "DISTRIBUTING COUPLING", "KINEMATIC COUPLING",
+         "SHELL TO SOLID COUPLING", "PRE-TENSION SECTION"), _LOADED),
+    **dict.fromkeys(
+        ("CONTACT", "CONTACT INCLUSIONS", "CONTACT EXCLUSIONS", "CONTACT PROPERTY ASSIGNMENT",
+         "SURFACE PROPERTY ASSIGNMENT", "CONTACT FORMULATION", "CONTACT INITIALIZATION ASSIGNMENT",
+         "CONTACT INITIALIZATION DATA", "CONTACT CLEARANCE ASSIGNMENT", "CONTACT CONTROLS ASSIGNMENT",
+         "CONTACT STABILIZATION"), _GENERAL),
+    **dict.fromkeys(
+        ("MPC", "NODAL THICKNESS", "CYCLIC SYMMETRY MODEL", "EMBEDDED ELEMENT", "INERTIA RELIEF", "FASTENER"),
+        "it is not offered; write the constraint as *EQUATION"),
+    "MODEL CHANGE": "all elements and pairs of a deck are there in all its steps",
+    **dict.fromkeys(
+        ("INITIAL CONDITIONS", "TEMPERATURE", "CFLUX", "DFLUX", "FILM", "RADIATE", "GAP CONDUCTANCE",
+         "GAP HEAT GENERATION", "CHANGE FRICTION", "CHANGE SURFACE BEHAVIOR", "CHANGE CONTACT TYPE",
+         "CHANGE MATERIAL", "CHANGE PLASTIC", "CHANGE SOLID SECTION", "BASE MOTION", "PREDEFINED FIELD", "SUBMODEL",
+         "GLOBAL", "FIELD", "IMPERFECTION", "RETAINED NODAL DOFS", "ROBUST DESIGN", "BOUNDARYF", "COUPLED"),
+        "one load is put on a body without stress and of one temperature here"),
+    **dict.fromkeys(
+        ("FREQUENCY", "BUCKLE", "DYNAMIC", "MODAL DYNAMIC", "STEADY STATE DYNAMICS", "HEAT TRANSFER", "VISCO",
+         "COUPLED TEMPERATURE-DISPLACEMENT", "UNCOUPLED TEMPERATURE-DISPLACEMENT", "GREEN", "SENSITIVITY",
+         "CRACK PROPAGATION", "COMPLEX FREQUENCY", "ELECTROMAGNETICS", "CFD", "RANDOM RESPONSE", "GEOSTATIC",
+         "MODAL DAMPING", "LOAD CASE", "MASS SCALING", "FIXED MASS SCALING", "BULK VISCOSITY",
+         "SELECT CYCLIC SYMMETRY MODES", "DESIGN VARIABLES", "OBJECTIVE", "CONSTRAINT", "FEASIBLE DIRECTION"),
+        PROCEDURE),
+}  # fmt: skip
 AXES = "xyz"
 
 
