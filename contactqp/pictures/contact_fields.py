@@ -289,7 +289,16 @@ def _fields_of(
     names: Sequence[str],
     owners: Sequence[tuple[Index, Index, bool]],
 ) -> ContactFields:
-    """Return the fields of bodies and pairings, whose contacts `kept` are those of the solution."""
+    """Return the fields of bodies and pairings.
+
+    Parameters
+    ----------
+    whole : bodies with displacements and loads
+    pairings, names : sequences of Pairing and of str
+    kept : the contacts of the solution, counted through all pairings
+    solution : Solution
+    owners : for each pairing the body and the node of each contact, and whether its partner is an obstacle
+    """
     sizes = [len(pairing.gap) for pairing in pairings]
     force, status = np.full(sum(sizes), np.nan), np.full(sum(sizes), HELD, dtype="<U8")
     force[kept], status[kept] = solution.normal_force, solution.contact_status

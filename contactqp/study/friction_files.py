@@ -86,9 +86,7 @@ class FileOutcome:
     @property
     def statuses(self) -> dict[str, int]:
         """The number of contacts in each state: open, sticking, slipping, ..."""
-        if self.solution is None:
-            return {}
-        found = [str(status) for status in self.solution.contact_status]
+        found = [] if self.solution is None else [str(status) for status in self.solution.contact_status]
         return {status: found.count(status) for status in sorted(set(found))}
 
 
@@ -310,10 +308,11 @@ def _in_units(file: str, units: Units | None, options: Mapping[str, Any]) -> dic
 
 
 def write_files(outcomes: Sequence[FileOutcome], plot: Path | None, vtu: Path | None, csv: Path | None) -> list[Path]:
-    """Draw answers, write fields of decks and the tables of all contacts, and return the files.
+    """Draw answers, decks with their bodies, write fields and contacts, and return the files, named where several.
 
-    Decks are drawn with their bodies, matrices as forces and gaps. Of several files or methods their names are put
-    before the suffix.
+    Parameters
+    ----------
+    outcomes, plot, vtu, csv : answers, and the files of pictures, of fields of decks and of tables, None for none
     """
     from contactqp.pictures.contact_fields import fields_of_deck
     from contactqp.pictures.vtu import write_vtu
