@@ -36,10 +36,10 @@ from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
 from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.sliced import plain_residuals
-from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
+from contactqp.model.arrays import Indices, Mask, Vector, all_finite, own_floating_point
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite, read_shaped, refuse_not_positive
+from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an

@@ -53,9 +53,8 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.linalg.sliced import plain_residuals
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, all_finite
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations
 
 T = TypeVar("T")

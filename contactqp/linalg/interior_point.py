@@ -46,9 +46,8 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Mask, Vector, all_finite
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate
 
 # Forces of a linear program beneath this part of what they carry are none.

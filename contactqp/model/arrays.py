@@ -62,6 +62,12 @@ def inverse_root(diagonal: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, TINY), 1.0)))
 
 
+def all_finite(answer: object) -> bool:
+    """Return whether every number in the arrays of an answer, or of a candidate for one, is finite."""
+    arrays = (part for part in vars(answer).values() if isinstance(part, np.ndarray) and part.dtype.kind == "f")
+    return all(bool(np.isfinite(part).all()) for part in arrays)
+
+
 def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
     """Return arrays with zeros where |value| times its unit is at most `least`: the rounding that refinement leaves.
 

@@ -78,12 +78,6 @@ class ReadOnly:
             object.__setattr__(self, name, read_only(value))
 
 
-def all_finite(answer: object) -> bool:
-    """Return whether every number in the arrays of an answer, or of a candidate for one, is finite."""
-    arrays = (part for part in vars(answer).values() if isinstance(part, np.ndarray) and part.dtype.kind == "f")
-    return all(bool(np.isfinite(part).all()) for part in arrays)
-
-
 def read_array(name: str, value: Any) -> Array:
     """Return a copy of real numbers of any shape, NaN included.
 

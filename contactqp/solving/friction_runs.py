@@ -29,10 +29,9 @@ from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
-from contactqp.model.arrays import Array, on_one_thread
+from contactqp.model.arrays import Array, all_finite, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane

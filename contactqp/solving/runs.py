@@ -39,9 +39,8 @@ from contactqp.linalg.refinement import (
 )
 from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
-from contactqp.model.arrays import Array, Vector, on_one_thread, own_floating_point, zero_beneath
+from contactqp.model.arrays import Array, Vector, all_finite, on_one_thread, own_floating_point, zero_beneath
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense

@@ -32,9 +32,8 @@ from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
 )
-from contactqp.model.arrays import on_one_thread
+from contactqp.model.arrays import all_finite, on_one_thread
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration

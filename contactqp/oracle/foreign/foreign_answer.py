@@ -23,9 +23,9 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import Condensation
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import Array, Indices, Vector, all_finite
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, all_finite, read_array
+from contactqp.model.problem_data import ReadOnly, read_array
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
 from contactqp.oracle.foreign.recovery import displaced, pressed
 

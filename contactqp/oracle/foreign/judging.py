@@ -14,12 +14,12 @@ import numpy as np
 from contactqp.certificate.number_range import near_one
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
-from contactqp.linalg.equilibration import unknown_scale
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, all_finite
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, all_finite
+from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import BY_ENERGY, Answer, Candidate, Certificate, Solution
 from contactqp.model.summary import without_rounding
 from contactqp.solving.equilibria import equilibria

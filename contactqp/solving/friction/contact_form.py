@@ -28,11 +28,10 @@ from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.runtime import refuse_late
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, all_finite
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces

@@ -25,10 +25,10 @@ import scipy.sparse as sp
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import nondimensional
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, all_finite
 from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite, is_whole
+from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.local_form import RELAXATION, Deadline, Iterate, LocalForm, aitken

@@ -28,10 +28,9 @@ from contactqp.linalg.iteration import iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
 from contactqp.linalg.runtime import stated_limit
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Mask, Vector, all_finite
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import all_finite
 from contactqp.model.solution import Answer, Candidate, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.methods import Settings
