@@ -343,7 +343,7 @@ def _by_law(linearised: Linearised, of: str, weights: Array, parameter: str, y: 
     dragged = -(problem.tangent @ y.displacement).reshape(y.tangent.shape)
     dragged = dragged + weights if of == "friction_force" else dragged
     if parameter == "friction":
-        return np.asarray(linearised.solution.normal_force * np.sum(system.directions * dragged, axis=1))
+        return np.asarray(linearised.push * np.sum(system.directions * dragged, axis=1))
     return np.asarray(y.tangent + slip_weights - np.einsum("mij,mj->mi", system.turning, dragged))
 
 

@@ -23,7 +23,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import Direction, Parts, Rates, RateSystem, shape_of_tangents, width_within
+from contactqp.analysis.friction_events import falls, reaches_bound
+from contactqp.analysis.rate_systems import (
+    MOST_COMBINATIONS,
+    Direction,
+    Parts,
+    Rates,
+    RateSystem,
+    decided,
+    shape_of_tangents,
+)  # fmt: skip
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
@@ -31,7 +40,6 @@ from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.linalg.refinement import CAUTION, answer_on
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
@@ -46,8 +54,6 @@ IN_SPACE = "what becomes of contacts at the border of two states is found in the
 # Friction that misses its bound by this part of it is at its bound; rates whose signs fail by this part of the largest,
 # in the square root of energy, do not fail; rates that differ by this part of the larger are one.
 SAME = 1e-9
-# Combinations of states that contacts at a border may go to, at most.
-MOST_COMBINATIONS = 256
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that are named in a reason.
@@ -68,6 +74,7 @@ class Linearised:
     ----------
     undecided : (q,) array, contacts at the border of two states
     status : (m,) array, the states of the others
+    push : (m,) array, contact forces [force]
     system : RateSystem or None, None where some are undecided, or nothing is condensed
     """
 
@@ -94,11 +101,7 @@ class Linearised:
                 "derivatives: with friction, of contacts that are condensed alone; leave out those that never close, "
                 "and rows of zeros"
             )
-        words = self._words()
-        self.grazing = np.flatnonzero(words == "grazing")
-        self.closed = np.flatnonzero(np.isin(words, ("closed", "stick", "slip")))
-        self.status = self._states(words)
-        self._at_bound = self._sticking_at_bound()
+        self._decide()
         self.undecided = np.union1d(self.grazing, self._at_bound).astype(np.intp)
         self._systems: dict[bytes, RateSystem] = {}
         self._posed: ContactProblem | None = None
@@ -106,43 +109,45 @@ class Linearised:
         whole = not (self._sparse or len(self.undecided))
         self.system = self._system(self.status) if whole else None
 
-    def _words(self) -> Any:
-        """Return the states in words, those that graze to the tolerance of certificates decided where they can be.
+    def _decide(self) -> None:
+        """Find the states of contacts; those that certificates see at a border are decided where they can be.
 
-        Without friction, and where nothing floats, forces and gaps on the closed contacts are known far beyond double
-        precision: a force that is there at all keeps its contact closed.
+        Forces and gaps in given states are known far beyond double precision, where these have one answer: a force that
+        is there at all keeps its contact closed. In space, with friction, contacts stay what certificates say.
         """
         solution, problem, words = self.solution, self.problem, self.solution.contact_status
-        near = np.flatnonzero(words == "grazing")
-        if not len(near) or problem.frictional or self._sparse or condense(problem).rigid.count:
-            return words
-        pushing = np.flatnonzero(solution.normal_force > 0)
-        found = answer_on(problem, condense(problem), pushing, caution=CAUTION)
-        if found.saddle.redundant or found.contraction * CAUTION > 1:
-            return words
-        words = words.copy()
-        compliance = condense(problem).delassus.compliance
-        for i in near:
-            push, gap, nothing = found.doubles.normal_force[i] * compliance[i], found.gaps[i], found.nothing[i]
-            if (push if i in pushing else gap) > nothing:
-                words[i] = "closed" if i in pushing else "open"
-        return words
+        none = np.zeros(shape_of_tangents(problem))
+        self._slip = none if solution.slip is None else solution.slip
+        self._drag = none if solution.friction_force is None else solution.friction_force
+        self.push, self._gap, self.status = solution.normal_force, solution.gap, self._states(words)
+        self.grazing, self._at_bound = np.flatnonzero(words == "grazing"), self._sticking_at_bound()
+        near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
+        if len(near) and not self._sparse and not (problem.frictional and none.shape[1] > 1):
+            status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
+            status[pushing] = STICK if problem.frictional else SLIP_ON
+            answer = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
+            found = decided(problem, condense(problem), status, near, answer)
+            if found is not None:
+                self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
+                self.push, self._drag, self._gap, self._slip = (
+                    found.normal_force, found.friction_force, found.gap, found.slip
+                )  # fmt: skip
+        self.closed = np.flatnonzero(self.status != OPEN)
 
     def _states(self, words: Any) -> Status:
         """Return the states as numbers; what slips in the plane does so on or back."""
         status = np.where(np.isin(words, ("closed", "slip")), SLIP_ON, OPEN).astype(np.int8)
         status[words == "stick"] = STICK
-        slip = self.solution.slip
-        if slip is not None and slip.shape[1] == 1:
-            status[(status == SLIP_ON) & (slip[:, 0] < 0)] = SLIP_BACK
+        if self._slip.shape[1] == 1:
+            status[(status == SLIP_ON) & (self._slip[:, 0] < 0)] = SLIP_BACK
         return status
 
     def _sticking_at_bound(self) -> Indices:
-        solution, problem = self.solution, self.problem
-        if not problem.frictional or solution.friction_force is None or problem.friction is None:
+        problem = self.problem
+        if not problem.frictional or problem.friction is None:
             return np.zeros(0, dtype=np.intp)
-        bound = problem.friction * solution.normal_force
-        return np.flatnonzero((self.status == STICK) & (lengths(solution.friction_force) >= (1 - SAME) * bound))
+        bound = problem.friction * self.push
+        return np.flatnonzero((self.status == STICK) & (lengths(self._drag) >= (1 - SAME) * bound))
 
     def _forces_depend(self) -> bool:
         """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
@@ -226,11 +231,11 @@ class Linearised:
 
     def _in_states(self, system: RateSystem, direction: Direction) -> Rates:
         """Return the rates in one combination of states."""
-        problem, solution = self.problem, self.solution
+        problem = self.problem
         load, slip_origin = direction.whole_load, direction.slip_origin
         own = np.zeros_like(slip_origin)  # of the friction of contacts that slip, besides what the rates make
         if problem.tangent is not None and problem.frictional:
-            own = (direction.friction * solution.normal_force)[:, None] * system.directions
+            own = (direction.friction * self.push)[:, None] * system.directions
             own -= np.einsum("mij,mj->mi", system.turning, slip_origin)
             load = load - problem.tangent.T @ own.ravel()
         solved = system.solve(Parts(load, direction.whole_gap, slip_origin, direction.tie_value))
@@ -353,17 +358,15 @@ class Linearised:
     def _choices(self, i: int) -> tuple[int, ...]:
         """Return the states that a contact at a border may go to."""
         solution, friction = self.solution, self.problem.friction
-        assert solution.friction_force is not None
-        assert solution.slip is not None
         assert friction is not None
         if self.status[i] == STICK:
-            return STICK, SLIP_ON if solution.friction_force[i, 0] > 0 else SLIP_BACK
+            return STICK, SLIP_ON if self._drag[i, 0] > 0 else SLIP_BACK
         if friction[i] == 0:
             return OPEN, SLIP_ON
         certificate = solution.certificate
         measure = None if certificate.violations is None else certificate.violations.slip_measure
         if measure is not None and measure[i] > certificate.tolerance:
-            return OPEN, SLIP_ON if solution.slip[i, 0] > 0 else SLIP_BACK
+            return OPEN, SLIP_ON if self._slip[i, 0] > 0 else SLIP_BACK
         return OPEN, STICK, SLIP_ON, SLIP_BACK
 
     def _holds(self, found: Rates, direction: Direction, status: Status) -> bool:
@@ -375,12 +378,11 @@ class Linearised:
 
     def _signs(self, found: Rates, direction: Direction, status: Status) -> Vector:
         """Return what is not negative where rates lead undecided contacts to these states, in sqrt(energy)."""
-        problem, solution = self.problem, self.solution
+        problem = self.problem
         assert problem.friction is not None
-        assert solution.friction_force is not None
         _, of_normal, of_tangent, _ = self._units
         push, drag = found.normal_force * of_normal, found.friction_force[:, 0] * of_normal
-        room = (problem.friction * found.normal_force + direction.friction * solution.normal_force) * of_normal
+        room = (problem.friction * found.normal_force + direction.friction * self.push) * of_normal
         slips = np.divide(found.slip[:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
         gaps = np.divide(found.gap, of_normal, out=np.zeros_like(push), where=of_normal > 0)
         signs: list[float] = []
@@ -391,7 +393,7 @@ class Linearised:
             elif state == STICK and grazes:
                 signs += [push[i], room[i] - drag[i], room[i] + drag[i]]
             elif state == STICK:
-                signs += [room[i] - np.sign(solution.friction_force[i, 0]) * drag[i]]
+                signs += [room[i] - np.sign(self._drag[i, 0]) * drag[i]]
             else:
                 turns = not grazes or len(self._choices(int(i))) == 4
                 signs += ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
@@ -438,28 +440,21 @@ class Linearised:
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which contacts leave the states that the rates are of."""
-        solution, problem = self.solution, self.problem
         edges = self.grazing  # neither their forces nor their gaps fall, from nothing
         touching = np.setdiff1d(np.flatnonzero(rates.status != OPEN), edges)
         apart = np.setdiff1d(np.flatnonzero(rates.status == OPEN), edges)
-        yield from _falls(solution.normal_force[touching], sign * rates.normal_force[touching])
-        yield from _falls(solution.gap[apart], sign * rates.gap[apart])
-        if not problem.frictional or problem.friction is None or solution.slip is None:
+        yield from falls(self.push[touching], sign * rates.normal_force[touching])
+        yield from falls(self._gap[apart], sign * rates.gap[apart])
+        if not self.problem.frictional or self.problem.friction is None:
             return
+        mu = self.problem.friction
         rests = [i for i in self.undecided.tolist() if STICK in self._choices(i)]
-        slips = np.setdiff1d(np.flatnonzero((abs(rates.status) == 1) & (problem.friction > 0)), rests).astype(int)
+        slips = np.setdiff1d(np.flatnonzero((abs(rates.status) == 1) & (mu > 0)), rests).astype(int)
         along = rates.status[slips].astype(float)
-        yield from _falls(along * solution.slip[slips, 0], sign * along * rates.slip[slips, 0])
-        assert solution.friction_force is not None
+        yield from falls(along * self._slip[slips, 0], sign * along * rates.slip[slips, 0])
         for i in np.setdiff1d(np.flatnonzero(rates.status == STICK), edges):
-            push, drag = (solution.normal_force[i], solution.friction_force[i])
-            rate, drag_rate = sign * rates.normal_force[i], sign * rates.friction_force[i]
-            if len(drag) > 1:
-                yield from _reaches_bound(problem.friction[i], push, drag, rate, drag_rate)
-                continue
-            bounds = np.array([side for side in (1.0, -1.0) if i not in self._at_bound or side * drag[0] < 0])
-            yield from _falls(problem.friction[i] * push - bounds * drag[0],
-                              problem.friction[i] * rate - bounds * drag_rate[0])  # fmt: skip
+            forces = self.push[i], self._drag[i], sign * rates.normal_force[i], sign * rates.friction_force[i]
+            yield from reaches_bound(mu[i], *forces, i in self._at_bound)
 
     def named(self, contacts: Indices) -> str:
         """Return the names of some contacts."""
@@ -474,17 +469,14 @@ class Linearised:
         )
 
 
-def _falls(size: Vector, rate: Vector) -> Iterator[float]:
-    """Yield the steps at which positive sizes reach zero."""
-    falls = rate < 0
-    yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
+def width_within(turns: Array, signs: Vector, far: float) -> float:
+    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
+    from scipy.optimize import linprog
 
-
-def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
-    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
-    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
-    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
-    c = float(drag @ drag) - (mu * push) ** 2
-    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
-    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
-    yield from sorted(real)[:1]
+    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
+    for sign in (1.0, -1.0):
+        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
+        if end.status != 0:
+            return 0.0 if end.status == 2 else np.inf
+        ends.append(float(end.fun))
+    return -sum(ends)

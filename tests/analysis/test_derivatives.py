@@ -238,6 +238,21 @@ def test_what_hardly_touches_is_told_from_what_grazes() -> None:
     assert (found[1].left.tolist(), found[1].right.tolist()) == ([0.0], [pytest.approx(0.5)])
 
 
+def test_bodies_that_float_hardly_touch_or_graze_too() -> None:
+    """A spring of stiffness 1 pushed against a stop by its one end; another is where the other end comes to."""
+    found = []
+    for shift in (-(2.0**-42), 0.0, 2.0**-42):
+        solution = cq.solve(cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0], np.eye(2), [0.5, 1.5 + shift]))
+        assert solution.contact_status.tolist() == ["closed", "grazing"]
+        found.append(solution.derivative("normal_force", "load", [0.0, 1.0]))
+    assert [one.exists for one in found] == [True, False, True]
+    assert found[0].value == pytest.approx([0.0, 1.0])
+    assert found[2].value == pytest.approx([1.0, 0.0])
+    assert (found[1].left, found[1].right) == (pytest.approx([1.0, 0.0]), pytest.approx([0.0, 1.0]))
+    assert found[0].reach == pytest.approx((2.0**-42, np.inf))
+    assert found[2].reach == pytest.approx((2.0, 2.0**-42))
+
+
 def test_contacts_that_never_close_and_rows_of_zeros_change_nothing() -> None:
     K, load = [[2.0, -1.0], [-1.0, 2.0]], [4.0, 1.0]
     plain = cq.solve(cq.ContactProblem(K, load, [[1.0, 0.0]], [1.0]))

@@ -215,6 +215,20 @@ def test_a_contact_at_its_bound_is_followed_to_the_next_event() -> None:
     assert found.reach == pytest.approx((np.inf, 1.0 / 0.15))
 
 
+def test_what_hardly_sticks_or_slips_is_told_from_what_is_at_its_bound() -> None:
+    """A block of weight 8 on a spring of stiffness 2, mu = 1/4, pulled by 2 and a little less or more."""
+    K, floor = np.diag([2.0, 4.0]), dict(normal=[[0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0.0]], friction=0.25)
+    found = []
+    for more in (-(2.0**-40), 0.0, 2.0**-40):
+        block = cq.solve(cq.ContactProblem(K, [2.0 + more, -8.0], **floor))
+        found.append(block.derivative("displacement", "load", [1.0, 0.0]))
+    assert [one.exists for one in found] == [True, False, True]
+    assert [found[0].value.tolist(), found[1].left.tolist()] == [[0.0, 0.0], [0.0, 0.0]]
+    assert found[0].reach == pytest.approx((4.0, 2.0**-40))
+    assert (found[1].right, found[2].value) == (pytest.approx([0.5, 0.0]), pytest.approx([0.5, 0.0]))
+    assert found[2].reach == pytest.approx((2.0**-40, np.inf))
+
+
 def test_contacts_that_may_share_their_forces_have_no_derivatives() -> None:
     """Opposite walls, or the same twice: in one of the states that may come, the forces are many."""
     K, half = np.diag([2.0, 5.0]), np.array([0.5, 0.5])
