@@ -418,7 +418,14 @@ def falls(size: Vector, rate: Vector) -> Iterator[float]:
 def reaches_bound(
     mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector, there: bool
 ) -> Iterator[float]:
-    """Yield the steps x > 0 at which |drag + x drag'| = mu (push + x push'), of friction that is not, or is, there."""
+    """Yield the steps x > 0 at which |drag + x drag'| = mu (push + x push').
+
+    Parameters
+    ----------
+    mu, push, drag : coefficient, contact force and friction (d-1,) of a contact that sticks
+    push_rate, drag_rate : how forces change with x
+    there : whether friction is at its bound, which in the plane it may leave for the other
+    """
     if len(drag) == 1:
         bounds = np.array([side for side in (1.0, -1.0) if not there or side * drag[0] < 0])
         yield from falls(mu * push - bounds * drag[0], mu * push_rate - bounds * drag_rate[0])
