@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import gc
 import os
 import sys
 import threading
@@ -97,7 +98,20 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if sys.unraisablehook is sys.__unraisablehook__:
         sys.unraisablehook = _insist
     speakers.forget("--json" in (sys.argv[1:] if arguments is None else arguments))
-    sys.exit(speakers.settle(_ended(arguments)))
+    _keep_for_good(arguments)
+    code = speakers.settle(_ended(arguments))
+    _keep_for_good(arguments)
+    sys.exit(code)
+
+
+def _keep_for_good(arguments: Sequence[str] | None) -> None:
+    """Leave what there is out of the search for garbage in a process of the command's own, which ends soon.
+
+    Looking through all classes and functions that were imported, at the latest when Python ends, takes a quarter of the
+    time of a small command.
+    """
+    if arguments is None:
+        gc.freeze()
 
 
 INTERRUPTION = Ending(INTERRUPTED, "interrupted", error="interrupted")

@@ -185,11 +185,11 @@ def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None, unit
 
 def _refuse_combinations(asked: _Asked, cases: int, foreign: Sequence[str], vtu: str | None) -> None:
     """Raise an error for options that contradict each other or the files that they are for."""
-    from contactqp.exchange.problem_files import is_deck
+    if foreign and vtu is not None:
+        from contactqp.exchange.problem_files import is_deck
 
-    bare = [file for file in foreign if not is_deck(file)] if foreign and vtu is not None else []
-    if bare:
-        raise InvalidProblem(f"{bare[0]}: --vtu needs a case file or a deck, this file has no geometry")
+        for bare in (file for file in foreign if not is_deck(file)):
+            raise InvalidProblem(f"{bare}: --vtu needs a case file or a deck, this file has no geometry")
     if asked.knobs and cases and not asked.methods and asked.engine == SERIAL:
         raise InvalidProblem(f"run: {', '.join(asked.knobs)} belong to a method; state it by --method")
     if asked.time_limit is not None and not asked.time_limit > 0:

@@ -141,7 +141,8 @@ def _refuse_overlap(slave: Surface, master: Surface, covers: _Covers, overlap: f
         f, g = int(covers.slave[worst]), int(covers.master[worst])
         raise InvalidProblem(
             f"{slave.name}: facet {f} (nodes {slave.facets[f].tolist()}) is {-gap[worst]:.6g} inside "
-            f"{master.name} (facet {g}) at the start: expected an overlap of at most {allowed[worst]:.6g}"
+            f"{master.name} (facet {g}) at the start: expected an overlap of at most {allowed[worst]:.6g}, "
+            "which 'overlap' can change"
         )
 
 

@@ -464,5 +464,6 @@ def _refuse_overlap(
         worst = int(np.argmax(deeper))
         raise InvalidProblem(
             f"{slave.name}: node {nodes[worst]} is {-partners.gap[paired][worst]:.6g} inside {master.name} (facet "
-            f"{facet[worst]}) at the start: expected an overlap of at most {allowed[worst]:.6g}"
+            f"{facet[worst]}) at the start: expected an overlap of at most {allowed[worst]:.6g}, "
+            "which 'overlap' can change"
         )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 
-import contactqp
+import contactqp.cli
 from contactqp.solving.methods.method import Method
 from contactqp.study.footprint import Footprint
 from tests.cli.commands import CASES, WALL, run
@@ -415,6 +415,18 @@ def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
     (data,) = json.loads(run(capsys, "run", WALL, *stopped, "--json")[1])
     assert data["code"] == "not-converged"
     assert "maximum iterations reached" in data["failure"]
+
+
+def test_a_process_of_the_commands_own_does_not_look_for_garbage_at_its_end(monkeypatch, capsys):
+    """Of 0.73 s of processor time 0.14 s went into that. Processes that call `main` themselves go on as they were."""
+    calls: list[int] = []
+    monkeypatch.setattr("gc.freeze", lambda: calls.append(1))
+    monkeypatch.setattr("sys.argv", ["contactqp", "run", WALL])
+    for arguments, count in ((["run", WALL], 0), (None, 2)):
+        with pytest.raises(SystemExit):
+            contactqp.cli.main(arguments)
+        assert len(calls) == count
+    capsys.readouterr()
 
 
 def test_cases_side_by_side_print_what_they_print_one_by_one(capsys, tmp_path):

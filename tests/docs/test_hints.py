@@ -113,10 +113,14 @@ def from_wheel(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return place / "new" / "bin", folder
 
 
-def _call(*command_line: str | Path, folder: Path = ROOT) -> str:
+def _ended(*command_line: str | Path, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
     clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     words = [str(word) for word in command_line]
-    done = subprocess.run(words, capture_output=True, text=True, cwd=folder, env=clean)
+    return subprocess.run(words, capture_output=True, text=True, cwd=folder, env=clean)
+
+
+def _call(*command_line: str | Path, folder: Path = ROOT) -> str:
+    done = _ended(*command_line, folder=folder)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     return done.stdout
 
@@ -130,6 +134,56 @@ def test_readme_and_pages_run_from_a_built_wheel(from_wheel: tuple[Path, Path]) 
     modules = [f"tests/docs/test_{name}.py" for name in ("blocks", "readme", "recipes", "notebook")]
     printed = _call(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *modules, folder=folder)
     assert int(re.findall(r"(\d+) passed", printed)[0]) > 40
+
+
+@pytest.fixture(scope="module")
+def bare(from_wheel: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of a new environment with the wheel and what it requires, without extras."""
+    place = tmp_path_factory.mktemp("bare")
+    _call(sys.executable, "-m", "venv", place / "new")
+    (wheel,) = (from_wheel[0].parents[1] / "dist").glob("contactqp-*.whl")
+    _call(place / "new" / "bin" / "python", "-m", "pip", "install", "--quiet", wheel)
+    return place / "new" / "bin"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["run", "bar_wall", "--plot", "bar.png"], "pip install matplotlib"),
+        (["run", "bar_wall", "--vtu", "bar.vtu"], "pip install meshlane"),
+        (["run", "bar_wall", "--method", "piqp"], "pip install piqp"),
+        (["run", "bar_wall", "--method", "proxqp"], "pip install proxsuite"),
+        (["run", "bar_wall", "--method", "daqp"], "pip install daqp"),
+        (["run", "bar_wall", "--method", "qpalm"], "pip install qpalm"),
+        (["oracle", "bar_wall"], "pip install python-flint"),
+        (["run", "one.hdf5"], "pip install h5py"),
+    ],
+)
+def test_what_is_missing_is_had_by_the_command_that_is_told(
+    bare: Path, tmp_path: Path, words: list[str], hint: str
+) -> None:
+    """In an environment without extras: exit 3 with the command, and after that command another answer."""
+    (tmp_path / "one.hdf5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    told = _ended(bare / "contactqp", *words, folder=tmp_path)
+    assert told.returncode == 3, told.stdout + told.stderr
+    assert told.stderr.strip().endswith(hint)
+    _call(bare / "python", "-m", *hint.split(), "--quiet")
+    again = _ended(bare / "contactqp", *words, folder=tmp_path)
+    assert hint not in again.stderr
+    assert again.returncode == (2 if "one.hdf5" in words else 0)  # a file of that format, with nothing in it
+
+
+@pytest.mark.slow
+def test_a_report_without_its_packages_tells_them_and_has_its_page_with_them(bare: Path, tmp_path: Path) -> None:
+    command_line = (bare / "contactqp", "report", "bar_wall", "--fresh")
+    told = _ended(*command_line, folder=tmp_path).stderr
+    hint = re.findall(r"no page, as .* not installed: pip install (.*)", told)
+    assert len(hint) == 1, told
+    assert not (tmp_path / "report" / "index.html").exists()
+    _call(bare / "python", "-m", "pip", "install", "--quiet", *hint[0].split())
+    _call(*command_line, folder=tmp_path)
+    assert (tmp_path / "report" / "index.html").exists()
 
 
 @pytest.mark.slow

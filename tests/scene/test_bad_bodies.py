@@ -267,6 +267,7 @@ MUTATIONS = {
         'point = ["0 mm", "1 mm"]',
         "lower.bottom: node 0 at (0, 0) is 1 inside 'floor' at the start: expected an overlap of at most",
     ),
+    "two bottoms": ('"lower.top"', '"lower.bottom"', "contacts[1] ('joint'): expected sides that may touch"),
     "zero normal": ("normal = [0, 1]", "normal = [0, 0]", "obstacles[0].normal ('floor'): expected a direction"),
     "nodes beside bodies": ("[report]", '[[nodes]]\nname = "a"\nat = ["0 m", "0 m"]\n[report]', "nodes: expected none"),
     "fixed bodies": (

@@ -191,6 +191,30 @@ def test_what_a_node_is_joined_to_decides(
     assert all(doubt in text for text in found)
 
 
+MATERIAL = cq.Material(modulus=1.0, poisson=0.3)
+
+
+def two_blocks(overlap: float) -> cq.Structure:
+    """An upper block whose bottom lies so deep inside of a wider one."""
+    upper = rectangle(1.0, 0.5, (15, 8), corner=(0.0, -overlap))
+    ground = rectangle(2.0, 0.5, (20, 5), corner=(-0.5, -0.5))
+    meshes = {"upper": upper, "ground": ground}
+    return cq.Structure([cq.Body(mesh, MATERIAL, "plane-strain", name=name) for name, mesh in meshes.items()])
+
+
+@pytest.mark.parametrize("pair", [cq.pair_mortar, cq.pair_node_to_segment])
+@pytest.mark.parametrize("slave", ["bottom", "top"])
+def test_two_bodies_deep_inside_of_each_other_or_face_to_back_are_refused(pair: Any, slave: str) -> None:
+    """Half of the upper block is inside of the ground, or its top is paired with the top of the ground."""
+    apart, inside = two_blocks(0.0), two_blocks(0.25)
+    assert doubts_of(lambda: pair(apart.surface("upper", "bottom"), apart.surface("ground", "top"))) == []
+    deep = r"0\.25 inside ground\.top .* at most 0\.00\d+, which 'overlap' can change"
+    structure, words = (inside, deep) if slave == "bottom" else (apart, "face each other")
+    with pytest.raises(cq.InvalidProblem, match=words):
+        pair(structure.surface("upper", slave), structure.surface("ground", "top"))
+    assert len(pair(inside.surface("upper", "bottom"), inside.surface("ground", "top"), overlap=0.3).gap)
+
+
 @pytest.mark.parametrize("revolved", [True, False])
 def test_the_size_of_a_rim_is_its_diameter(revolved: bool) -> None:
     """A section of 1 mm at a radius of 100 mm that overlaps by 0.5 mm: half of the section, 0.25 % of the diameter."""
