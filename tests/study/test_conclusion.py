@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from math import exp, log
@@ -226,6 +227,107 @@ def test_the_table_is_that_of_the_rows_of_results_csv(folder: Path) -> None:
         if line["method"] in ("osqp", "clarabel"):
             assert line["claimed"] == sum(row["claimed"] == "true" for row in raw) > 0
             assert line["wrong"] == sum(row["flag_wrong"] == "true" for row in raw)
+
+
+NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]\d+)?)"
+
+
+def _off(printed: str) -> float:
+    """An error as the sentence writes it: ``"9 %"`` or ``"1e-06"``."""
+    return float(printed.removesuffix(" %")) * (0.01 if printed.endswith("%") else 1.0)
+
+
+class _Method:
+    """What the rows of results.csv say of one method, by its fastest right setting of each case, else the best one."""
+
+    def __init__(self, table: Sequence[dict[str, str]], name: str) -> None:
+        mine = _of(table, name)
+        usual = [row for row in mine if row["variant"] in ("", "polished") and row["condensed"] != "no"]
+        cases = {row["case"]: [r for r in usual if r["case"] == row["case"]] for row in mine}
+        right_ones = {
+            case: [r for r in of if r["error_judged"] and float(r["error_judged"]) <= float(r["error_allowed"])]
+            for case, of in cases.items()
+        }
+        self.name, self.exact = name, mine[0]["promises_exact"] == "true"
+        self.right, self.cases = sum(map(bool, right_ones.values())), len(cases)
+        best = [
+            min(right_ones[case], key=lambda r: float(r["seconds"]))
+            if right_ones[case]
+            else min(of, key=lambda r: float(r["error_judged"] or "inf"))
+            for case, of in cases.items()
+        ]
+        ratios = [float(r["seconds"]) / float(r["linear_solve_seconds"]) for r in best]
+        self.time = exp(sum(log(ratio + 1) for ratio in ratios) / len(ratios)) - 1
+        self.spread = sum(float(r["seconds_spread"]) for r in best) / len(best)
+        self.error = max(float(r["error_force"]) for r in best)
+        self.worst = max(float(r["error_force"]) for r in usual if r["error_force"])
+        own = [row for row in mine if row["variant"] == "raw"] or mine
+        self.claimed = sum(row["claimed"] == "true" for row in own) if self.exact else 0
+        self.wrong = sum(row["flag_wrong"] == "true" for row in own) if self.exact else 0
+
+
+def refuted(sentence: str, table: Sequence[dict[str, str]]) -> list[str]:
+    """What a conclusion says that the rows of a report of small cases do not: numbers, who is right, who is faster."""
+    methods = {name: _Method(table, name) for name in dict.fromkeys(row["method"] for row in table)}
+    default, wrong = methods["active-set"], []
+    head = re.search(rf"^On (\d+) cases .*? contact forces within {NUMBER}, in the time of {NUMBER} linear", sentence)
+    assert head is not None, sentence
+    if int(head[1]) != len({row["case"] for row in table}):
+        wrong.append("cases")
+    if float(head[2]) != pytest.approx(max(default.error, 1.1e-16), rel=0.5):
+        wrong.append("error of the default")
+    if float(head[3]) != pytest.approx(default.time, rel=0.06):
+        wrong.append("time of the default")
+    if ("is right in all" in sentence) != (default.right == default.cases):
+        wrong.append("default right in all")
+    others = [m for m in methods.values() if m.exact and m is not default and m.right == m.cases]
+    also = re.search(r"Also right wherever they were tried: ([^;]*); (.*?)\. ", sentence)
+    assert also is not None, sentence
+    if set(also[1].split(", ")) != {method.name for method in others}:
+        wrong.append("who else is right")
+    fastest = min(others, key=lambda method: method.time)
+    is_faster = default.time > max(1.1, 1 + default.spread + fastest.spread) * fastest.time
+    if also[2].startswith(f"{fastest.name} is faster") != is_faster or ("none of them" in also[2]) == is_faster:
+        wrong.append("who is faster")
+    for method in (method for method in methods.values() if not method.exact):
+        said = re.search(
+            rf"(?i){method.name} is off by (\S+(?: %)?) to (\S+(?: %)?) depending .*? {NUMBER} linear", sentence
+        )
+        if said is None or _off(said[1]) != pytest.approx(method.worst, rel=0.5):
+            wrong.append(f"worst of {method.name}")
+        elif _off(said[2]) != pytest.approx(method.error, rel=0.5) or float(said[3]) != pytest.approx(
+            method.time, rel=0.06
+        ):
+            wrong.append(f"best of {method.name}")
+    counts = [int(n) for n in re.findall(r"(\d+) (?:raw answers|are wrong)|(?<=one of the )(\d+)", sentence)[0] if n]
+    if counts[0] != sum(method.claimed for method in methods.values()):
+        wrong.append("claimed")
+    if ("Nobody" in sentence) != (sum(method.wrong for method in methods.values()) == 0):
+        wrong.append("silently wrong")
+    return wrong
+
+
+@pytest.mark.slow
+def test_the_sentence_says_what_the_rows_of_results_csv_say(folder: Path) -> None:
+    table = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
+    sentence = json.loads((folder / "results.json").read_text())["conclusion"]["sentence"]
+    assert refuted(sentence, table) == []
+    for said, instead, what in (
+        (r"On 3 cases", "On 4 cases", "cases"),
+        (r"in the time of \S+ linear solves on", "in the time of 0.5 linear solves on", "time of the default"),
+        (r"contact forces within \S+,", "contact forces within 1e-10,", "error of the default"),
+        (r"osqp, ", "", "who else is right"),
+        (r"; none of them is faster by [^.]*|; \S+ is faster[^.]*", "; osqp is the order of the day", "who is faster"),
+        (r"off by \S+( %)? to", "off by 90 % to", "worst of penalty"),
+        (r"the \d+ raw answers|Of \d+ raw answers", "the 7 raw answers", "claimed"),
+    ):
+        spoiled = re.sub(said, instead, sentence, count=1)
+        assert spoiled != sentence, said
+        assert what in refuted(spoiled, table), what
+    slow = [
+        row | {"seconds": str(100 * float(row["seconds"]))} if row["method"] == "active-set" else row for row in table
+    ]
+    assert {"time of the default", "who is faster"} <= set(refuted(sentence, slow))
 
 
 @pytest.mark.slow
