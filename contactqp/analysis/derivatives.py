@@ -23,8 +23,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import Direction, Parts, Rates
-from contactqp.analysis.rates import FREE, REDUNDANT, SAME, Linearised, NoRates
+from contactqp.analysis.rate_systems import SAME, Direction, Parts, Rates, errors_of
+from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.errors import BackendMissing, InvalidProblem, shown
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
@@ -52,8 +52,9 @@ class Derivative(ReadOnly):
     `left` and `right` are towards minus and plus the direction; `value` is both where they are one, else None, and
     `reason` says why. `reach` are the steps (back, ahead) along the direction, not negative, within which no contact
     changes its state; None where the answer is not linear along it, as for the stiffness and in space where something
-    slips. `bound` is what the value may be off by, entry by entry, for displacements and forces of a proven answer
-    along load, gaps, slip origins and tie values; its rounding allowance is that of certificates.
+    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer along load,
+    gaps, slip origins and tie values, the energy left out; its rounding allowance is that of certificates. An answer
+    with friction is proven, as by `contactqp.certify`, when it is first asked.
     """
 
     value: Any
@@ -99,8 +100,8 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     array([-2.])
     """
     _refuse_unknown(solution, of, with_respect_to)
-    along = _read_direction(solution, with_respect_to, direction)
-    return _along(Linearised(solution), of, along, with_respect_to)
+    linearised = Linearised(solution)
+    return _along(linearised, of, _read_direction(linearised, with_respect_to, direction), with_respect_to)
 
 
 @checked
@@ -124,7 +125,7 @@ def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
     columns = []
     for unit in np.eye(size):
         direction = unit.reshape(np.shape(getattr(solution.problem, with_respect_to)))
-        found = _along(linearised, of, _read_direction(solution, with_respect_to, direction), with_respect_to)
+        found = _along(linearised, of, _read_direction(linearised, with_respect_to, direction), with_respect_to)
         if found.value is None:
             raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {found.reason}")
         columns.append(np.ravel(found.value))
@@ -184,9 +185,9 @@ def _value(solution: Solution, of: str) -> Any:
     return problem.load - problem.stiffness_rows @ solution.displacement if of == "reaction" else getattr(solution, of)
 
 
-def _read_direction(solution: Solution, parameter: str, direction: Any) -> Direction:
-    problem, zero = solution.problem, Direction.zero(solution.problem)
-    u, push = solution.displacement, solution.normal_force
+def _read_direction(linearised: Linearised, parameter: str, direction: Any) -> Direction:
+    problem, zero = linearised.problem, Direction.zero(linearised.problem)
+    u, push = linearised.solution.displacement, linearised.push
     if parameter in VECTORS:
         expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
         if parameter == "friction" and given.ndim == 0:
@@ -242,7 +243,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     if of in FORCES and (back.shared or ahead.shared):
         return Derivative(None, None, None, False, reason=REDUNDANT)
     left, right = (_of_rates(linearised.solution, of, rates, direction) for rates in (back, ahead))
-    same = linearised.same("displacement" if of == "energy" else of, back, ahead)
+    same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
         same = abs(left - right) <= SAME * max(abs(left), abs(right))
     reason = "" if same else f"the two sides differ: {linearised.at_border()}"
@@ -250,7 +251,10 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     turns = frictional and np.any(getattr(linearised.system, "turning", 0.0) != 0)
     if parameter in LINEAR and not turns:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
-    bound = _bound(of, ahead) if parameter in LINEAR and linearised.solution.certificate.proven else None
+    bound = None
+    if parameter in LINEAR and of != "energy" and not turns and linearised.proven:
+        both = [errors_of(linearised.problem, of, rates, direction) for rates in (back, ahead)]
+        bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
     return Derivative(right if same else None, left, right, same, bound, reach, reason)
 
 
@@ -267,12 +271,6 @@ def _first(linearised: Linearised, rates: Rates, sign: float) -> float:
     return float(min(linearised.events(rates, sign), default=np.inf))
 
 
-def _bound(of: str, rates: Rates) -> Any:
-    """Return the errors of displacement or forces, where they are known."""
-    names = dict(displacement="displacement", normal_force="normal", tie_force="tie")
-    return None if rates.bound is None or of not in names else read_only(getattr(rates.bound, names[of]))
-
-
 def _rate_of_energy(solution: Solution, direction: Direction) -> float:
     """Return the rate without friction, by the envelope theorem: -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u."""
     rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
@@ -282,7 +280,7 @@ def _rate_of_energy(solution: Solution, direction: Direction) -> float:
 def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -> Any:
     """Return the gradient of weights . quantity by a parameter."""
     problem, solution = linearised.problem, linearised.solution
-    u, push = solution.displacement, solution.normal_force
+    u, push = solution.displacement, linearised.push
     if of == "energy" and not problem.frictional:
         by: dict[str, Any] = dict(load=-u, gap=-push, tie_value=-solution.tie_force)
         by |= dict(friction=0.0 * push, slip_origin=Direction.zero(problem).slip_origin)

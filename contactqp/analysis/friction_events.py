@@ -407,32 +407,3 @@ def _named(problem: ContactProblem, contacts: Indices) -> str:
     names = [problem.contact_name(i) for i in contacts.tolist()]
     more = len(names) - NAMES_IN_A_MESSAGE
     return (", ".join(names[:NAMES_IN_A_MESSAGE]) or "no contact") + (f" and {more} more" if more > 0 else "")
-
-
-def falls(size: Vector, rate: Vector) -> Iterator[float]:
-    """Yield the steps at which positive sizes reach zero."""
-    falling = rate < 0
-    yield from (np.maximum(size[falling], 0.0) / -rate[falling]).tolist()
-
-
-def reaches_bound(
-    mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector, there: bool
-) -> Iterator[float]:
-    """Yield the steps x > 0 at which |drag + x drag'| = mu (push + x push').
-
-    Parameters
-    ----------
-    mu, push, drag : coefficient, contact force and friction (d-1,) of a contact that sticks
-    push_rate, drag_rate : how forces change with x
-    there : whether friction is at its bound, which in the plane it may leave for the other
-    """
-    if len(drag) == 1:
-        bounds = np.array([side for side in (1.0, -1.0) if not there or side * drag[0] < 0])
-        yield from falls(mu * push - bounds * drag[0], mu * push_rate - bounds * drag_rate[0])
-        return
-    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
-    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
-    c = float(drag @ drag) - (mu * push) ** 2
-    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
-    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
-    yield from sorted(real)[:1]

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, Protocol, overload
 
 import numpy as np
 
-from contactqp.analysis.contact_table import ContactRow, ContactTable, contact_table
+from contactqp.analysis.load_cases import ContactRow, ContactTable, contact_table
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense

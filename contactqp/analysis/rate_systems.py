@@ -15,7 +15,7 @@ they refine answers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,24 +24,22 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
-from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
 from contactqp.linalg.friction_states import StateSystem, friction_bound, refined_in, slip_directions
-from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
-from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.linalg.refinement import CAUTION, INVISIBLE
+from contactqp.model.arrays import Array, Vector, zero_beneath
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
+# Rates that differ by this part of the largest, in the square root of energy, are one.
+SAME = 1e-9
 # A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
 TURNED = 1e-3
-# Combinations of states that contacts at a border may go to, at most.
-MOST_COMBINATIONS = 256
-# Friction that misses its bound by this part of it is at its bound.
-AT_BOUND = 4 * EPS
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
 # gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
@@ -372,128 +370,72 @@ def _resolved(
     return Parts(found.displacement.double(), found.normal_force.double(), slip, found.tie_force.double())
 
 
-@dataclass(frozen=True, eq=False)
-class Decided:
-    """The states of an answer's contacts, those near a border decided by what they are beyond double precision."""
-
-    status: Status  # (m,)
-    grazing: Indices  # whose gaps and forces both vanish
-    at_bound: Indices  # that stick with all of the friction that they may have
-    normal_force: Vector  # (m,)
-    friction_force: Array  # (m, d-1)
-    gap: Vector  # (m,)
-    slip: Array  # (m, d-1)
-
-
-def decided(
-    problem: ContactProblem, condensation: Condensation, status: Status, near: Indices, answer: Parts
-) -> Decided | None:
-    """Return the states of an answer, those of contacts near a border decided; None where refinement tells nothing.
-
-    The answer is refined in the states, and those near a border are changed as its signs say, until none does; where
-    that leads nowhere, all of their combinations are tried. A gap or force is none where refinement leaves as much of
-    zero. Friction is at its bound where the two are one to a few roundings: the product of coefficient and force is no
-    double.
-
-    Parameters
-    ----------
-    problem, condensation : with friction in the plane, or without
-    status : (m,) array of int, the states to begin with
-    near : contacts whose states may be others
-    answer : Parts, displacement, normal forces, friction and tie forces
-    """
-    tried: dict[bytes, Decided | Status | None] = {}
-
-    def look(at: Status) -> Decided | Status | None:
-        if at.tobytes() not in tried:
-            tried[at.tobytes()] = _decided_in(problem, condensation, at, near, answer)
-        return tried[at.tobytes()]
-
-    following: Decided | Status | None = status
-    while isinstance(following, np.ndarray) and following.tobytes() not in tried:
-        following = look(following)
-    if isinstance(following, Decided) or 4.0 ** len(near) > MOST_COMBINATIONS:
-        return following if isinstance(following, Decided) else None
-    choices = (OPEN, STICK, SLIP_ON, SLIP_BACK) if problem.frictional else (OPEN, SLIP_ON)
-    for chosen in product(choices, repeat=len(near)):
-        at = status.copy()
-        at[near] = chosen
-        found = look(at)
-        if isinstance(found, Decided):
-            return found
-    return None
-
-
-def _decided_in(
-    problem: ContactProblem, condensation: Condensation, status: Status, near: Indices, answer: Parts
-) -> Decided | Status | None:
-    """Return the states where the signs of an answer in them hold, else those that the signs lead to, or None."""
-    found = _beyond_doubles(problem, condensation, status.copy(), answer)
-    if found is None:
-        return None
-    (push, drag, gap, slip), no_force, no_gap, room = found
-    following, grazing, at_bound = status.copy(), [], []
-    for i in near:
-        smooth = problem.friction is None or problem.friction[i] == 0
-        if abs(push[i]) <= no_force[i] and abs(gap[i]) <= no_gap[i]:
-            grazing.append(i)
-        elif status[i] == OPEN or push[i] < 0:
-            following[i] = OPEN if status[i] != OPEN or gap[i] > 0 else SLIP_ON if smooth else STICK
-        elif smooth:
-            following[i] = SLIP_ON
-        elif status[i] == STICK and abs(room[i]) > AT_BOUND * abs(drag[i, 0]):
-            following[i] = STICK if room[i] > 0 else SLIP_ON if drag[i, 0] > 0 else SLIP_BACK
-        elif status[i] == STICK or slip[i, 0] == 0:
-            at_bound.append(i)
-        else:
-            following[i] = status[i] if status[i] * slip[i, 0] > 0 else STICK
-    if not np.array_equal(following, status):
-        return following
-    following[at_bound], following[grazing] = STICK, OPEN
-    at_border = np.array(grazing, dtype=np.intp), np.array(at_bound, dtype=np.intp)
-    return Decided(following, *at_border, push, drag, gap, slip)
-
-
-def _beyond_doubles(
-    problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts
-) -> tuple[tuple[Vector, Array, Vector, Array], Vector, Vector, Vector] | None:
-    """Return forces, friction, gaps and slips in some states, what forces and gaps are nothing, and friction's room."""
-    rows, shape = extended_rows(problem), shape_of_tangents(problem)
-    none = np.zeros(shape)
-    if not problem.frictional:
-        on = answer_on(problem, condensation, np.flatnonzero(status != OPEN), caution=CAUTION)
-        if on.saddle.redundant or on.contraction * CAUTION > 1 or on.cleared > 0:
-            return None
-        compliance, lengths = condensation.delassus.compliance[: problem.contacts], on.nothing[: problem.contacts]
-        nothing = np.divide(lengths, compliance, out=np.zeros_like(lengths), where=compliance > 0)
-        return (on.doubles.normal_force, none, on.gaps, none), nothing, lengths, np.zeros(problem.contacts)
-    scaled = condensed_frictional_rows(problem, condensation)
-    start = Answer(answer.displacement, answer.normal, answer.tangent, answer.tie)
-    found = refined_in(problem, condensation, scaled, status, start)
-    if not found.regular:
-        return None
-    u, push = found.displacement.double(), found.normal_force.double()
-    unit = condensation.unknown_scale
-    normal, tangent = (np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in (problem.normal, problem.tangent))
-    last = max(np.max(abs(found.last.displacement) / unit, initial=0.0), np.max(abs(found.last.normal_force) * normal))
-    whole = max(np.max(abs(u) / unit, initial=0.0), np.max(abs(push) * normal), np.max(abs(problem.load) * unit))
-    if last > EPS * whole:
-        return None
-    nothing = INVISIBLE * whole + last
-    force = np.divide(nothing, normal, out=np.zeros_like(normal), where=normal > 0)
-    drag = found.friction_force.double()
-    room = friction_bound(problem, found.normal_force, np.ones(shape)) - Extended(
-        abs(found.friction_force.hi), np.where(found.friction_force.hi < 0, -1.0, 1.0) * found.friction_force.lo
-    )
-    slip = (
-        rows.slip(found.displacement) - (none if problem.slip_origin is None else problem.slip_origin).ravel()
-    ).double()
-    slip[abs(slip) <= nothing * tangent] = 0.0
-    gap = rows.gap(problem, found.displacement).double()
-    return (push, drag.reshape(shape), gap, slip.reshape(shape)), force, nothing * normal, room.double()
-
-
 def _products(factor: Vector, values: Extended) -> Extended:
     """Return the products of doubles and extended numbers, entry by entry."""
     product, error = two_product(factor, values.hi)
     return Extended(product, error + factor * values.lo)
+
+
+def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Direction) -> Any:
+    """Return what entries of rates may be off by along a direction that is free of rounding; None if not known.
+
+    That is one of load, gap, slip origin and tie value; gaps, slips, friction and reactions in the plane.
+
+    Parameters
+    ----------
+    problem, of : the problem of the answer, and the name of a quantity
+    rates, direction : its rates, with bounds of displacement and forces, and what they are along
+    """
+    bound, u = rates.bound, abs(rates.displacement)
+    if bound is None:
+        return None
+    if of in ("displacement", "normal_force", "tie_force"):
+        return dict(displacement=bound.displacement, normal_force=bound.normal, tie_force=bound.tie)[of]
+    if of == "friction_force" and problem.friction is not None:
+        return bound.tangent + problem.friction[:, None] * bound.normal[:, None] + 4 * EPS * abs(rates.friction_force)
+    rows = dict(gap=problem.normal, slip=problem.tangent, reaction=problem.stiffness_rows).get(of)
+    if rows is None:
+        return None
+    own = dict(gap=direction.whole_gap, slip=direction.slip_origin.ravel(), reaction=direction.load)[of]
+    sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 2
+    return (sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u)).reshape(getattr(rates, of).shape)
+
+
+class Scales:
+    """What turns quantities of a problem into square roots of energy, in which they compare."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem = problem
+
+    def same(self, of: str, one: Rates, other: Rates) -> bool:
+        """Return whether a quantity has the same rates, beside all rates and in the square root of energy.
+
+        Gaps and reactions are sums of terms that may cancel: beside themselves their rounding would be a difference.
+        """
+        largest = 0.0
+        for name in ("displacement", "normal_force", "friction_force", "tie_force"):
+            for rates in (one, other):
+                largest = max(largest, float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)))
+        difference = self.of(of, getattr(one, of) - getattr(other, of))
+        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest)
+
+    def of(self, name: str, values: Array) -> Vector:
+        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
+        unit, normal, tangent, tie = self.units
+        flat = values.ravel()
+        if name in ("displacement", "reaction"):
+            return flat / unit if name == "displacement" else flat * unit
+        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
+        if name in ("gap", "slip"):
+            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
+        return flat * length if flat.size else flat
+
+    @cached_property
+    def units(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
+        problem, unit = self._problem, unknown_scale(self._problem)
+        rows = (problem.normal, problem.tangent, problem.tie)
+        normal, tangent, tie = (
+            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
+        )
+        return unit, normal, tangent, tie

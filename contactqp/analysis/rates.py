@@ -19,31 +19,35 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import product
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.friction_events import falls, reaches_bound
+from contactqp.analysis.border_states import MOST_COMBINATIONS, Margins, decided, steps_to_events, width_within
 from contactqp.analysis.rate_systems import (
-    MOST_COMBINATIONS,
+    EPS,
+    SAME,
     Direction,
     Parts,
     Rates,
     RateSystem,
-    decided,
+    Scales,
+    errors_of,
     shape_of_tangents,
 )  # fmt: skip
 from contactqp.certificate import bounds
+from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import saddle_point, unknown_scale
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
+from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
 FREE = "bodies are free to move, and their displacements are not unique"
@@ -51,13 +55,18 @@ REDUNDANT = "contacts that touch are redundant, and share their forces in many w
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
 IN_SPACE = "what becomes of contacts at the border of two states is found in the plane alone, with friction"
-# Friction that misses its bound by this part of it is at its bound; rates whose signs fail by this part of the largest,
-# in the square root of energy, do not fail; rates that differ by this part of the larger are one.
-SAME = 1e-9
+# Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
+ROUNDING = 64 * EPS
+# The rates whose signs tell states.
+BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that are named in a reason.
 SHOWN = 5
+
+
+# Whether answers with friction have bounds.
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 
 
 class NoRates(Exception):
@@ -82,7 +91,7 @@ class Linearised:
         problem = solution.problem
         if not solution.certificate.passed:
             raise InvalidProblem("derivatives: the answer is not certified")
-        self.solution, self.problem = solution, problem
+        self.solution, self.problem, self.scales = solution, problem, Scales(problem)
         if not iterated(problem):
             self._linearise()
         elif may_be_factorised(problem):
@@ -161,7 +170,7 @@ class Linearised:
         if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
             return True
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
-        unit, normal, _, tie = self._units
+        unit, normal, _, tie = self.scales.units
         problem, lengths = self.problem, np.concatenate([normal[touching], tie])
         rows = sp.csc_array(sp.vstack([problem.normal[touching], problem.tie]))
         felt = np.flatnonzero(np.diff(rows.indptr))
@@ -179,6 +188,20 @@ class Linearised:
             answer = Parts(solution.displacement, solution.normal_force, slip, solution.tie_force)
             self._systems[key] = RateSystem(problem, condense(problem), status, answer)
         return self._systems[key]
+
+    @cached_property
+    def proven(self) -> bool:
+        """Whether errors of the answer are bounded; one with friction is proven when this is first asked of it."""
+        solution, certificate = self.solution, self.solution.certificate
+        if certificate.proven or not self.problem.frictional:
+            return certificate.proven
+        if solution not in _PROVEN:
+            answer = Answer(
+                solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force
+            )  # fmt: skip
+            limits = certificate.tolerance, certificate.error_tolerance, condense(self.problem)
+            _PROVEN[solution] = certificate_of(self.problem, answer, *limits, prove_friction=True).proven
+        return _PROVEN[solution]
 
     @property
     def irregular(self) -> str | None:
@@ -291,7 +314,33 @@ class Linearised:
         shared = bool(
             np.any(found.normal_force > 0) and any(bounds.REDUNDANT in one for one in found.certificate.reasons)
         )
-        return replace(self._with_reaction(direction, parts, tangents, slip, self.status, None), shared=shared)
+        rates = replace(self._with_reaction(direction, parts, tangents, slip, self.status, None), shared=shared)
+        return self._bounded(rates, direction) or rates
+
+    def _bounded(self, rates: Rates, direction: Direction) -> Rates | None:
+        """Return rates without friction from the system of the states that they lead to, with bounds of their errors.
+
+        None where they are shared, where nothing is condensed, or where their signs in these states do not hold.
+        """
+        if self._sparse or rates.shared:
+            return None
+        status = self.status.copy()
+        status[self.grazing[rates.normal_force[self.grazing] > 0]] = SLIP_ON
+        system = self._system(status)
+        if not system.regular:
+            return None
+        try:
+            found = self._in_states(system, direction)
+        except NoRates:
+            return None
+        if found.bound is None:
+            return None
+        push, gap = (
+            found.normal_force + found.bound.normal,
+            found.gap + errors_of(self.problem, "gap", found, direction),
+        )
+        holds = np.where(status != OPEN, push, gap)[self.grazing] >= 0
+        return replace(found, status=self.status) if holds.all() else None
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
@@ -341,16 +390,16 @@ class Linearised:
 
     def _missed(self, found: Rates, direction: Direction, system: RateSystem) -> float:
         """Return what rates leave of equilibrium and of what is to be held, as a part of all."""
-        problem, tie_length = self.problem, self._units[3]
+        problem, tie_length = self.problem, self.scales.units[3]
         assert problem.tangent is not None
         outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
         outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
         closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in (system.closed, system.stuck))
         held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
-        missed = [self._scaled("reaction", outer), held, self._scaled("gap", np.where(closed, found.gap, 0.0))]
-        missed.append(self._scaled("slip", np.where(stuck[:, None], found.slip, 0.0)))
+        missed = [self.scales.of("reaction", outer), held, self.scales.of("gap", np.where(closed, found.gap, 0.0))]
+        missed.append(self.scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
         rates = [
-            self._scaled(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")
+            self.scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")
         ]
         left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
         return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
@@ -371,29 +420,37 @@ class Linearised:
 
     def _holds(self, found: Rates, direction: Direction, status: Status) -> bool:
         """Return whether rates lead undecided contacts to the states that they were found in."""
-        unit, of_normal, _, _ = self._units
+        unit, of_normal, _, _ = self.scales.units
         push = abs(found.normal_force * of_normal)
-        nothing = SAME * max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
-        return bool(np.min(self._signs(found, direction, status), initial=0.0) >= -nothing)
+        whole = max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
+        nothing = np.array(SAME * whole)
+        if found.bound is not None:
+            rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
+            nothing = self._signs(found, direction, status, errors=True) + (ROUNDING * whole if rounded else 0.0)
+        return bool(np.all(self._signs(found, direction, status) >= -nothing))
 
-    def _signs(self, found: Rates, direction: Direction, status: Status) -> Vector:
-        """Return what is not negative where rates lead undecided contacts to these states, in sqrt(energy)."""
-        problem = self.problem
-        assert problem.friction is not None
-        _, of_normal, of_tangent, _ = self._units
-        push, drag = found.normal_force * of_normal, found.friction_force[:, 0] * of_normal
-        room = (problem.friction * found.normal_force + direction.friction * self.push) * of_normal
-        slips = np.divide(found.slip[:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
-        gaps = np.divide(found.gap, of_normal, out=np.zeros_like(push), where=of_normal > 0)
+    def _signs(self, found: Rates, direction: Direction, status: Status, errors: bool = False) -> Vector:
+        """Return what is not negative where rates lead undecided contacts to these states, or its error."""
+        mu, add = self.problem.friction, 1.0 if errors else -1.0
+        assert mu is not None
+        _, of_normal, of_tangent, _ = self.scales.units
+        of = {
+            name: errors_of(self.problem, name, found, direction) if errors else getattr(found, name)
+            for name in BY_SIGN
+        }
+        push, drag = of["normal_force"] * of_normal, of["friction_force"][:, 0] * of_normal
+        room = mu * push + direction.friction * self.push * of_normal * (8 * EPS if errors else 1.0)
+        slips = np.divide(of["slip"][:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
+        gaps = np.divide(of["gap"], of_normal, out=np.zeros_like(push), where=of_normal > 0)
         signs: list[float] = []
         for i in self.undecided:
-            grazes, state = self.status[i] != STICK, status[i]
-            if state == OPEN:
+            grazes, state = self.status[i] != STICK, 1 if errors else status[i]
+            if status[i] == OPEN:
                 signs += [gaps[i]]
-            elif state == STICK and grazes:
-                signs += [push[i], room[i] - drag[i], room[i] + drag[i]]
-            elif state == STICK:
-                signs += [room[i] - np.sign(self._drag[i, 0]) * drag[i]]
+            elif status[i] == STICK and grazes:
+                signs += [push[i], room[i] + add * drag[i], room[i] + abs(add) * drag[i]]
+            elif status[i] == STICK:
+                signs += [room[i] + (1.0 if errors else -np.sign(self._drag[i, 0])) * drag[i]]
             else:
                 turns = not grazes or len(self._choices(int(i))) == 4
                 signs += ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
@@ -402,59 +459,21 @@ class Linearised:
     def _are_one(self, one: Rates, other: Rates) -> bool:
         """Return whether two combinations have the same rates."""
         return all(
-            self.same(name, one, other) for name in ("displacement", "normal_force", "friction_force", "tie_force")
+            self.scales.same(name, one, other)
+            for name in ("displacement", "normal_force", "friction_force", "tie_force")
         )
-
-    def same(self, of: str, one: Rates, other: Rates) -> bool:
-        """Return whether a quantity has the same rates, beside all rates and in the square root of energy.
-
-        Gaps and reactions are sums of terms that may cancel: beside themselves their rounding would be a difference.
-        """
-        largest = 0.0
-        for name in ("displacement", "normal_force", "friction_force", "tie_force"):
-            for rates in (one, other):
-                largest = max(largest, float(np.max(abs(self._scaled(name, getattr(rates, name))), initial=0.0)))
-        difference = self._scaled(of, getattr(one, of) - getattr(other, of))
-        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest)
-
-    def _scaled(self, name: str, values: Array) -> Vector:
-        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
-        unit, normal, tangent, tie = self._units
-        flat = values.ravel()
-        if name in ("displacement", "reaction"):
-            return flat / unit if name == "displacement" else flat * unit
-        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
-        if name in ("gap", "slip"):
-            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
-        return flat * length if flat.size else flat
-
-    @cached_property
-    def _units(self) -> tuple[Vector, Vector, Vector, Vector]:
-        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
-        problem, unit = self.problem, unknown_scale(self.problem)
-        rows = (problem.normal, problem.tangent, problem.tie)
-        normal, tangent, tie = (
-            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
-        )
-        return unit, normal, tangent, tie
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
-        """Yield the steps along sign times these rates at which contacts leave the states that the rates are of."""
-        edges = self.grazing  # neither their forces nor their gaps fall, from nothing
-        touching = np.setdiff1d(np.flatnonzero(rates.status != OPEN), edges)
-        apart = np.setdiff1d(np.flatnonzero(rates.status == OPEN), edges)
-        yield from falls(self.push[touching], sign * rates.normal_force[touching])
-        yield from falls(self._gap[apart], sign * rates.gap[apart])
-        if not self.problem.frictional or self.problem.friction is None:
-            return
-        mu = self.problem.friction
-        rests = [i for i in self.undecided.tolist() if STICK in self._choices(i)]
-        slips = np.setdiff1d(np.flatnonzero((abs(rates.status) == 1) & (mu > 0)), rests).astype(int)
-        along = rates.status[slips].astype(float)
-        yield from falls(along * self._slip[slips, 0], sign * along * rates.slip[slips, 0])
-        for i in np.setdiff1d(np.flatnonzero(rates.status == STICK), edges):
-            forces = self.push[i], self._drag[i], sign * rates.normal_force[i], sign * rates.friction_force[i]
-            yield from reaches_bound(mu[i], *forces, i in self._at_bound)
+        """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
+
+        Of contacts that graze neither forces nor gaps fall, from nothing.
+        """
+        parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
+        along = Margins(*(sign * part for part in parts))
+        now, mu = Margins(self._gap, self.push, self._drag, self._slip), self.problem.friction
+        rests = np.array([i for i in self.undecided if self.problem.frictional and STICK in self._choices(int(i))])
+        mu = mu if self.problem.frictional else None
+        yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests.astype(np.intp), self._at_bound)
 
     def named(self, contacts: Indices) -> str:
         """Return the names of some contacts."""
@@ -467,16 +486,3 @@ class Linearised:
         return "; ".join(
             f"{self.named(which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
         )
-
-
-def width_within(turns: Array, signs: Vector, far: float) -> float:
-    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
-    from scipy.optimize import linprog
-
-    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
-    for sign in (1.0, -1.0):
-        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
-        if end.status != 0:
-            return 0.0 if end.status == 2 else np.inf
-        ends.append(float(end.fun))
-    return -sum(ends)

@@ -14,8 +14,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.analysis.contact_table import contact_table
 from contactqp.analysis.history import History
+from contactqp.analysis.load_cases import contact_table
 from contactqp.distributed.distributing import ProblemRows, problem_from_share, rows_of_problem, share_from_first_rank
 from contactqp.distributed.problem import DistributedSolution
 from contactqp.distributed.ranks import Ranks

@@ -71,7 +71,7 @@ def drawn(rng: np.random.Generator, grazes: bool) -> tuple[cq.ContactProblem, An
 @pytest.mark.parametrize("problems", [8, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grazes", [False, True])
 def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
-    rng, two_sided, seen = np.random.default_rng(27), 0, 0
+    rng, two_sided, seen, bounded = np.random.default_rng(27), 0, 0, 0
     for _ in range(problems):
         problem, data = drawn(rng, grazes)
         solution, n, m = cq.solve(problem), problem.dimension, problem.contacts
@@ -95,7 +95,12 @@ def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
                 assert np.max(abs(found.left - left)) <= near
                 assert found.exists == bool(np.max(abs(left - right)) <= near)
                 two_sided += not found.exists
+                if found.bound is not None:
+                    bounded += 1
+                    assert np.all(abs(found.right - right) <= found.bound)
+                    assert np.all(abs(found.left - left) <= found.bound)
     assert seen >= 5 * problems // 3
+    assert bounded >= seen // 3
     assert (two_sided >= problems // 2) == grazes
 
 

@@ -68,7 +68,7 @@ def moved(problem: cq.ContactProblem, name: str, step: np.ndarray) -> cq.Contact
 @pytest.mark.parametrize("problems", [3, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("border", [False, True])
 def test_rates_are_those_of_exact_answers(border: bool, problems: int) -> None:
-    rng, seen, two_sided, slips = np.random.default_rng(8), 0, 0, 0
+    rng, seen, two_sided, slips, bounded = np.random.default_rng(8), 0, 0, 0, 0
     for _ in range(problems):
         problem = at_borders(rng) if border else drawn(rng)
         solution = cq.solve(problem)
@@ -96,9 +96,14 @@ def test_rates_are_those_of_exact_answers(border: bool, problems: int) -> None:
                     assert np.max(abs(right - np.ravel(found.right))) <= near
                     assert np.max(abs(left - np.ravel(found.left))) <= near
                     assert found.exists == bool(np.max(abs(left - right)) <= near)
+                if found.bound is not None:
+                    bounded += 1
+                    assert np.all(abs(right - np.ravel(found.right)) <= np.ravel(found.bound))
+                    assert np.all(abs(left - np.ravel(found.left)) <= np.ravel(found.bound))
                 seen += 1
                 two_sided += not found.exists
     assert seen >= 6 * problems
+    assert bounded >= seen // 4
     assert slips >= problems // 8
     assert (two_sided >= 2 * problems) == border
 

@@ -23,8 +23,8 @@ def test_every_public_name_is_documented_once() -> None:
     assert public - set(found) == set()
     # What public names take, return, hold or raise.
     assert set(found) - public == {
-        "contactqp.analysis.contact_table.CaseRow",
-        "contactqp.analysis.contact_table.ContactTable",
+        "contactqp.analysis.load_cases.CaseRow",
+        "contactqp.analysis.load_cases.ContactTable",
         "contactqp.analysis.derivatives.Derivative",
         "contactqp.analysis.derivatives.derivative",
         "contactqp.analysis.derivatives.jacobian",
