@@ -191,7 +191,8 @@ def _refuse_combinations(asked: _Asked, cases: int, foreign: Sequence[str], vtu:
         for bare in (file for file in foreign if not is_deck(file)):
             raise InvalidProblem(f"{bare}: --vtu needs a case file or a deck, this file has no geometry")
     if asked.knobs and cases and not asked.methods and asked.engine == SERIAL:
-        raise InvalidProblem(f"run: {', '.join(asked.knobs)} belong to a method; state it by --method")
+        belong = "belongs" if len(asked.knobs) == 1 else "belong"
+        raise InvalidProblem(f"run: {', '.join(asked.knobs)} {belong} to a method; state it by --method")
     if asked.time_limit is not None and not asked.time_limit > 0:
         raise InvalidProblem(f"--time-limit: expected a positive number of seconds, got {asked.time_limit:g}")
     if asked.time_limit is not None and asked.engine != SERIAL:

@@ -122,7 +122,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     try:
         with stage(READ):
             text = _standard_input() if str(path) == STANDARD_INPUT else _text(file)
-            scene = Scene(**_tables(text))
+            scene = Scene(**_tables(text, file))
     except SceneError as error:
         place = "standard input" if str(path) == STANDARD_INPUT else path
         line = _line_of(text, str(error))
@@ -236,14 +236,20 @@ def _has(data: Any, parts: Sequence[int | str]) -> bool:
     return True
 
 
-def _tables(text: str) -> dict[str, Any]:
+# Suffixes of meshes, which people take for cases.
+_MESHES = frozenset((".msh", ".vtk", ".vtu", ".xdmf", ".med", ".stl", ".unv", ".bdf", ".nas", ".exo", ".mesh", ".ply"))
+
+
+def _tables(text: str, file: Path) -> dict[str, Any]:
     if not text.strip():
         raise SceneError("expected a scene, got an empty file")
     try:
         # TOML files written on Windows may end their lines with CR LF and start with a mark of the byte order.
         return tomllib.loads(text.removeprefix("\ufeff"), parse_float=Decimal)
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"expected TOML, got: {' '.join(str(error).split())}") from None
+        example = f'bodies with mesh = {{ file = "{file.name}", unit = "mm" }}'
+        cure = f"; a mesh is named in a case: {example}" if file.suffix.lower() in _MESHES else ""
+        raise SceneError(f"expected TOML, got: {' '.join(str(error).split())}{cure}") from None
     except (RecursionError, ValueError, ArithmeticError) as error:
         raise SceneError(f"expected TOML, got numbers or tables that cannot be read ({type(error).__name__})") from None
 

@@ -487,7 +487,7 @@ def test_options_of_no_method_are_not_dropped(capsys):
     for option in (("--option", "facets=8"), ("--penalty", "1 kN/m")):
         code, _, err = run(capsys, "run", WALL, *option)
         assert code == 2
-        assert "belong to a method; state it by --method" in err
+        assert "belongs to a method; state it by --method" in err
 
 
 def test_an_option_goes_to_the_methods_that_take_it(capsys):

@@ -90,6 +90,13 @@ def test_a_wrong_membrane_is_refused_in_one_line(name, tmp_path, capsys):
     refuse(capsys, written(tmp_path, mutated(MEMBRANE, old, new)), words)
 
 
+def test_a_mesh_in_place_of_a_case_is_told_where_it_belongs(tmp_path, capsys):
+    mesh = tmp_path / "block.msh"
+    mesh.write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+    told = complaint(capsys, "run", str(mesh))
+    assert told.endswith('a mesh is named in a case: bodies with mesh = { file = "block.msh", unit = "mm" }\n')
+
+
 def test_the_good_membrane_is_good(tmp_path, capsys):
     accept(capsys, written(tmp_path, MEMBRANE))
 

@@ -211,6 +211,8 @@ def test_what_run_prints_of_a_case_is_right(capsys, tmp_path):
     code, out, _ = run(capsys, "check", WALL, case_answer(capsys, tmp_path, WALL))
     assert code == 0
     assert "right (tolerance" in out
+    ignored = [line for line in out.splitlines() if "ignored" in line]
+    assert ignored == ["  ignored: what contactqp run --json prints beside displacements and forces"]
 
 
 def test_a_flipped_sign_in_a_case_is_wrong_with_the_right_force_beside(capsys, tmp_path):
