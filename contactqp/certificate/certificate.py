@@ -279,8 +279,8 @@ def _worded(
     failures: list[str] = []
     if not all(figure <= tolerance for figure in figures.values()):
         failures += messages.failed_figures(problem, answer, found, figures, tolerance)
-    if law is not None:
-        failures += messages.failed_law(problem, law, IMPLIED * tolerance)
+    if law is not None and not np.all(law <= IMPLIED * tolerance):
+        failures.append(messages.of_law(problem, law, int(np.argmax(law)), IMPLIED * tolerance))
     failures += measured.errors
     if measured.fails_force_bound and bounds.relative_force_bound is not None:
         worst = int(np.argmax(bounds.relative_force_bound))

@@ -250,33 +250,15 @@ def violations(
     rounding : the fraction of the intrinsic size that counts as none
     rigid : the null space of K; none where no body floats
     """
-    elastic, size, F = _kept(problem, answer, "sizes", partial(_meeting, problem, answer, rigid), rigid)
-    none = nothing(problem, answer, elastic, size, rounding)
+    elastic, size, sizes, hardly = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
+    none, F, coulomb = nothing(problem, answer, elastic, size, rounding), sizes.meeting, None
     least = none.force if none.contact_force is None else none.contact_force
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
-    normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
-    if problem.ties:
-        tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
-    coulomb = None
-    if problem.tangent is not None:
-        hardly = hardly_felt(*compliances(problem))
+    if hardly is not None:
         none = slips_that_are_nothing(none, hardly)
         coulomb = coulomb_data(problem, answer, F, none.force, hardly)
-    return figures(
-        answer,
-        missed,
-        Sizes(
-            meeting=F,
-            push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
-            felt=force_measure(problem.normal, answer.normal_force, F, least, normal),
-            lengths=normal.lengths(moved) + abs(problem.gap),
-            tie_lengths=tie_lengths,
-            tangential_lengths=np.zeros(problem.contacts) if coulomb is None else lengths_across(problem, elastic),
-            intrinsic_size=float(size.max(initial=0.0)),
-            nothing=none,
-        ),
-        coulomb,
-    )
+    felt = force_measure(problem.normal, answer.normal_force, F, least, row_sizes(problem, problem.normal))
+    return figures(answer, missed, sizes, none, felt, coulomb)
 
 
 def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
@@ -322,6 +304,30 @@ def _forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector,
     return np.where(hidden & counts, held, meeting)
 
 
+def _sizes(
+    problem: ContactProblem, answer: Answer, rigid: RigidMotions | None
+) -> tuple[Vector, Vector, Sizes, Mask | None]:
+    """Return what does not depend on which part of the size counts as none.
+
+    The displacement without its rigid part and the intrinsic size S, both (n,), the sizes by which residuals are
+    measured, and the contacts that are `hardly_felt` (m,), or None without tangential rows.
+    """
+    elastic, size, F = _meeting(problem, answer, rigid)
+    normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
+    if problem.ties:
+        tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
+    with_friction = problem.tangent is not None and problem.friction is not None
+    sizes = Sizes(
+        meeting=F,
+        push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
+        lengths=normal.lengths(moved) + abs(problem.gap),
+        tangential_lengths=lengths_across(problem, elastic) if with_friction else np.zeros(problem.contacts),
+        tie_lengths=tie_lengths,
+        intrinsic_size=float(size.max(initial=0.0)),
+    )
+    return elastic, size, sizes, None if problem.tangent is None else hardly_felt(*compliances(problem))
+
+
 def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:
     """Return the displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
@@ -338,16 +344,19 @@ class Sizes:
 
     meeting: Vector  # (n,) F [force]
     push: Vector  # (m,) |l_N| as a force
-    felt: Vector  # (m,) the same, 0 where it is nothing
     lengths: Vector  # (m,) L of the normal rows
     tangential_lengths: Vector  # (m,) that of the tangential rows
     tie_lengths: Vector  # (k,) that of the ties
     intrinsic_size: float  # S [square root of energy]
-    nothing: Nothing
 
 
 def figures(
-    answer: Any, missed: tuple[Vector, Vector, Vector], sizes: Sizes, coulomb: CoulombData | None
+    answer: Any,
+    missed: tuple[Vector, Vector, Vector],
+    sizes: Sizes,
+    none: Nothing,
+    felt: Vector,
+    coulomb: CoulombData | None,
 ) -> Violations:
     """Return every figure of an `Answer`, or of one rank's part of one.
 
@@ -358,11 +367,14 @@ def figures(
         Its residuals of equilibrium, its gaps, and what its ties miss.
     sizes : Sizes
         The forces and lengths by which they are measured.
+    none : Nothing
+        Those that count as none.
+    felt : (m,) array
+        |l_N| as a force, 0 where it is nothing.
     coulomb : CoulombData or None
         What judges Coulomb's law; None without friction.
     """
     residual, gap, open_tie = missed
-    none, push, felt = sizes.nothing, sizes.push, sizes.felt
     if coulomb is None or answer.friction_force is None:
         cone = direction = slip_measure = turned = np.zeros(len(answer.normal_force))
     else:
@@ -383,7 +395,7 @@ def figures(
         tangential_lengths=sizes.tangential_lengths,
         gap=gap,
         gap_measure=gap_measure,
-        force_measure=push,
+        force_measure=sizes.push,
         meeting=sizes.meeting,
         intrinsic_size=sizes.intrinsic_size,
         nothing=none,

@@ -134,11 +134,6 @@ def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int,
     return f"{name}: {text} ({measured}, tolerance {tolerance:g})"
 
 
-def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Iterator[str]:
-    if law is not None and not np.all(law <= limit):
-        yield of_law(problem, law, int(np.argmax(law)), limit)
-
-
 def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     """Return the message that a contact misses the law of contact and friction.
 

@@ -245,8 +245,8 @@ def _matrices_are_near_one(problem: ContactProblem) -> bool:
     matrices = _matrices(problem)
     return (
         _near(problem.diagonal)
-        and all(_near(_largest(matrix)) for matrix in matrices)
-        and _near(_largest_without_stiffness(problem, matrices))
+        and all(_near(_largest(matrix)) for matrix in matrices if matrix.nnz)
+        and (bool(problem.diagonal.all()) or _near(_largest_without_stiffness(problem, matrices)))
     )
 
 

@@ -72,14 +72,13 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
     sizes = Sizes(
         meeting=F,
         push=force_measure(normal.entries, answer.normal_force, near),
-        felt=force_measure(normal.entries, answer.normal_force, near, least),
         lengths=normal.length_sizes(elastic) + abs(problem.gap),
         tangential_lengths=_tangential_lengths(problem, elastic),
         tie_lengths=tie.length_sizes(elastic) + abs(problem.tie_value),
         intrinsic_size=size,
-        nothing=none,
     )
-    return figures(answer, residuals, sizes, _friction_data(problem, u, F, none.force, hardly))
+    felt = force_measure(normal.entries, answer.normal_force, near, least)
+    return figures(answer, residuals, sizes, none, felt, _friction_data(problem, u, F, none.force, hardly))
 
 
 def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector) -> float:

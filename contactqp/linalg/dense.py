@@ -120,13 +120,15 @@ def refuse_negative(smallest_pivot: float) -> None:
 
 def orthonormal(motions: Array) -> Array:
     """Return an orthonormal basis (n, r) of motions, accurate in any units, or these if doubles make them dependent."""
-    for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
+    if not motions.shape[1]:
+        return motions
+    for _ in range(2):  # the second time for motions that units make nearly parallel
         R: Array = np.asarray(np.linalg.qr(motions, mode="r"))
         if not np.all(R.diagonal()):
             return motions
         motions = motions @ np.linalg.inv(R)
     gram = motions.T @ motions  # entries of very different sizes cancel in it better than in reflections
-    least = min(np.linalg.eigvalsh(gram), default=1.0) if np.all(np.isfinite(gram)) else 0.0
+    least = min(np.linalg.eigvalsh(gram)) if np.all(np.isfinite(gram)) else 0.0
     return motions @ np.linalg.inv(np.linalg.cholesky(gram).T) if least > REGULAR * np.trace(gram) else motions
 
 
