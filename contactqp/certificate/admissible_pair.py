@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from contactqp.certificate.energy_norm import (
     CONTRACTION,
@@ -24,9 +25,10 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
-from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
+from contactqp.linalg.extended import Extended, Residuals, SparseRows, extend, extended_rows
+from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
+from contactqp.linalg.measures import forces_that_meet, intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
 from contactqp.model.arrays import Array, Indices, Mask, Vector
@@ -92,6 +94,8 @@ TOUCHING = 1e-6
 CLOSING_SWEEPS = 4
 # A gap beneath this part of its lengths is zero in extended precision too.
 ZERO_GAP = 2.0**-90
+# What the forces on a rigid motion may leave of each other, when each is rounded once or twice.
+LEFT_BY_ROUNDING = 4 * np.finfo(float).eps
 # The part of an excess that a displacement in double precision may leave of it.
 MISSED = 1e-6
 # What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
@@ -136,6 +140,38 @@ def admissible_pair(
     residual : those of the answer
     condensation : that of the problem
     """
+    pair = _nearest_pair(problem, answer, residual, condensation)
+    if condensation.rigid.count:
+        _refuse_unbalanced(problem, answer, condensation, pair)
+    return pair
+
+
+def _refuse_unbalanced(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
+) -> None:
+    """Raise Undecided where the pair's forces leave more of the load on a rigid motion than rounding makes.
+
+    Up to `BALANCED` of all forces such a rest counts as nothing, and so do contact forces that might carry it; then the
+    pair is that of another load, and its distance from the solution says nothing of them.
+    """
+    rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
+    outer = extend(problem.load) - rows.contact_force(pair.force, pair.tie_force)
+    missed = abs((SparseRows(csr_matrix(motions.T)) @ outer).double())
+    solution = (extend(answer.displacement) + pair.to_middle).double()
+    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
+    size = abs(motions).T @ forces_that_meet(problem, forces)
+    beyond = missed > max(LEFT_BY_ROUNDING, condensation.rigid.uncertainty) * size
+    if np.any(beyond):
+        worst = int(np.argmax(np.where(beyond, missed / np.where(size > 0, size, 1.0), 0.0)))
+        raise Undecided(
+            f"the load drives a rigid motion by {missed[worst] / size[worst]:.1e} of the forces that meet: that counts "
+            "as nothing, and so do contact forces that might carry it"
+        )
+
+
+def _nearest_pair(
+    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
+) -> AdmissiblePair:
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
     if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:

@@ -68,3 +68,40 @@ def test_forces_where_no_motion_moves_do_no_work(turned: float) -> None:
     # Where motions do move, forces that do not balance are seen as ever.
     pushed = problem.replace(load=problem.load + 1e-6 * np.eye(8)[4])
     assert not cq.certify(pushed, shaken, right.normal_force).passed
+
+
+def squeezed(net: float) -> cq.ContactProblem:
+    """A chain of springs that loads of 2.3e13 pull apart and a net load presses on a stop."""
+    chain = np.array([[376.0, -376, 0, 0], [-376, 15352, -14976, 0], [0, -14976, 43648, -28672], [0, 0, -28672, 28672]])
+    load = [-1.0093173145300e11, 1.00931731456e11, 2.3089744183298e13, -2.3089744183301e13 + net]
+    return cq.ContactProblem(chain, load, [[1.0, 0, 0, 0]], [0.0])
+
+
+def test_no_bound_is_claimed_of_contact_forces_that_count_as_nothing_beside_what_squeezes() -> None:
+    # 8 of 4.6e13 is 2e-13: the load counts as balanced, and a force of -8 or 0 passes every figure.
+    right = cq.solve(squeezed(8.0))
+    assert right.certificate.proven
+    assert right.normal_force[0] == pytest.approx(8.0, rel=1e-9)
+    assert not cq.certify(squeezed(8.0), right.displacement, [4.0]).passed
+    for wrong in (-8.0, 0.0):
+        found = cq.certify(squeezed(8.0), right.displacement, [wrong])
+        if found.passed:
+            assert not found.proven
+            assert "counts as nothing" in found.reasons[0]
+        else:
+            assert found.force_error > 0.5
+    # What is more is seen, and refused.
+    more = cq.solve(squeezed(8e3))
+    for wrong in (-8e3, 0.0):
+        assert not cq.certify(squeezed(8e3), more.displacement, [wrong]).passed
+
+
+def test_a_load_that_balances_but_for_its_rounding_is_proven() -> None:
+    chain = squeezed(0.0)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        pulled = rng.normal(size=4)
+        pulled -= np.mean(pulled)
+        found = cq.solve(chain.replace(load=pulled, gap=[1e9])).certificate
+        assert found.passed
+        assert found.proven
