@@ -192,7 +192,8 @@ def export_command(case: str, folder: str) -> None:
     """Write CASE, a scene of elastic bodies whose sides touch, as a deck of CalculiX to DIR.
 
     Loads become nodal forces, contacts pairs of surfaces on stiff springs; `contactqp crosscheck DIR/CASE.inp` runs it
-    and judges what comes out. Obstacles, membranes, bars, motions and load paths have no deck.
+    and judges what comes out. A plane that bodies may touch becomes a plate that is held. Round obstacles, membranes,
+    bars, ties, motions and load paths have no deck.
     """
     from contactqp.scene.deck.writing import write_deck
     from contactqp.scene.scene import load_scene

@@ -95,6 +95,27 @@ def test_friction_of_a_block_that_slips_is_its_part_of_the_normal_force(
     assert pair.friction == pytest.approx(pair.reference_friction, rel=2e-2)
 
 
+@pytest.mark.parametrize("push", [1e-4, 1e-2])
+def test_friction_of_many_faces_is_that_of_nodes_and_what_both_differ_by_on_springs(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, push: float
+) -> None:
+    text = two_blocks("hex20", "SURFACE TO SURFACE", "LINEAR\n1e9", divisions=((3, 3, 2), (4, 4, 1)), push=push,
+                      friction="0.3, 1e8")  # fmt: skip
+    deck = write(tmp_path, text)
+    results = printed(deck, exact(deck))
+    (whole,) = cq.crosscheck(deck, results).pairs
+    monkeypatch.setattr("contactqp.oracle.foreign.crosscheck.MOST_POINTS", 0)
+    found = cq.crosscheck(deck, results)
+    (nearly,) = found.pairs
+    size = whole.reference_resultant
+    assert nearly.reference_resultant == pytest.approx(size, rel=2e-4)
+    assert nearly.reference_friction == pytest.approx(whole.reference_friction, abs=4e-4 * size)
+    assert abs(nearly.reference_force - whole.reference_force).max() < 1e-4 * size
+    assert nearly.mesh_node_error == pytest.approx(whole.mesh_node_error, rel=0.02)
+    assert nearly.mesh_error == pytest.approx(whole.mesh_error, rel=0.03)
+    assert any("the difference of both on springs" in line for line in found.ledger.assumed)
+
+
 def test_units_are_words(tmp_path: pathlib.Path) -> None:
     deck = write(tmp_path, STACK)
     wrong = printed(deck, 1.1 * cq.solve(cq.read_deck(deck).problem()).displacement)

@@ -39,6 +39,9 @@ MOVED = 10.0
 NEGLIGIBLE = 1e-3
 # What rounding of coordinates leaves of gaps, in units of the largest one.
 ROUNDING = 64 * float(np.finfo(float).eps)
+# Gauss points of faces are more than the nodes of these, so that their frictional forces are not unique: of more points
+# than this they are found after minutes, or never.
+MOST_POINTS = 300
 # The forces on the slave nodes of a pair, (q, d).
 Forces = Array
 
@@ -209,9 +212,12 @@ class _Judging:
     @cached_property
     def _on_springs(self) -> list[Forces]:
         """Return the forces on the springs of the deck: at slave nodes or, from face to face, at integration points."""
-        nodes = reference_forces(self.deck, self._nodes, "penalty", "node-to-segment")
         faces = [one.contact.pair.type == "SURFACE TO SURFACE" and one.alone for one in self._nodes]
-        points = self._by("penalty", "points") if any(faces) else []
+        told = "penalty answer by points"
+        points = self._if_any(told, lambda: self._spring_forces) if any(faces) else []
+        if points and all(faces):
+            return points
+        nodes = reference_forces(self.deck, self._nodes, "penalty", "node-to-segment")
         return [points[at] if points and face else nodes[at] for at, face in enumerate(faces)]
 
     @cached_property
@@ -222,7 +228,21 @@ class _Judging:
         """
         if self.reference == "penalty" or self._types <= {"NODE TO SURFACE"}:
             return []
+        contacts = self.deck.by_points.free
+        if contacts.friction is not None and len(contacts.kept) > MOST_POINTS:
+            return self._if_any("exact answer by points", self._nearly_by_points)
         return self._by("exact", "points")
+
+    def _nearly_by_points(self) -> list[Forces]:
+        """Return the exact forces at nodes, and what on the springs of the deck those at Gauss points differ by."""
+        on_springs = (self._spring_forces, reference_forces(self.deck, self._nodes, "penalty", "node-to-segment"))
+        note(self.deck.ledger.assumed, "exact forces of faces: those of nodes, and the difference of both on springs")
+        return [own + there - here for own, there, here in zip(self._by_nodes, *on_springs, strict=True)]
+
+    @cached_property
+    def _spring_forces(self) -> list[Forces]:
+        """Return the forces on the springs of the deck at Gauss points."""
+        return reference_forces(self.deck, self._nodes, "penalty", "points")
 
     @cached_property
     def _by_mortar(self) -> list[Forces]:

@@ -1,4 +1,7 @@
-"""Write a scene of elastic bodies as a deck that CalculiX runs, so that a case can be put to another code."""
+"""Write a scene of elastic bodies as a deck that CalculiX runs, so that a case can be put to another code.
+
+A plane that a side may touch becomes a plate of one element, whose nodes are all held.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,15 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from contactqp.elements.abaqus import HEX_FACES
+from contactqp.elements.obstacle import Plane
 from contactqp.elements.reference_elements import Reference
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.files import Path, write_whole
 from contactqp.model.arguments import checked
+from contactqp.model.arrays import Vector
 from contactqp.scene.body_model import BodyModel, body_model, sides_of
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.scene import Scene
 
 # Prefixes of the element types, by the model of the body.
@@ -23,6 +29,8 @@ DIGITS = 12
 # The springs behind contact yield this part of what a layer of the slave as thick as its facets yields: on stiffer ones
 # between faces CalculiX 2.20 ends with some of them in tension.
 YIELDING_NODES, YIELDING_FACES = 1e-4, 1e-2
+# A plate in the place of a plane reaches further than the body beside it, by this part of its size.
+WIDER = 0.5
 WORDS_A_LINE = 12
 
 
@@ -34,8 +42,8 @@ def write_deck(scene: Scene, folder: Path) -> str:
     nodes, on springs that yield a ten-thousandth of what the elements beside them do, or of faces for a mortar, on
     springs that yield a hundredth: CalculiX does not come to an end on stiffer ones.
 
-    Raises Unsupported: a scene of nodes and bars, membranes, obstacles, elements that CalculiX has not, a motion or a
-    load path; InvalidProblem: the folder cannot be made or written to.
+    Raises Unsupported: a scene of nodes and bars, membranes, round obstacles, elements that CalculiX has not, a motion
+    or a load path, ties; InvalidProblem: the folder cannot be made or written to.
 
     Parameters
     ----------
@@ -44,8 +52,11 @@ def write_deck(scene: Scene, folder: Path) -> str:
         It is made where it is not there; the file is called as the case file, with the suffix .inp.
     """
     told = f"{scene.file or 'scene'}: export"
-    if not scene.bodies or scene.membranes or any(contact.obstacle is not None for contact in scene.contacts):
-        raise Unsupported(f"{told}: a deck has elastic bodies and contacts of two of their sides, no obstacles")
+    if not scene.bodies or scene.membranes:
+        raise Unsupported(f"{told}: a deck has elastic bodies, no membranes, bars, masses or matrices")
+    for contact in scene.contacts:
+        if contact.obstacle is not None and not isinstance(obstacle(scene, contact.obstacle), Plane):
+            raise Unsupported(f"{told}: {contact.name}: a deck has planes as obstacles, {contact.obstacle!r} is none")
     if scene.motion is not None or scene.path is not None or scene.large:
         raise Unsupported(f"{told}: a deck has one static step of small displacements")
     target = FilePath(folder)
@@ -74,10 +85,20 @@ def _lines(scene: Scene, model: BodyModel) -> Iterator[str]:
         elements[body.name] = count
         yield from _body(number, body, _first_node(model, body.name), count)
         count += body.mesh.elements
+    node = model.structure.size // len(model.structure.bodies[0].axes)
+    # All pairs of a deck are of one kind in CalculiX.
+    nodes = all(contact.obstacle is not None or contact.pairing != "mortar" for contact in scene.contacts)
     for number, contact in enumerate(scene.contacts):
-        yield from _contact(
-            model, number, sides_of(contact), str(contact.pairing), float(contact.friction or 0), elements
-        )
+        sides = [_side(model, *end, elements) for end in sides_of(contact)]
+        slave = model.structure.solid(sides_of(contact)[0][0])
+        plane = None if contact.obstacle is None else obstacle(scene, contact.obstacle)
+        if isinstance(plane, Plane):
+            plate = _Plate(slave, np.asarray(plane.outward(), dtype=float), np.asarray(plane.point, dtype=float))
+            yield from plate.lines(f"PLATE{number + 1}", node, count)
+            sides.append([(count + 1, plate.face)])
+            node, count = node + len(plate.points), count + 1
+        materials = [model.structure.solid(body).material.modulus for body, _ in sides_of(contact)]
+        yield from _contact(slave, number, sides, min(materials), float(contact.friction or 0), nodes=nodes)
     yield from _supports_and_loads(model)
 
 
@@ -113,31 +134,82 @@ def _type(body: Body, kind: Reference) -> str:
     return f"{_PREFIX[body.model]}{nodes}"
 
 
+# A face of an element: its label, and the number of the face, from 1 on.
+_Face = tuple[int, int]
+
+
+def _side(model: BodyModel, body: str, side: str, elements: dict[str, int]) -> list[_Face]:
+    """Return the faces of a side of a body."""
+    mesh = model.structure.solid(body).mesh
+    pairs = mesh.sides.get(side)
+    if pairs is None:
+        raise Unsupported(f"export: {body}.{side}: a set of nodes; expected a side of faces")
+    first, found = np.cumsum([0, *(len(block) for block in mesh.blocks)]), []
+    for element, facet in pairs.tolist():
+        kind = mesh.blocks[int(np.searchsorted(first, element, side="right")) - 1].kind
+        face = HEX_FACES.index(facet) if kind.corners == 8 else facet
+        found.append((elements[body] + element + 1, face + 1))
+    return found
+
+
+class _Plate:
+    """One element with a face in a plane, wide enough for a body beside it, and below the plane.
+
+    Parameters
+    ----------
+    body : Body
+    normal, point : (d,) arrays, out of the plane, and a point in it [length]
+    """
+
+    def __init__(self, body: Body, normal: Vector, point: Vector) -> None:
+        self.body, d = body, body.dimension
+        x = body.mesh.points
+        along = np.linalg.svd(normal[None])[2][1:]  # unit vectors along the plane
+        if d == 3 and np.linalg.det(np.vstack([along, normal])) < 0:
+            along = along[::-1]
+        if d == 2 and along[0] @ [normal[1], -normal[0]] < 0:
+            along = -along
+        at = (x - point) @ along.T
+        low, high = at.min(axis=0), at.max(axis=0)
+        size = float(np.ptp(x, axis=0).max())
+        low, high = low - WIDER * size, high + WIDER * size
+        if body.model == "axisymmetric" and abs(normal[0]) > 0:
+            raise Unsupported(f"export: {body.name}: a plane beside a body of revolution, which is a cone in a deck")
+        corners = np.array([[low[0]], [high[0]]]) if d == 2 else np.array(
+            [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
+        )  # fmt: skip
+        top = point + corners @ along
+        if body.model == "axisymmetric":
+            top[:, 0] = np.maximum(top[:, 0], 0.0)
+        below = top - size * normal
+        # Counter-clockwise in the plane; in space first the lower face, then the one in the plane.
+        self.points = np.concatenate([below, top[::-1]] if d == 2 else [below, top])
+        self.face = 3 if d == 2 else 2
+
+    def lines(self, name: str, node: int, element: int) -> Iterator[str]:
+        """Yield nodes, the element and its supports; labels go on from those that are given."""
+        body, count = self.body, len(self.points)
+        yield f"*NODE, NSET={name}"
+        for i, point in enumerate(self.points):
+            yield ", ".join([str(node + i + 1), *map(_number, point)])
+        yield f"*ELEMENT, TYPE={_PREFIX[body.model]}{count}, ELSET={name}"
+        yield ", ".join([str(element + 1), *(str(node + i + 1) for i in range(count))])
+        yield from (f"*MATERIAL, NAME={name}", "*ELASTIC", f"{_number(body.material.modulus)}, 0.")
+        yield f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"
+        if body.model in ("plane-strain", "plane-stress"):
+            yield _number(body.thickness)
+        yield from ("*BOUNDARY", f"{name}, 1, {body.dimension}")
+
+
 def _contact(
-    model: BodyModel,
-    number: int,
-    ends: list[tuple[str, str]],
-    pairing: str,
-    friction: float,
-    elements: dict[str, int],
+    slave: Body, number: int, sides: list[list[_Face]], modulus: float, friction: float, *, nodes: bool
 ) -> Iterator[str]:
-    """Yield the surfaces and the pair of one entry of the scene's contacts."""
+    """Yield the surfaces and the pair of one entry of the scene's contacts, of nodes or of faces."""
     names = [f"SLAVE{number + 1}", f"MASTER{number + 1}"]
-    for name, (body, side) in zip(names, ends, strict=True):
-        mesh = model.structure.solid(body).mesh
-        pairs = mesh.sides.get(side)
-        if pairs is None:
-            raise Unsupported(f"export: {body}.{side}: a set of nodes; expected a side of faces")
-        first = np.cumsum([0, *(len(block) for block in mesh.blocks)])
+    for name, faces in zip(names, sides, strict=True):
         yield f"*SURFACE, NAME={name}"
-        for element, facet in pairs.tolist():
-            kind = mesh.blocks[int(np.searchsorted(first, element, side="right")) - 1].kind
-            face = HEX_FACES.index(facet) if kind.corners == 8 else facet
-            yield f"{elements[body] + element + 1}, S{face + 1}"
-    slave = model.structure.solid(ends[0][0])
-    modulus = min(model.structure.solid(body).material.modulus for body, _ in ends)
+        yield from (f"{element}, S{face}" for element, face in faces)
     size = float(np.ptp(slave.mesh.points, axis=0).max()) / max(len(slave.mesh.points), 2) ** (1 / slave.dimension)
-    nodes = pairing != "mortar"
     stiffness = modulus / ((YIELDING_NODES if nodes else YIELDING_FACES) * size)
     yield f"*SURFACE INTERACTION, NAME=CONTACT{number + 1}"
     yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"

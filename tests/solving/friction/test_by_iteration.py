@@ -258,6 +258,21 @@ def large(monkeypatch: pytest.MonkeyPatch) -> cq.ContactProblem:
     return fresh(BLOCK)
 
 
+def test_contacts_that_rub_on_springs_are_factorised(large: cq.ContactProblem) -> None:
+    """A multigrid hierarchy has no coarser level of springs: friction on them took five times as long, or no end."""
+    m, springs = large.contacts, sp.eye_array(large.contacts)
+    on_springs = cq.ContactProblem(
+        stiffness=sp.csc_array(sp.block_diag([large.stiffness, 1e3 * springs], format="csc")),
+        load=np.pad(large.load, (0, m)),
+        normal=sp.csr_array(sp.hstack([large.normal, -springs], format="csr")),
+        gap=large.gap,
+        tangent=sp.csr_array(sp.hstack([large.tangent, sp.csr_array((2 * m, m))], format="csr")),
+        friction=large.friction,
+    )
+    assert iterated(large)
+    assert not iterated(on_springs)
+
+
 @pytest.mark.slow
 def test_many_contacts_that_rub_are_iterated_on_and_other_algorithms_have_their_factors(
     large: cq.ContactProblem,
