@@ -86,8 +86,10 @@ def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
     sense = np.sign(first[filled]) if signed else np.ones(len(filled))
     order = np.lexsort((filled, sense, key))
     changes = (np.diff(key[order]) != 0) | (np.diff(sense[order]) != 0)
-    groups = np.split(filled[order], np.flatnonzero(changes) + 1)
-    return tuple(found for members in groups if len(members) > 1 for found in _verified(rows, members))
+    ends = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(order)]])
+    several = np.flatnonzero(np.diff(ends) > 1)  # of many rows nearly every one is a group by itself
+    groups = (filled[order[ends[i] : ends[i + 1]]] for i in several)
+    return tuple(found for members in groups for found in _verified(rows, members))
 
 
 def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
