@@ -35,6 +35,7 @@ from contactqp.linalg.existence import (
     refuse_proven,
 )
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
+from contactqp.linalg.least_norm import least_solution
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.sparse_saddle import (
@@ -475,17 +476,19 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
     weights = np.where(abs(weights) > NO_PART * size, weights / size, 0.0)
     if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
         return None
-    from scipy.sparse.linalg import lsqr
-
     across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
     for _ in range(PROJECTIONS):
         left = (across @ extend(weights)).double()
-        taken = np.where(left > 0, bounds[0], bounds[1])
-        open_ones = np.flatnonzero((left != 0) & (taken < 0))
-        if not open_ones.size:
+        taken = np.where(left > 0, bounds[0], np.where(left < 0, bounds[1], np.minimum(*bounds)))
+        part = sp.csc_matrix(sp.diags(abs(weights)) @ rows).T
+        part.eliminate_zeros()
+        kept = np.flatnonzero((taken < 0) & (np.diff(part.indptr) > 0))
+        if not np.any(left[kept]):
             break
-        part = sp.csr_matrix(sp.diags(abs(weights)) @ rows[:, open_ones])
-        weights = weights * (1.0 - np.sign(weights) * lsqr(part.T, left[open_ones], atol=1e-16, btol=1e-16)[0])
+        try:
+            weights = weights * (1.0 - np.sign(weights) * least_solution(part[kept], left[kept]))
+        except BackendFailed:
+            return None
     left = (across @ extend(weights)).double()
     taken = np.where(left > 0, bounds[0], bounds[1])
     on = np.flatnonzero((left != 0) & (taken >= 0))

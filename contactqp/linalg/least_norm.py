@@ -1,14 +1,19 @@
-"""The displacement of least norm among those that motions leave which nothing drives and nothing resists."""
+"""The displacement of least norm among those that motions leave which nothing drives, and that of sparse equations."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import shift_within_gaps
+from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
+from contactqp.linalg.sparse_saddle import factorised
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -71,3 +76,29 @@ def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basi
             break
         shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
     return shift
+
+
+# Subtracted from the diagonal of the least solution's equations, beside rows of length one; refinement takes it back.
+REGULARISATION, REFINEMENTS = 1e-12, 6
+
+
+def least_solution(rows: Any, right: Vector) -> Vector:
+    """Return the x (q,) of least norm with R x = b for a sparse R (p, q), whose rows may depend on each other.
+
+    It is that of x + R' y = 0, R x - d y = b with a small d. Rows that contradict each other are met as nearly as
+    rounding permits.
+
+    Raises BackendFailed: the factorisation ran out of memory, or met a pivot of zero.
+    """
+    lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    unit, p, q = sp.csr_matrix(sp.diags(1.0 / lengths) @ rows), *rows.shape
+    matrix = sp.bmat([[sp.identity(q), unit.T], [unit, -REGULARISATION * sp.identity(p)]], format="csc")
+    solve = factorised(matrix, INDEFINITE, EliminationOrder(q), np.arange(q))
+    found, last = np.zeros(q), np.inf
+    for _ in range(REFINEMENTS):
+        left = right / lengths - unit @ found
+        size = float(np.max(abs(left), initial=0.0))
+        if not 0 < size < last:
+            break
+        found, last = found + solve(np.concatenate([np.zeros(q), left]))[:q], size
+    return np.asarray(found)
