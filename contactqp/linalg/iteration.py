@@ -45,6 +45,9 @@ LARGEST_BY_SUPERLU = 500_000
 # with more than OF_PLANES entries in a row a body fills its factors as one in space.
 PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
 SMALLEST, OF_PLANES = 3e7, 25
+# Where rows outnumber unknowns contacts close one by one, as many as there are unknowns: condensed systems of r$
+# of these then take r / OF_A_VERTEX times as long, measured with dense K of 700 unknowns between bounds.
+OF_A_VERTEX = 100
 # With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
 FRICTION_CONDENSED = 3.0
 
@@ -121,11 +124,12 @@ def _are_many(problem: ContactProblem) -> bool:
 def constraints_are_many(problem: ContactProblem) -> bool:
     """Return whether sparse saddle points, identification of contacts included, should cost less than condensing.
 
-    Condensed, the r unknowns that contacts and ties touch take time like r^3. Sparse, p unknowns and rows take time
-    like p, for residuals and steps, and like the operations of a sparse factorisation: p b^2 for a band of b,
-    10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is less; in space more. Where a hierarchy holds
-    the bodies, factorisations are few; the interior point of a backend takes one a step. Where K has no entry at more
-    unknowns than a body has rigid motions, condensing would take each of these for a motion.
+    Condensed, the r unknowns that contacts and ties touch take time like r^3, and like r^4 where these rows outnumber
+    the unknowns. Sparse, p unknowns and rows take time like p, for residuals and steps, and like the operations of a
+    sparse factorisation: p b^2 for a band of b, 10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is
+    less; in space more. Where a hierarchy holds the bodies, factorisations are few; the interior point of a backend
+    takes one a step. Where K has no entry at more unknowns than a body has rigid motions, condensing would take each of
+    these for a motion.
     """
     cached = problem._computed.constraints_are_many
     if problem.frictional not in cached:
@@ -164,6 +168,8 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
         return False  # a row touches an unknown by an entry
     dense = times * float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
+    if not problem.frictional and problem.contacts + problem.ties > problem.dimension:
+        dense *= max(1.0, dense ** (1 / 3) / OF_A_VERTEX)
     lengths = np.concatenate([some.indptr[1:] - some.indptr[:-1] for some in rows])
     long = int(np.sum(lengths > 1))
     size = float(problem.dimension + long)
