@@ -85,13 +85,13 @@ REGULARISATION, REFINEMENTS = 1e-12, 6
 def least_solution(rows: Any, right: Vector) -> Vector:
     """Return the x (q,) of least norm with R x = b for a sparse R (p, q), whose rows may depend on each other.
 
-    It is that of x + R' y = 0, R x - d y = b with a small d. Rows that contradict each other are met as nearly as
-    rounding permits.
+    It is that of x + R' y = 0, R x - d y = b with a small d, refined until the rows are met as nearly as rounding
+    permits. Where rows depend on each other its norm is the least one but for some 1e-4 of it.
 
     Raises BackendFailed: the factorisation ran out of memory, or met a pivot of zero.
     """
     lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
-    unit, p, q = sp.csr_matrix(sp.diags(1.0 / lengths) @ rows), *rows.shape
+    (p, q), unit = rows.shape, sp.csr_matrix(sp.diags(1.0 / lengths) @ rows)
     matrix = sp.bmat([[sp.identity(q), unit.T], [unit, -REGULARISATION * sp.identity(p)]], format="csc")
     solve = factorised(matrix, INDEFINITE, EliminationOrder(q), np.arange(q))
     found, last = np.zeros(q), np.inf
