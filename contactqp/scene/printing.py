@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,8 +30,10 @@ from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, bars, print_table
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
-# Rows of a table that are printed where not all are asked for.
-FEW_ROWS = 8
+# Rows of a table that are printed where not all are asked for: as many as let the answer stand on a screen.
+FEW_ROWS, SCREEN = (8, 6, 4), 40
+# Lines between two tables, of which one is enough.
+_BLANK_LINES = re.compile(r"^(?: *\n){2,}", re.MULTILINE)
 # Columns from which on a table has room for the method and its settings beside what is claimed of it.
 WIDE_ENOUGH = 120
 
@@ -42,7 +45,22 @@ def print_judgements(console: Console, judgements: Sequence[Judgement], verbose:
     """
     if not judgements:
         return
-    print_judgement(console, judgements[0], verbose)
+    if verbose:
+        _print_with_claims(console, judgements, MOST_ROWS, verbose)
+        return
+    text = ""
+    for most in FEW_ROWS:
+        with console.capture() as shown:
+            _print_with_claims(console, judgements, most, verbose)
+        text = _BLANK_LINES.sub("\n", shown.get())
+        if text.count("\n") <= SCREEN:
+            break
+    console.file.write(text)
+
+
+def _print_with_claims(console: Console, judgements: Sequence[Judgement], most: int, verbose: bool) -> None:
+    """Print the answer of the first trial with at most so many rows of a table, and the claims about the others."""
+    print_judgement(console, judgements[0], verbose, most)
     others = judgements[1:]
     _print_comparisons(console, others, ["method", "certificate"], unmet_alone=not verbose)
     claimed = [judgement for judgement in others if judgement.expectations or judgement.published]
@@ -76,12 +94,12 @@ def met_in_words(judgements: Iterable[Judgement]) -> str:
     return f"{sum(row.ok for row in rows)} of {len(rows)} met" if rows else "nothing is claimed"
 
 
-def print_judgement(console: Console, judgement: Judgement, verbose: bool = True) -> None:
+def print_judgement(console: Console, judgement: Judgement, verbose: bool = True, most: int = MOST_ROWS) -> None:
     """Print displacements, contact forces, the certificate's verdict, and what was expected of them.
 
-    Unless `verbose`, of long tables the first rows, and of many claims that are met how many they are.
+    Of long tables the first rows are printed, `most` of them, and of more claims that are met how many they are. The
+    courses are left out where only the least rows have room.
     """
-    most = MOST_ROWS if verbose else FEW_ROWS
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
     if scene.motion is not None:
@@ -117,7 +135,8 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, _gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
-    print_courses(console, judgement)
+    if most > FEW_ROWS[-1]:
+        print_courses(console, judgement)
     if verbose:
         print_instants(console, judgement, most)
     print_events(console, judgement.history, time_label(scene), verbose)

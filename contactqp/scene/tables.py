@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from rich import box
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
@@ -30,6 +30,8 @@ ROUNDING = 1e-12
 # A number in a cell, with its unit where it has one; one of so many letters need not be shortened.
 NUMBER = re.compile(r"([-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?)( rad(?:/s)?)?")
 SHORT = 8
+# Letters of a word up to which a narrow column keeps it whole.
+LONGEST_WORD = 16
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def print_table(
 
 def _fitting(
     console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]], drawn: Sequence[Drawn]
-) -> Table:
+) -> RenderableType:
     letters = ASCII if console.options.ascii_only else BLOCKS
     for count in range(len(drawn), 0, -1):
         for width in WIDTHS:
@@ -169,7 +171,27 @@ def _fitting(
     table = _table(header, rows, ())
     if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
         return table
-    return _table(header, [[_shortened(cell) for cell in row] for row in rows], (), whole_numbers=True)
+    return _one_below_another(console, header, [[_shortened(cell) for cell in row] for row in rows])
+
+
+def _one_below_another(console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]]) -> RenderableType:
+    """Return as many tables as it takes for all words to stay whole; each begins with the first column."""
+
+    def of_columns(places: Sequence[int]) -> Table:
+        chosen = [[row[place] for place in places] for row in rows]
+        return _table([header[place] for place in places], chosen, (), whole_numbers=True)
+
+    tables, places = [], [0]
+    for place in range(1, len(header)):
+        wider = of_columns([*places, place])
+        if (
+            len(places) > 1
+            and console.measure(wider, options=console.options.update(width=ENDLESS)).minimum > console.width
+        ):
+            tables.append(of_columns(places))
+            places = [0]
+        places.append(place)
+    return Group(*tables, of_columns(places))
 
 
 def _shortened(cell: str | Text) -> str | Text:
@@ -192,7 +214,9 @@ def _table(
     for name, *cells in columns:
         widest = max(map(len, [*cells, *str(name).split()]))
         numbers = whole_numbers and any(isinstance(cell, str) and NUMBER.fullmatch(cell) for cell in cells)
-        table.add_column(escape(str(name)), overflow="fold", width=widest if numbers else None)
+        words = [word for cell in (name, *cells) for word in str(cell).split()]
+        least = min(max(map(len, words), default=1), LONGEST_WORD) if whole_numbers and not numbers else None
+        table.add_column(escape(str(name)), overflow="fold", width=widest if numbers else None, min_width=least)
     for row in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     return table

@@ -42,6 +42,27 @@ def test_run_takes_a_folder_and_prints_a_line_for_each_case(capsys, tmp_path):
     assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall", "A truss over a"))
 
 
+@pytest.mark.parametrize("case", ["cattaneo_mindlin_sphere", "cable_on_floor"])
+def test_of_a_case_with_much_to_tell_the_answer_stands_on_a_screen_and_words_are_whole(capsys, case):
+    out = run(capsys, "run", case)[1]
+    lines = out.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    assert not re.search(r"^ \w\s*$", out, re.MULTILINE)  # no word stands letter by letter
+    assert not re.search(r"\n *\n *\n", out)
+    whole = run(capsys, "run", case, "--verbose")[1]
+    assert len(whole) > len(out)
+
+
+@pytest.mark.slow
+def test_of_every_case_the_answer_stands_on_a_screen(capsys):
+    for case in sorted(CASES.glob("*.toml")):
+        code, out, _ = run(capsys, "run", case)
+        assert code == 0
+        assert len(out.splitlines()) <= 40, case.stem
+        assert max(map(len, out.splitlines())) <= 80, case.stem
+
+
 def test_of_one_case_the_answer_stands_on_a_screen_and_all_claims_with_verbose(capsys):
     code, out, _ = run(capsys, "run", WALL)
     assert code == 0

@@ -58,6 +58,17 @@ def test_numbers_stay_whole_on_a_narrow_terminal():
     assert all(any(number in line for line in lines) for number in ("8.12346", "-0.000843212", "1.0e-12", "2 rad"))
 
 
+def test_what_is_too_wide_stands_in_two_tables_and_no_word_letter_by_letter():
+    header = ["contact", "nodes", "pressing", "normal force [N]", "peak pressure [N/mm^2]", "friction x [N]"]
+    screen = io.StringIO()
+    print_table(Console(file=screen, width=40), header, [["pair", "64", "43", "70", "67.2652", "-0.148473"]])
+    lines = screen.getvalue().splitlines()
+    assert max(map(len, lines)) <= 40
+    assert sum(line.startswith(" contact ") for line in lines) == 2
+    assert sum(line.startswith(" pair ") for line in lines) == 2
+    assert all(any(word in line for line in lines) for word in ("pressing", "67.2652", "-0.148473", "[N/mm^2]"))
+
+
 def test_pictures_are_ascii_where_the_output_has_no_blocks():
     text = "".join(printed(80, ROWS, FORCES, "latin-1"))
     assert text.isascii()
