@@ -26,6 +26,7 @@ from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.least_norm import nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
@@ -413,7 +414,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     found = _cancelling(part.toarray()) if few else _cancelling_simply(part, weight[members])
     exact = found is not None
     if found is None:
-        found = [Fraction(float(x)) for x in _nearly_cancelling(part.toarray() * scale)]
+        found = [Fraction(float(x)) for x in nearly_cancelling(part, scale, weight[members])]
     if sum(x * Fraction(float(w)) for x, w in zip(found, weight[members], strict=True)) < 0:
         found = [-x for x in found]
     largest = max((abs(x) for x in found), default=Fraction(0))
@@ -453,13 +454,6 @@ def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
         at = slice(rows.indptr[j], rows.indptr[j + 1])
         entries = zip(rows.indices[at].tolist(), rows.data[at].tolist(), strict=True)
         yield [weights[i] * Fraction(value) for i, value in entries]
-
-
-def _nearly_cancelling(rows: Array) -> Vector:
-    """Return the weights for which the weighted sum of unit rows is least, (q,)."""
-    length = np.linalg.norm(rows, axis=1)
-    _, rotation = right_singular((rows / length[:, None]).T)
-    return np.asarray(rotation[-1] / length)
 
 
 def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:

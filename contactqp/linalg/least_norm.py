@@ -9,6 +9,8 @@ import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
+from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import shift_within_gaps
@@ -102,3 +104,21 @@ def least_solution(rows: Any, right: Vector) -> Vector:
             break
         found, last = found + solve(np.concatenate([np.zeros(q), left]))[:q], size
     return np.asarray(found)
+
+
+# Rows of which the weights that cancel best are found densely, and how often those of more rows are mended.
+MOST_DENSE, CANCELLATIONS = 500, 2
+
+
+def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
+    """Return the weights (q,) for which the sum of unit rows is least; of many rows those near to given weights."""
+    rows = sp.csr_matrix(rows @ sp.diags(scale))
+    if rows.shape[0] <= MOST_DENSE:
+        length = np.linalg.norm(rows.toarray(), axis=1)
+        _, rotation = right_singular((rows.toarray() / length[:, None]).T)
+        return np.asarray(rotation[-1] / length)
+    across = SparseRows(rows.T.tocsr())
+    for _ in range(CANCELLATIONS):
+        part, left = sp.csr_matrix((sp.diags(abs(weights)) @ rows).T), (across @ extend(weights)).double()
+        weights = weights * (1.0 - np.sign(weights) * least_solution(part, left))
+    return weights
