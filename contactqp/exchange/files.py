@@ -107,7 +107,8 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except InvalidProblem as error:
-        raise type(error)(f"{path}: {error}") from None
+        told = str(error)
+        raise type(error)(told if told.startswith(f"{path}: ") else f"{path}: {told}") from None
 
 
 def file_size(path: Path, expected: str) -> int:

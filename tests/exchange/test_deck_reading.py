@@ -66,6 +66,14 @@ def test_a_file_that_is_not_there_is_named_with_the_line_that_includes_it(tmp_pa
     assert said.endswith("steel.inp")
 
 
+def test_a_number_behind_the_elastic_constants_is_told(tmp_path: pathlib.Path) -> None:
+    model = read_deck_model(write(tmp_path, STACK.replace("1000., 0.\n", "1,000., 0.\n")))  # a comma between thousands
+    assert model.materials["STEEL"].modulus == 1.0
+    assert any(
+        "line 29: *ELASTIC: the temperature behind both constants, '0.'" in line for line in model.ledger.ignored
+    )
+
+
 def test_a_mark_of_the_order_of_bytes_is_no_text(tmp_path: pathlib.Path) -> None:
     (tmp_path / "model.inp").write_bytes(("\ufeff" + STACK.replace("two cubes", "zwei Würfel")).encode("utf-8"))
     assert len(read_deck_model(tmp_path / "model.inp").labels) == 16
@@ -112,6 +120,11 @@ MISTAKES = {
         "*CLEARANCE, VALUE=-",
     ),
     "a table in the place of contact": ("=LINEAR", "=TABULAR", "are no Signorini contact; in the place of TIED take"),
+    "an amplitude that is not there": (
+        "*BOUNDARY\nTOP",
+        "*BOUNDARY, AMPLITUDE=UP\nTOP",
+        "expected an amplitude that stands further up, got 'UP'",
+    ),
     "friction without a bound": ("1e4\n*CONT", "1e4\n*FRICTION, ROUGH\n*CONT", "ROUGH is not offered; state a coeff"),
     "a rigid line": ("NAME=BELOW", "NAME=BELOW, TYPE=SEGMENTS", "'SEGMENTS'; for a rigid surface take elements whose"),
     "local axes": (

@@ -318,3 +318,11 @@ def test_pictures_of_pressures_have_the_units_that_are_told(tmp_path: pathlib.Pa
         axes = crosscheck_figure(found, list(found.pairs)).axes[:3]
         assert [one.get_title() for one in axes[:2]] == [f"pressure by its results{unit}", f"pressure, exact{unit}"]
         assert {one.get_xlabel() for one in axes} == {f"along the surface{length}"}
+
+
+def test_pairs_of_two_types_are_refused_before_calculix_ends_at_them(tmp_path: pathlib.Path) -> None:
+    other = "*SURFACE, NAME=SIDE\n2, S3\n*SURFACE, NAME=FAR\n1, S5\n*CONTACT PAIR, INTERACTION=TOUCH, "
+    other += "TYPE=SURFACE TO SURFACE\nSIDE, FAR\n*BOUNDARY\nBOTTOM"
+    deck = write(tmp_path, STACK.replace("*BOUNDARY\nBOTTOM", other, 1))
+    with pytest.raises(cq.InvalidProblem, match=r"line 47: \*CONTACT PAIR: CalculiX runs contact pairs of one TYPE"):
+        cq.crosscheck(deck)

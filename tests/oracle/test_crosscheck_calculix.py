@@ -182,3 +182,12 @@ def test_a_deck_in_another_hand_is_run_as_it_is_meant(tmp_path: pathlib.Path) ->
     found = cq.crosscheck(tmp_path / "model.inp")
     assert found.passed, found.summary()
     assert found.pairs[0].resultant == pytest.approx(5.0, rel=1e-4)
+
+
+def test_what_calculix_passes_over_is_named(tmp_path: pathlib.Path) -> None:
+    clear = "*CLEARANCE, MASTER=BELOW, SLAVE=ABOVE, VALUE=0.\n*STEP"
+    found = cq.crosscheck(write(tmp_path, STACK.replace("1e4\n", "1e7\n").replace("*STEP", clear, 1)))
+    assert found.word == "wrong"
+    assert found.pairs[0].resultant == pytest.approx(5.0, rel=1e-3)
+    assert found.pairs[0].reference_resultant == pytest.approx(10.0)
+    assert "a *CLEARANCE, which CalculiX has for TYPE=SURFACE TO SURFACE alone" in found.summary()

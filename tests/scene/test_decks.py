@@ -99,6 +99,11 @@ def test_equations_bind_nodes(tmp_path: pathlib.Path) -> None:
 
 
 WRONG = {
+    "a hexahedron that is collapsed": (
+        "15, 16, 17, 18\n*NSET",
+        "15, 16, 17, 17\n*NSET",
+        "model.inp: element 2 (C3D8): a node stands in it twice",
+    ),
     "an element inside out": (
         "1, 1, 2, 3, 4, 5, 6, 7, 8",
         "1, 5, 6, 7, 8, 1, 2, 3, 4",

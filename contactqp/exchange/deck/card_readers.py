@@ -123,7 +123,9 @@ def _find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> 
         return among[name]
     near = get_close_matches(name, list(among), n=1)
     nearest = f"; the nearest one is {near[0]}" if near else f"; it has {', '.join(among)[:200] or 'none'}"
-    raise card.wrong(f"a {what} that stands further up", f"{name[:40]!r}{nearest}", line)
+    raise card.wrong(
+        f"{'an' if what[0] in 'aei' else 'a'} {what} that stands further up", f"{name[:40]!r}{nearest}", line
+    )
 
 
 def extend(sets: dict[str, Index], name: str, labels: Index) -> None:
@@ -170,27 +172,28 @@ def read_elastic(model: DeckModel, card: Card) -> None:
     line = card.only_line("Young's modulus and Poisson's ratio (one temperature)")
     if len(line.words) not in (2, 3):
         raise card.wrong("Young's modulus and Poisson's ratio", f"{len(line.words)} numbers", line)
-    material = _material(model, card)
+    material = _material(model)
     material.modulus = card.real(line, 0, "Young's modulus")
     material.poisson = card.real(line, 1, "Poisson's ratio")
     if not 1e-120 <= material.modulus <= 1e120:
         raise card.wrong("Young's modulus > 0", f"{material.modulus:g}", line)
     if not -1 < material.poisson < 0.5:
         raise card.wrong("Poisson's ratio between -1 and 0.5", f"{material.poisson:g}", line)
+    if len(line.words) > 2:
+        model.ledger.ignored.append(f"{line.place}: *ELASTIC: the temperature behind both constants, {line.words[2]!r}")
 
 
 def read_density(model: DeckModel, card: Card) -> None:
     """Read the density, at one temperature."""
     line = card.only_line("the density (one temperature)")
-    material = _material(model, card)
+    material = _material(model)
     material.density = card.real(line, 0, "the density")
     if material.density < 0:
         raise card.wrong("a density >= 0", f"{material.density:g}", line)
 
 
-def _material(model: DeckModel, card: Card) -> DeckMaterial:
-    if not model.materials:
-        raise card.refuse("it belongs to a material; expected *MATERIAL before it")
+def _material(model: DeckModel) -> DeckMaterial:
+    """Return the material that stands last; one does, as these cards stand right behind it."""
     return list(model.materials.values())[-1]
 
 

@@ -108,6 +108,7 @@ def crosscheck(
     with naming(path):
         labels = deck.assembly.topology.labels
     if file is None:
+        _refuse_two_types(deck)
         own = FilePath(path).with_suffix(".ccx") if folder is None else FilePath(folder)
         run = run_calculix(path, labels, own, time_limit)
         file, code, warnings = run.results, run.version, run.warnings
@@ -117,6 +118,15 @@ def crosscheck(
         str(path), str(file), code, reference, error_tolerance, judged.pairs, judged.findings, warnings, deck.ledger,
         named,
     )  # fmt: skip
+
+
+def _refuse_two_types(deck: Deck) -> None:
+    """Raise InvalidProblem where pairs of a deck are of several types, which CalculiX ends at without saying so."""
+    first, *others = deck.model.pairs or (None,)
+    for other in others:
+        if first is not None and other.type != first.type:
+            told = f"CalculiX runs contact pairs of one TYPE; this one is {other.type}, {first.name} {first.type}"
+            raise InvalidProblem(f"{other.place}: *CONTACT PAIR: {told}; give results, or state the same for both")
 
 
 def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector]:
@@ -360,6 +370,9 @@ class _Judging:
     def _causes(self, found: Found, number: int, vectors: Forces) -> Iterator[str]:
         """Yield in words what parts the answer of a pair, with these forces on its nodes, from the reference."""
         judged = found.judged
+        pair = judged.contact.pair
+        if pair.type == "NODE TO SURFACE" and (pair.slave, pair.master) in self.deck.model.clearances:
+            yield "the deck states a *CLEARANCE, which CalculiX has for TYPE=SURFACE TO SURFACE alone"
         yield from causes_of(found, self.tolerance)
         if self.reference == "exact" and self._springs:
             springs = judged.shares @ judged.along(self._springs[number])

@@ -90,6 +90,13 @@ class Group:
 
     def check_shapes(self, points: Array) -> None:
         """Refuse elements that are turned inside out or flat, by their labels."""
+        ordered = np.sort(self.nodes, axis=1)
+        twice = np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))
+        if twice.size:
+            raise InvalidProblem(
+                f"element {self.labels[twice[0]]} ({self.type}): a node stands in it twice; collapsed elements are "
+                "not offered, tetrahedra are"
+            )
         corners = points[self.nodes]
         at = np.vstack([self.kind.rule.points, self.kind.fine_rule.points])
         with np.errstate(over="ignore", invalid="ignore"):
