@@ -240,6 +240,7 @@ class ContactProblem:
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
         vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in given if sp.issparse(one)]
         vars(self).update({name: read_only(value) for name, value in values.items()})
+        self.load_size, self.own_scale  # noqa: B018  which everything asks for too
 
     def refuse_exchanged_arrays(self) -> None:
         """Raise InvalidProblem where a sparse matrix was given other arrays: read-only ones can still be exchanged."""
