@@ -13,13 +13,15 @@ from itertools import product
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import EPS, Parts, shape_of_tangents
+from contactqp.analysis.rate_systems import EPS, Parts, Scales, shape_of_tangents
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.extended import Extended, extended_rows
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import friction_bound, refined_in
+from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -28,6 +30,8 @@ from contactqp.model.solution import Answer
 MOST_COMBINATIONS = 256
 # Friction that misses its bound by this part of it is at its bound.
 AT_BOUND = 4 * EPS
+# Rows that are combinations of others to this part of the largest depend on them; of shared forces less is none.
+DEPENDENT, SEEN = 1e-10, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,23 +181,23 @@ def steps_to_events(
     """
     touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)
     apart = np.setdiff1d(np.flatnonzero(status == OPEN), edges)
-    yield from _falls(now.push[touching], rates.push[touching])
-    yield from _falls(now.gap[apart], rates.gap[apart])
+    yield from falls(now.push[touching], rates.push[touching])
+    yield from falls(now.gap[apart], rates.gap[apart])
     if mu is None:
         return
     slips = np.setdiff1d(np.flatnonzero((abs(status) == 1) & (mu > 0)), rests).astype(int)
     along = status[slips].astype(float)
-    yield from _falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
+    yield from falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
     for i in np.setdiff1d(np.flatnonzero(status == STICK), edges):
         push, drag, push_rate, drag_rate = now.push[i], now.drag[i], rates.push[i], rates.drag[i]
         if len(drag) > 1:
             yield from _reaches_bound(mu[i], push, drag, push_rate, drag_rate)
             continue
         bounds = np.array([side for side in (1.0, -1.0) if i not in at_bound or side * drag[0] < 0])
-        yield from _falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
+        yield from falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
 
 
-def _falls(size: Vector, rate: Vector) -> Iterator[float]:
+def falls(size: Vector, rate: Vector) -> Iterator[float]:
     """Yield the steps at which positive sizes reach zero."""
     falls = rate < 0
     yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
@@ -207,6 +211,84 @@ def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_
     roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
     real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
     yield from sorted(real)[:1]
+
+
+def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> ContactProblem:
+    """Return the problem of rates without friction: what grazes are its contacts, what is closed is among its ties."""
+    rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[closed]]))
+    posed = ContactProblem(
+        problem.stiffness, np.zeros(problem.dimension), problem.normal[grazing], np.zeros(len(grazing)),
+        tie=rows, tie_value=np.zeros(rows.shape[0]), near_null_space=problem.near_null_space,
+    )  # fmt: skip
+    posed._computed.wider_condensation = problem._computed.condensation
+    return posed
+
+
+class Sharing:
+    """The ways in which contacts that touch, and ties, may share the force that they exert, in the root of energy.
+
+    A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
+    that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
+    with several multipliers).
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    contacts : (q,) array, those that touch
+    scales : Scales
+    """
+
+    def __init__(self, problem: ContactProblem, contacts: Indices, scales: Scales) -> None:
+        unit, normal, _, tie = scales.units
+        lengths = np.concatenate([normal[contacts], tie])
+        rows = sp.csc_array(sp.vstack([problem.normal[contacts], problem.tie]))
+        self._felt, self._unit, self._contacts = np.flatnonzero(np.diff(rows.indptr)), unit, contacts
+        self._lengths = np.where(lengths > 0, lengths, 1.0)
+        self.rows: Array = rows[:, self._felt].toarray() * unit[self._felt] / self._lengths[:, None]
+        self._limits = [(0.0, None)] * len(contacts) + [(None, None)] * problem.ties
+        _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
+        self._basis = basis[sizes > DEPENDENT * np.max(sizes, initial=0.0)]
+
+    def _told(self, resultant: Vector) -> Vector:
+        """Return a force (n,) along what the rows span."""
+        return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
+
+    def takes_part(self, grazes: Mask) -> bool:
+        """Return whether those that graze (q,) can hold one another, or what the others hold."""
+        grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
+        resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
+        _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
+        return not residual > UNRESISTED
+
+    def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
+        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
+        from scipy.optimize import linprog
+
+        span, told = self._basis @ self.rows.T, self._told(resultant)
+        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
+        cost /= np.max(abs(cost), initial=0.0) or 1.0
+        told = told / (np.max(abs(told), initial=0.0) or 1.0)
+        least = linprog(cost, A_eq=span, b_eq=told, bounds=self._limits)
+        if least.status != 0:
+            return None
+        span, told = np.vstack([span, cost]), np.append(told, least.fun)
+        stays = []
+        for place, contact in enumerate(self._contacts):
+            most = linprog(-np.eye(len(cost))[place], A_eq=span, b_eq=told, bounds=self._limits)
+            if most.status == 3 or (most.status == 0 and -most.fun > SEEN):
+                stays.append(contact)
+        return np.array(stays, dtype=np.intp)
+
+    def reach(self, resultant: Vector, rate: Vector) -> float:
+        """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
+        from scipy.optimize import linprog
+
+        told, turns = self._told(resultant), self._told(rate)
+        size, speed = (float(np.max(abs(one), initial=0.0)) or 1.0 for one in (told, turns))
+        span = np.column_stack([self._basis @ self.rows.T, -turns / speed])
+        cost = np.append(np.zeros(len(self._limits)), -1.0)
+        most = linprog(cost, A_eq=span, b_eq=told / size, bounds=[*self._limits, (0.0, None)])
+        return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
 
 
 def width_within(turns: Array, signs: Vector, far: float) -> float:

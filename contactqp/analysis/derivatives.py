@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import SAME, Direction, Parts, Rates, errors_of
+from contactqp.analysis.rate_systems import SAME, Direction, Parts, Rates, errors_of, is_proven
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.errors import BackendMissing, InvalidProblem, shown
 from contactqp.linalg.floating import UNRESISTED
@@ -211,14 +211,16 @@ def _read_direction(linearised: Linearised, parameter: str, direction: Any) -> D
     return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved))))
 
 
-def _why_not(linearised: Linearised, of: str, parameter: str, load: Vector | None = None) -> str | None:
-    """Return why a quantity has no derivative by a parameter, along a load or whatever the direction, or None."""
+def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction | None = None) -> str | None:
+    """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
-    if linearised.redundant and (of in FORCES or parameter in ("gap", "tie_value", "rows")):
+    limited = parameter == "rows" or (parameter in ("gap", "tie_value") and not (along and linearised.few_touch))
+    if linearised.redundant and (of in FORCES or limited):
         return REDUNDANT
     problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
-    if parameter == "load" and load is not None:
+    if parameter == "load" and along is not None:
+        load = along.load
         driven = any(abs(motion @ load) > UNRESISTED * (abs(motion) @ abs(load)) for motion in motions)
     else:
         driven = bool(motions) and parameter in ("load", "stiffness", "rows")
@@ -229,11 +231,11 @@ def _why_not(linearised: Linearised, of: str, parameter: str, load: Vector | Non
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
     """Return the derivative of a quantity along a direction of one parameter."""
-    reason = _why_not(linearised, of, parameter, direction.load) or linearised.without_direction(direction.friction)
+    reason = _why_not(linearised, of, parameter, direction) or linearised.without_direction(direction.friction)
     if reason is not None:
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
-    if of == "energy" and not frictional:
+    if of == "energy" and not frictional and not (linearised.redundant and parameter in ("gap", "tie_value")):
         rate = _rate_of_energy(linearised.solution, direction)
         return Derivative(rate, rate, rate, True)
     try:
@@ -246,13 +248,13 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
         same = abs(left - right) <= SAME * max(abs(left), abs(right))
-    reason = "" if same else f"the two sides differ: {linearised.at_border()}"
+    reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
     turns = frictional and np.any(getattr(linearised.system, "turning", 0.0) != 0)
     if parameter in LINEAR and not turns:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
     bound = None
-    if parameter in LINEAR and of != "energy" and not turns and linearised.proven:
+    if parameter in LINEAR and of != "energy" and not turns and is_proven(linearised.solution):
         both = [errors_of(linearised.problem, of, rates, direction) for rates in (back, ahead)]
         bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
     return Derivative(right if same else None, left, right, same, bound, reach, reason)

@@ -17,12 +17,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import Condensation
+from contactqp.certificate.certificate import certificate_of
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
@@ -31,11 +33,13 @@ from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, Solution
 
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
+# Whether answers with friction have bounds.
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
 # A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
@@ -439,3 +443,16 @@ class Scales:
             np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
         )
         return unit, normal, tangent, tie
+
+
+def is_proven(solution: Solution) -> bool:
+    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
+    problem, certificate = solution.problem, solution.certificate
+    if certificate.proven or not problem.frictional:
+        return certificate.proven
+    if solution not in _PROVEN:
+        forces = solution.normal_force, solution.friction_force, solution.tie_force
+        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
+        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
+        _PROVEN[solution] = found.proven
+    return _PROVEN[solution]

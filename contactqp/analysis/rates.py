@@ -16,15 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
 from itertools import product
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
-import scipy.sparse as sp
 
-from contactqp.analysis.border_states import MOST_COMBINATIONS, Margins, decided, steps_to_events, width_within
+from contactqp.analysis.border_states import (
+    MOST_COMBINATIONS,
+    Margins,
+    Sharing,
+    decided,
+    falls,
+    rates_posed,
+    steps_to_events,
+    width_within,
+)  # fmt: skip
 from contactqp.analysis.rate_systems import (
     EPS,
     SAME,
@@ -37,17 +43,14 @@ from contactqp.analysis.rate_systems import (
     shape_of_tangents,
 )  # fmt: skip
 from contactqp.certificate import bounds
-from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
-from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Solution
+from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
 
 FREE = "bodies are free to move, and their displacements are not unique"
@@ -61,12 +64,10 @@ ROUNDING = 64 * EPS
 BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
+# Contacts that share their forces, at most, whose displacements have rates by gaps.
+MOST_SHARING = 64
 # Contacts that are named in a reason.
 SHOWN = 5
-
-
-# Whether answers with friction have bounds.
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 
 
 class NoRates(Exception):
@@ -113,7 +114,7 @@ class Linearised:
         self._decide()
         self.undecided = np.union1d(self.grazing, self._at_bound).astype(np.intp)
         self._systems: dict[bytes, RateSystem] = {}
-        self._posed: ContactProblem | None = None
+        self._posed: dict[bytes, ContactProblem] = {}
         self.redundant = self._forces_depend()
         whole = not (self._sparse or len(self.undecided))
         self.system = self._system(self.status) if whole else None
@@ -170,15 +171,7 @@ class Linearised:
         if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
             return True
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
-        unit, normal, _, tie = self.scales.units
-        problem, lengths = self.problem, np.concatenate([normal[touching], tie])
-        rows = sp.csc_array(sp.vstack([problem.normal[touching], problem.tie]))
-        felt = np.flatnonzero(np.diff(rows.indptr))
-        dense = rows[:, felt].toarray() * unit[felt] / np.where(lengths > 0, lengths, 1.0)[:, None]
-        grazes = np.concatenate([np.isin(touching, self.grazing), np.zeros(problem.ties, dtype=bool)])
-        resultant = np.append(np.zeros(len(felt)), 1.0)
-        _, residual = forces_without_tension(np.column_stack([dense, grazes]), resultant, grazes)
-        return not residual > UNRESISTED
+        return Sharing(self.problem, touching, self.scales).takes_part(np.isin(touching, self.grazing))
 
     def _system(self, status: Status) -> RateSystem:
         key = status.tobytes()
@@ -189,19 +182,10 @@ class Linearised:
             self._systems[key] = RateSystem(problem, condense(problem), status, answer)
         return self._systems[key]
 
-    @cached_property
-    def proven(self) -> bool:
-        """Whether errors of the answer are bounded; one with friction is proven when this is first asked of it."""
-        solution, certificate = self.solution, self.solution.certificate
-        if certificate.proven or not self.problem.frictional:
-            return certificate.proven
-        if solution not in _PROVEN:
-            answer = Answer(
-                solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force
-            )  # fmt: skip
-            limits = certificate.tolerance, certificate.error_tolerance, condense(self.problem)
-            _PROVEN[solution] = certificate_of(self.problem, answer, *limits, prove_friction=True).proven
-        return _PROVEN[solution]
+    @property
+    def few_touch(self) -> bool:
+        """Whether the ways in which contacts share their forces can be looked through."""
+        return not self._sparse and len(self.closed) + len(self.grazing) <= MOST_SHARING
 
     @property
     def irregular(self) -> str | None:
@@ -232,12 +216,13 @@ class Linearised:
         NoRates
             There are none towards a side, or several.
         """
-        if self.system is not None:
+        shifted = self.redundant and bool(direction.whole_gap.any() or direction.tie_value.any())
+        if self.system is not None and not shifted:
             ahead = self._in_states(self.system, direction)
             return ahead, ahead
         towards = self._among_states if self.problem.frictional else self._by_problem
         ahead = towards(direction)
-        if not len(self.undecided):
+        if not len(self.undecided) and not shifted:
             return ahead, ahead
         back = towards(direction.reversed())
         return back.reversed(), ahead
@@ -288,24 +273,29 @@ class Linearised:
         return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
     def _by_problem(self, direction: Direction) -> Rates:
-        """Return the rates without friction as the answer of a problem whose contacts are those that graze."""
+        """Return the rates without friction as the answer of a problem whose contacts are those that graze.
+
+        Of redundant ones whose gaps change, or of ties, those stay closed that the energy needs, and others may open.
+        """
         problem, k = self.problem, self.problem.ties
-        if self._posed is None:
-            rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[self.closed]]))
-            self._posed = ContactProblem(
-                problem.stiffness, np.zeros(problem.dimension), problem.normal[self.grazing],
-                np.zeros(len(self.grazing)), tie=rows, tie_value=np.zeros(rows.shape[0]),
-                near_null_space=problem.near_null_space,
-            )  # fmt: skip
-            self._posed._computed.wider_condensation = problem._computed.condensation
-        limit = direction.whole_gap
-        value = np.concatenate([direction.tie_value, limit[self.closed]])
+        closed, grazing, status, limit = self.closed, self.grazing, self.status, direction.whole_gap
+        if self.redundant and (limit.any() or direction.tie_value.any()):
+            touching = np.union1d(closed, grazing).astype(np.intp)
+            stay = Sharing(problem, touching, self.scales).stay(self._resultant, limit, direction.tie_value)
+            if stay is None:
+                raise NoRates("contacts that touch, and ties, cannot change their gaps and values so")
+            closed, grazing = stay, np.setdiff1d(touching, stay)
+            status = np.where(np.isin(np.arange(problem.contacts), closed), SLIP_ON, OPEN).astype(np.int8)
+        if closed.tobytes() not in self._posed:
+            self._posed[closed.tobytes()] = rates_posed(problem, closed, grazing)
+        value = np.concatenate([direction.tie_value, limit[closed]])
         try:
-            found = solve(self._posed.replace(load=direction.whole_load, gap=limit[self.grazing], tie_value=value))
+            posed = self._posed[closed.tobytes()]
+            found = solve(posed.replace(load=direction.whole_load, gap=limit[grazing], tie_value=value))
         except NoEquilibrium as none:
             raise NoRates(str(none)) from None
         force = np.zeros(problem.contacts)
-        force[self.closed], force[self.grazing] = found.tie_force[k:], found.normal_force
+        force[closed], force[grazing] = found.tie_force[k:], found.normal_force
         tangents = np.zeros(shape_of_tangents(problem))
         slip = tangents - direction.slip_origin
         if problem.tangent is not None:
@@ -314,15 +304,20 @@ class Linearised:
         shared = bool(
             np.any(found.normal_force > 0) and any(bounds.REDUNDANT in one for one in found.certificate.reasons)
         )
-        rates = replace(self._with_reaction(direction, parts, tangents, slip, self.status, None), shared=shared)
+        rates = replace(self._with_reaction(direction, parts, tangents, slip, status, None), shared=shared)
         return self._bounded(rates, direction) or rates
+
+    @property
+    def _resultant(self) -> Vector:
+        """The force (n,) of contacts and ties."""
+        return np.asarray(self.problem.normal.T @ self.push + self.problem.tie.T @ self.solution.tie_force)
 
     def _bounded(self, rates: Rates, direction: Direction) -> Rates | None:
         """Return rates without friction from the system of the states that they lead to, with bounds of their errors.
 
         None where they are shared, where nothing is condensed, or where their signs in these states do not hold.
         """
-        if self._sparse or rates.shared:
+        if self._sparse or rates.shared or self.redundant:
             return None
         status = self.status.copy()
         status[self.grazing[rates.normal_force[self.grazing] > 0]] = SLIP_ON
@@ -468,6 +463,14 @@ class Linearised:
 
         Of contacts that graze neither forces nor gaps fall, from nothing.
         """
+        if self.redundant and not self._sparse:
+            members = np.flatnonzero(
+                (rates.status != OPEN) | (np.isin(np.arange(len(self.push)), self.grazing) & (rates.normal_force > 0))
+            )
+            yield Sharing(self.problem, members, self.scales).reach(self._resultant, sign * rates.reaction)
+            apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)
+            yield from falls(self._gap[apart], sign * rates.gap[apart])
+            return
         parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
         along = Margins(*(sign * part for part in parts))
         now, mu = Margins(self._gap, self.push, self._drag, self._slip), self.problem.friction
