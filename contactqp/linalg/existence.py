@@ -361,7 +361,9 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
     held = held[np.flatnonzero(np.diff(held.indptr))]
     z: Vector = np.where(abs(motion) > DRIVEN * np.max(abs(motion), initial=0.0), motion, 0.0)
     z = _projected(twin, held, z)
-    least = DRIVEN * float(np.max(abs(twin.load)))
+    stiff = np.diff(twin.stiffness_rows.indptr) > 0
+    # Bodies may be balanced by a load to the digits that it has; the costs of a linear program are what they are.
+    least = DRIVEN * float(np.max(abs(twin.load))) if np.any(z[stiff]) else 0.0
     for motion in (np.round(z), z):  # whole numbers are exact, where they will do
         work = float(extend(twin.load).dot(extend(motion)))
         rounding = ROUNDING * float(abs(twin.load) @ abs(motion))

@@ -151,3 +151,22 @@ def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> N
     assert twin.stiffness @ given.displacement - twin.load == pytest.approx(
         scaling.unknowns * force / scaling.force, rel=1e-12
     )
+
+
+@pytest.mark.parametrize("cost", [1e-3, 1e-9])
+def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: float) -> None:
+    # Goods that are bought and sold again at a small profit, beside a transport whose costs are ordinary ones.
+    random = np.random.default_rng(4)
+    costs = np.append(random.integers(1, 9, 9) * 1.0, [-cost, 0.0])
+    rows = np.zeros((6, 11))
+    for i in range(3):
+        rows[i, 3 * i : 3 * i + 3] = 1.0
+        rows[3 + i, i:9:3] = 1.0
+    rows[0, 9:] = 1.0, -1.0
+    rows, units = rows * 10.0 ** random.integers(-4, 5, 6)[:, None], 10.0 ** random.integers(-3, 4, 11)
+    supply = rows[:, :9].sum(axis=1)
+    program = cq.ContactProblem.from_qp(np.zeros((11, 11)), costs * units, A=rows * units, b=supply, lb=np.zeros(11))
+    with pytest.raises(cq.NoEquilibrium, match=r"the energy falls for ever: unknown (9|10) by .*unknown (9|10) by"):
+        cq.solve(program)
+    balanced = np.where(np.arange(11) == 9, 0.0, costs)
+    assert cq.solve(program.replace(load=-balanced * units)).certificate.passed
