@@ -32,6 +32,8 @@ _PARTS: dict[str, list[list[int]]] = {
 WIDER = 2.5
 # Contacts whose unit normals have a smaller mean have no common direction, as around a hole.
 NO_DIRECTION = 0.1
+# Points from the lower edge of a map to its legend, and letters of entries that leave room for two in a row.
+BELOW_AXIS, SHORT_ENTRY = 36.0, 16
 
 
 def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFields) -> None:
@@ -46,6 +48,8 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
     fields : ContactFields
     pairing : one of its pairings
     """
+    from matplotlib.transforms import ScaledTranslation
+
     at, names = flattened(pairing)
     unit = style.length_unit(fields.units)
     if pairing.pressure is None:
@@ -81,9 +85,11 @@ def draw_map(figure: Any, axes: Any, fields: ContactFields, pairing: PairingFiel
     axes.set_ylabel(f"{names[1]} [{unit}]")
     largest = f"{style.number(float(np.max(shown)))} {label.partition('[')[2][:-1]}"
     axes.set_title(f"{pairing.name}: at most {largest}", fontsize="medium")
-    axes.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=2, fontsize="small", frameon=False
-    )
+    # Below the name of the axis, however flat the map is; a long entry would reach into the scale of colours.
+    below = axes.transAxes + ScaledTranslation(0.0, -BELOW_AXIS / 72, figure.dpi_scale_trans)
+    place: dict[str, Any] = dict(loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=below)
+    longest = max(len(handle.get_label()) for handle in handles)
+    axes.legend(handles=handles, **place, ncols=1 if longest > SHORT_ENTRY else 2, fontsize="small", frameon=False)
 
 
 def _draw_friction(axes: Any, fields: ContactFields, pairing: PairingFields, at: Array, size: float) -> list[Any]:

@@ -95,6 +95,23 @@ def test_the_map_of_a_pairing_in_space_has_arrows_of_friction():
     np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1) / np.hypot(arrows.U, arrows.V)[:, None], along)
 
 
+def test_the_legend_of_a_flat_map_covers_neither_the_name_of_its_axis_nor_the_scale_of_colours():
+    body = cq.Body(cq.box((40.0, 20.0, 10.0), (4, 2, 1)), cq.Material(modulus=1.0, poisson=0.3), "3d", name="block")
+    structure = cq.Structure([body])
+    held = [cq.Support("block", "top", axis, value) for axis, value in zip("xyz", (0.01, 0.0, -0.01), strict=True)]
+    floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
+    drawn = cq.draw(cq.solve(structure.assemble(held).problem([floor], friction=0.3)))
+    for _ in range(2):  # the first layout does not have the ticks yet
+        drawn.draw_without_rendering()
+    with_legends = [axes for axes in drawn.axes if axes.get_legend() is not None]
+    (shown,) = (axes for axes in with_legends if "friction, at most" in str(axes.get_legend().texts))
+    legend = shown.get_legend().get_window_extent()
+    assert not legend.overlaps(shown.xaxis.label.get_window_extent())
+    scales = [axes for axes in drawn.axes if axes.get_ylabel().startswith("contact pressure")]
+    assert scales
+    assert not any(legend.overlaps(axes.get_window_extent()) for axes in scales)
+
+
 def test_bodies_that_overlapped_and_press_are_drawn_without_a_gap_between_them():
     """An interference of 1 % of the size, pushed apart: magnified as it would be without, it were a gap."""
     moved, size = np.array([[0.0, 0.01]]), 1.0
