@@ -58,6 +58,8 @@ CARRIES = 1e-9
 MET_TOGETHER = 1e-20
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
+# Factorisations at a vertex where rows conflict: it settles at once, or the program has led elsewhere.
+AT_A_VERTEX = 20
 # Steps of the simplex method for every row and unknown: programs that end take one or two.
 SECONDS, LEAST_STEPS, STEPS_OF_A_ROW = 20.0, 1000, 5
 # HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
@@ -99,8 +101,9 @@ def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
     """Return a state that holds closed only contacts that can be closed together, if there is one."""
     if not state.solved or state.length_residual <= MET_TOGETHER:
         return state
-    conflict = state.length * state.length_residual
-    vertex = vertex_near(state.problem, state.answer, conflict, effort)
+    most, effort.most = effort.most, min(effort.most, effort.factorisations + AT_A_VERTEX)
+    vertex = vertex_near(state.problem, state.answer, state.length * state.length_residual, effort)
+    effort.most = most
     if vertex is None or not vertex.holds or vertex.residual > max(MET_TOGETHER, state.force_residual):
         return state
     return vertex
