@@ -330,7 +330,8 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
             return SparseFrictionRun(problem, settings)
     meter = Meter(problem)
     with meter.running():
-        refuse_driven_motion(problem, condense(problem).rigid)
+        if (rigid := condense(problem).rigid).count:
+            refuse_driven_motion(problem, rigid)
     if algorithm == "associated":
         return _relaxed(problem, method, settings, meter)
     if algorithm == "enumeration":
@@ -372,13 +373,15 @@ def _by(
 ) -> FrictionRun:
     """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
     condensation = condense(problem)
+    if settings.time_limit is not None:
+        settings = settings.now
     with meter.running():
         try:
             if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
-                found: Any = algorithm.on_bodies(problem, condensation, method, settings.now)
+                found: Any = algorithm.on_bodies(problem, condensation, method, settings)
             else:
                 name = None if algorithm is None else algorithm.name
-                found = solve_on_contacts(problem, condensation, method, settings.now, name)
+                found = solve_on_contacts(problem, condensation, method, settings, name)
         except NotConverged:
             refuse_conflict(problem, condensation)
             raise

@@ -24,14 +24,13 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.equilibration import nondimensional
-from contactqp.model.arrays import Array, Vector, all_finite
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
-from contactqp.model.solution import Candidate
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.local_form import RELAXATION, Deadline, Iterate, LocalForm, aitken
+from contactqp.solving.friction.tresca import solve_convex
 from contactqp.solving.methods import Method, Settings
 
 FACETS = 16
@@ -205,21 +204,6 @@ class ConvexSteps:
         joint = np.zeros(form.joints)
         joint[self._soft], joint[self._hard] = x[size:], hard
         return x[:size].reshape(form.m, form.d), joint
-
-
-def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
-    """Solve one convex problem of a fixed point, made nondimensional where the method asks for it.
-
-    Raises NotConverged: the answer has numbers that are not finite.
-    """
-    if method.scale:
-        twin, scaling = nondimensional(problem)
-        candidate = scaling.unscale(method.solve(twin, settings))
-    else:
-        candidate = method.solve(problem, settings)
-    if not all_finite(candidate):
-        raise NotConverged(f"{method.name}: {candidate.status or 'its answer is not finite'}")
-    return candidate
 
 
 def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:

@@ -24,14 +24,14 @@ from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import RigidMotions
+from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.runtime import stated_limit, tell
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, all_finite
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
-from contactqp.solving.friction.convex_steps import solve_convex
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.local_form import NEARER, RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 
@@ -225,7 +225,8 @@ class _Run:
         scale = np.ones(inner.dimension)
         condensation = Condensation.of_condensed(inner, rigid, scale)
         inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
-        refuse_driven_motion(inner, condensation.rigid)
+        if condensation.rigid.count:
+            refuse_driven_motion(inner, condensation.rigid)
         candidate = solve_convex(self._method, inner, settings)
         return candidate.displacement, candidate.normal_force, candidate.tie_force
 
@@ -255,6 +256,21 @@ def _bounded_rows(normal: Array, tangent: Array) -> Array:
     rows[:m, :p], rows[m : m + count, :p], rows[m + count :, :p] = normal, tangent, -tangent
     rows[m : m + count, p:] = rows[m + count :, p:] = -np.eye(count)
     return rows
+
+
+def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
+    """Solve one convex problem of a fixed point, made nondimensional where the method asks for it.
+
+    Raises NotConverged: the answer has numbers that are not finite.
+    """
+    if method.scale:
+        twin, scaling = nondimensional(problem)
+        candidate = scaling.unscale(method.solve(twin, settings))
+    else:
+        candidate = method.solve(problem, settings)
+    if not all_finite(candidate):
+        raise NotConverged(f"{method.name}: {candidate.status or 'its answer is not finite'}")
+    return candidate
 
 
 def _block_diagonal(one: Array, other: Array) -> Array:
