@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.rate_systems import EPS, Parts, Scales, shape_of_tangents
-from contactqp.linalg.condensation import Condensation
+from contactqp.certificate.certificate import certificate_of
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.floating import UNRESISTED
@@ -24,10 +26,12 @@ from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, Solution
 
 # Combinations of states that contacts at a border may go to, at most.
 MOST_COMBINATIONS = 256
+# Whether answers with friction have bounds.
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 # Friction that misses its bound by this part of it is at its bound.
 AT_BOUND = 4 * EPS
 # Rows that are combinations of others to this part of the largest depend on them; of shared forces less is none.
@@ -302,3 +306,16 @@ def width_within(turns: Array, signs: Vector, far: float) -> float:
             return 0.0 if end.status == 2 else np.inf
         ends.append(float(end.fun))
     return -sum(ends)
+
+
+def is_proven(solution: Solution) -> bool:
+    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
+    problem, certificate = solution.problem, solution.certificate
+    if certificate.proven or not problem.frictional:
+        return certificate.proven
+    if solution not in _PROVEN:
+        forces = solution.normal_force, solution.friction_force, solution.tie_force
+        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
+        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
+        _PROVEN[solution] = found.proven
+    return _PROVEN[solution]

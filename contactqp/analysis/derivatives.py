@@ -23,26 +23,25 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import SAME, Direction, Parts, Rates, errors_of, is_proven
+from contactqp.analysis.border_states import is_proven
+from contactqp.analysis.many_loads import solve_many
+from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Parts, Rates, errors_of, on_entries, on_pattern
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.errors import BackendMissing, InvalidProblem, shown
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
+from contactqp.model.problem_data import ReadOnly, read_array, read_only
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
 
 # What may be differentiated, and by what.
 FORCES = ("normal_force", "friction_force", "tie_force")
 QUANTITIES = ("displacement", *FORCES, "gap", "slip", "reaction", "energy")
-VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 PARAMETERS = (*VECTORS, "stiffness", "rows")
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-# A direction of the stiffness is symmetric to this part of its largest entry.
-SYMMETRIC = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +100,7 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     """
     _refuse_unknown(solution, of, with_respect_to)
     linearised = Linearised(solution)
-    return _along(linearised, of, _read_direction(linearised, with_respect_to, direction), with_respect_to)
+    return _along(linearised, of, linearised.reads(with_respect_to, direction), with_respect_to)
 
 
 @checked
@@ -125,7 +124,7 @@ def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
     columns = []
     for unit in np.eye(size):
         direction = unit.reshape(np.shape(getattr(solution.problem, with_respect_to)))
-        found = _along(linearised, of, _read_direction(linearised, with_respect_to, direction), with_respect_to)
+        found = _along(linearised, of, linearised.reads(with_respect_to, direction), with_respect_to)
         if found.value is None:
             raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {found.reason}")
         columns.append(np.ravel(found.value))
@@ -183,32 +182,6 @@ def _value(solution: Solution, of: str) -> Any:
     """Return the quantity itself."""
     problem = solution.problem
     return problem.load - problem.stiffness_rows @ solution.displacement if of == "reaction" else getattr(solution, of)
-
-
-def _read_direction(linearised: Linearised, parameter: str, direction: Any) -> Direction:
-    problem, zero = linearised.problem, Direction.zero(linearised.problem)
-    u, push = linearised.solution.displacement, linearised.push
-    if parameter in VECTORS:
-        expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
-        if parameter == "friction" and given.ndim == 0:
-            given = np.full(expected, given)
-        if given.shape not in (expected, (int(np.prod(expected)),), () if expected == (1,) else expected):
-            raise InvalidProblem(f"direction: expected shape {expected}, got {given.shape}")
-        if not np.all(np.isfinite(given)):
-            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
-        return Direction(**(vars(zero) | {parameter: given.reshape(expected)}))
-    change = read_matrix("direction", direction)
-    expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
-    if change.shape != expected:
-        raise InvalidProblem(f"direction: expected shape {expected}, got {change.shape}")
-    if parameter == "rows":
-        closing = np.asarray(change @ u)
-        changed = dict(turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing))
-        return Direction(**(vars(zero) | changed))
-    if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
-        raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
-    moved = np.asarray(change @ u)
-    return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved))))
 
 
 def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction | None = None) -> str | None:
@@ -289,17 +262,17 @@ def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -
         if parameter in by:
             return float(weights) * by[parameter]
         half = float(weights) * 0.5 * u
-        at_rows = _on_entries(problem.normal, ((float(weights) * push, u),))
-        return _on_pattern(problem, half, u) if parameter == "stiffness" else at_rows
+        at_rows = on_entries(problem.normal, ((float(weights) * push, u),))
+        return on_pattern(problem, half, u) if parameter == "stiffness" else at_rows
     if len(linearised.undecided):
         raise InvalidProblem(f"pullback: {linearised.at_border()}, and the derivative may have two sides")
     y = linearised.adjoint(_weights(linearised, of, weights))
     if parameter == "stiffness":
         own = 0.5 * float(weights) * u if of == "energy" else -weights if of == "reaction" else 0.0 * u
-        return _on_pattern(problem, own - y.displacement, u)
+        return on_pattern(problem, own - y.displacement, u)
     if parameter == "rows":
         own = weights if of == "gap" else 0.0 * push
-        return _on_entries(problem.normal, ((-push, y.displacement), (-(y.normal + own), u)))
+        return on_entries(problem.normal, ((-push, y.displacement), (-(y.normal + own), u)))
     if parameter in ("friction", "slip_origin"):
         return _by_law(linearised, of, weights, parameter, y)
     found = dict(load=y.displacement, gap=y.normal, tie_value=y.tie)[parameter]
@@ -347,25 +320,11 @@ def _by_law(linearised: Linearised, of: str, weights: Array, parameter: str, y: 
     return np.asarray(y.tangent + slip_weights - np.einsum("mij,mj->mi", system.turning, dragged))
 
 
-def _on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
-    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
-    if not sp.issparse(problem.stiffness):
-        return (np.outer(y, u) + np.outer(u, y)) / 2
-    return _on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
-
-
-def _on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
-    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
-    counts, entries = np.diff(rows.indptr), None
-    for left, right in pairs:
-        own = right.take(rows.indices)
-        own *= np.repeat(left, counts)
-        entries = own if entries is None else np.add(entries, own, out=entries)
-    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
-
-
 FRAMEWORKS = ("jax", "torch")
 VARIED = (*VECTORS, "stiffness")
+# What `solve_many` takes, by its names of them, and what it has of all cases.
+OF_MANY = dict(load="loads", gap="gaps", friction="friction")
+ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
 
 
 @checked
@@ -383,7 +342,8 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
         Names of the arguments, in their order: "load", "gap", "tie_value", "friction", "slip_origin" and "stiffness",
         the entries of K on the pattern of `problem.stiffness_rows`, which are symmetrised.
     framework : str
-        "jax": for `jax.grad`, `jax.jacrev`, `jax.vmap` and `jax.jit`; "torch": for tensors.
+        "jax": for `jax.grad`, `jax.jacrev`, `jax.vmap` and `jax.jit`; "torch": for tensors and `torch.func`. Batches of
+        loads, gaps and coefficients are solved as by `solve_many`.
 
     Raises
     ------
@@ -417,47 +377,71 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
 
 
 class _Host:
-    """Answers and gradients in NumPy."""
+    """Answers and gradients in NumPy, of one case or of a batch, whose dimensions come before those of a case."""
 
     def __init__(self, problem: ContactProblem, of: str, varied: tuple[str, ...]) -> None:
         self.problem, self.of, self.varied = problem, of, varied
-        found = getattr(solve(problem), of)
-        self.shape = np.shape(found)
+        self.shape = np.shape(getattr(solve(problem), of))
+        self._ranks = [1 if name == "stiffness" else np.ndim(getattr(problem, name)) for name in varied]
+        self._last: tuple[tuple[bytes, ...], Solution] | None = None
 
-    def solution(self, values: Sequence[Any]) -> Solution:
-        """Return the certified answer where these have the varied parameters' places."""
+    def _cases(self, values: Sequence[Any]) -> tuple[tuple[int, ...], list[Array]]:
+        """Return the dimensions of a batch, and the values of its cases (cases, ...) one after the other."""
+        given = [np.asarray(value, dtype=float) for value in values]
+        pairs = list(zip(given, self._ranks, strict=True))
+        batch = np.broadcast_shapes(*(value.shape[: value.ndim - rank] for value, rank in pairs))
+        own = [value.shape[value.ndim - rank :] for value, rank in pairs]
+        whole = [np.broadcast_to(value, batch + one) for value, one in zip(given, own, strict=True)]
+        return batch, [value.reshape(-1, *one) for value, one in zip(whole, own, strict=True)]
+
+    def solution(self, values: Sequence[Array]) -> Solution:
+        """Return the certified answer where these have the varied parameters' places; the last one is kept."""
+        key = tuple(value.tobytes() for value in values)
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
         changes: dict[str, Any] = {}
-        for name, value in zip(self.varied, values, strict=True):
-            given = np.asarray(value, dtype=float)
+        for name, given in zip(self.varied, values, strict=True):
+            changes[name] = given
             if name == "stiffness":
                 rows = self.problem.stiffness_rows
                 if given.shape != rows.data.shape:
                     raise InvalidProblem(f"stiffness: expected entries {rows.data.shape}, got {given.shape}")
                 K = sp.csr_array((given, rows.indices, rows.indptr), shape=rows.shape)
-                given = (K + K.T) / 2
-            changes[name] = given
+                changes[name] = (K + K.T) / 2
         found: Solution = solve(self.problem.replace(**changes))
+        self._last = key, found
         return found
 
     def value(self, *values: Any) -> Array:
-        """Return the quantity, in doubles."""
-        return np.array(getattr(self.solution(values), self.of), dtype=float)
+        """Return the quantity, in doubles; that of many loads, gaps or coefficients as of `solve_many`."""
+        batch, cases = self._cases(values)
+        if len(cases[0]) > 1 and set(self.varied) <= set(OF_MANY):
+            given: dict[str, Any] = {OF_MANY[name]: one for name, one in zip(self.varied, cases, strict=True)}
+            many = solve_many(self.problem, **given)
+            of_all = self.of in ARRAYS_OF_MANY and many.passed.all()  # one that fails says why when it is asked for
+            found = getattr(many, self.of) if of_all else [getattr(one, self.of) for one in many]
+        else:
+            found = [getattr(self.solution(one), self.of) for one in zip(*cases, strict=True)]
+        return np.array(found, dtype=float).reshape(batch + self.shape)
 
     def gradients(self, weights: Any, *values: Any) -> tuple[Array, ...]:
-        """Return the gradient of weights . quantity by each argument, in its shape."""
-        solution, rows = self.solution(values), self.problem.stiffness_rows
-        found = []
-        for name, value in zip(self.varied, values, strict=True):
-            gradient = pullback(solution, self.of, np.array(weights, dtype=float).reshape(self.shape), name)
-            if name == "stiffness":
-                places = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), rows.indices
-                gradient = sp.csr_array(gradient)[places]
-            found.append(np.array(gradient, dtype=float).reshape(np.shape(value)))
-        return tuple(found)
+        """Return the gradient of weights . quantity by each argument, case by case."""
+        batch, cases = self._cases(values)
+        given = np.asarray(weights, dtype=float)
+        batch = np.broadcast_shapes(batch, given.shape[: given.ndim - len(self.shape)])
+        given = np.broadcast_to(given, batch + self.shape).reshape(-1, *self.shape)
+        rows, found = self.problem.stiffness_rows, [np.empty((len(given), *one.shape[1:])) for one in cases]
+        places = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), rows.indices
+        for i, weight in enumerate(given):
+            solution = self.solution([one[i % len(one)] for one in cases])
+            for name, gradient in zip(self.varied, found, strict=True):
+                own = pullback(solution, self.of, weight, name)
+                gradient[i] = np.reshape(sp.csr_array(own)[places] if name == "stiffness" else own, gradient[i].shape)
+        return tuple(one.reshape(*batch, *one.shape[1:]) for one in found)
 
 
 def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function with a reverse rule, whose solutions are made outside of JAX, one for each of a batch."""
+    """Return a function with a reverse rule, whose solutions are made outside of JAX, all of a batch at once."""
     if not jax.config.jax_enable_x64:
         raise InvalidProblem(
             'differentiable: JAX computes in single precision; expected jax.config.update("jax_enable_x64", True)'
@@ -467,14 +451,14 @@ def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
         return jax.ShapeDtypeStruct(shape, float)
 
     def answered(*values: Any) -> Any:
-        return jax.pure_callback(host.value, shaped(host.shape), *values, vmap_method="sequential")
+        return jax.pure_callback(host.value, shaped(host.shape), *values, vmap_method="expand_dims")
 
     def forward(*values: Any) -> Any:
         return answered(*values), values
 
     def backward(values: Any, weights: Any) -> Any:
         shapes = tuple(shaped(value.shape) for value in values)
-        return jax.pure_callback(host.gradients, shapes, weights, *values, vmap_method="sequential")
+        return jax.pure_callback(host.gradients, shapes, weights, *values, vmap_method="expand_dims")
 
     answer: Any = jax.custom_vjp(answered)
     answer.defvjp(forward, backward)
@@ -483,17 +467,33 @@ def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
 
 
 def _torch_function(torch: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function of tensors in double precision."""
+    """Return a function of tensors in double precision, for `torch.func.vmap` and `grad`, too."""
 
-    def forward(context: Any, *values: Any) -> Any:
-        context.save_for_backward(*values)
-        return torch.from_numpy(host.value(*(value.detach().numpy() for value in values)))
+    def kind(name: str, forward: Any, keep: Any, backward: Any) -> Any:
+        def batched(_: Any, dimensions: Any, *values: Any) -> Any:
+            pairs = zip(values, dimensions, strict=True)
+            found = made.apply(*(one[None] if place is None else one.movedim(place, 0) for one, place in pairs))
+            return found, (0,) * len(found) if isinstance(found, tuple) else 0
 
-    def backward(context: Any, weights: Any) -> Any:
-        values = (value.detach().numpy() for value in context.saved_tensors)
-        return tuple(map(torch.from_numpy, host.gradients(weights.detach().numpy(), *values)))
+        rules = dict(forward=forward, setup_context=keep, backward=backward, vmap=batched)
+        made: Any = type(name, (torch.autograd.Function,), {rule: staticmethod(one) for rule, one in rules.items()})
+        return made
 
-    rules = dict(forward=staticmethod(forward), backward=staticmethod(backward))
-    kind: Any = type("ContactAnswer", (torch.autograd.Function,), rules)
-    apply: Callable[..., Any] = kind.apply
+    def numbers(values: Any) -> Any:
+        return (value.detach().numpy() for value in values)
+
+    def pulled(context: Any, weights: Any) -> Any:
+        values = context.saved_tensors
+        found = gradient.apply(weights, *values)
+        return tuple(one.sum_to_size(value.shape) for one, value in zip(found, values, strict=True))
+
+    gradient = kind(
+        "ContactGradient", lambda *values: tuple(map(torch.from_numpy, host.gradients(*numbers(values)))),
+        lambda *_: None, None,
+    )  # fmt: skip
+    answer = kind(
+        "ContactAnswer", lambda *values: torch.from_numpy(host.value(*numbers(values))),
+        lambda context, values, _: context.save_for_backward(*values), pulled,
+    )  # fmt: skip
+    apply: Callable[..., Any] = answer.apply
     return apply

@@ -17,14 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import certificate_of
-from contactqp.linalg.condensation import Condensation, condense
+from contactqp.errors import InvalidProblem, shown
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
@@ -33,13 +32,16 @@ from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Solution
+from contactqp.model.problem_data import read_array, read_matrix
+from contactqp.model.solution import Answer
 
+# Parameters that are vectors, or one for each direction of slip.
+VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
+# A direction of the stiffness is symmetric to this part of its largest entry.
+SYMMETRIC = 1e-12
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
-# Whether answers with friction have bounds.
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
 # A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
@@ -445,14 +447,52 @@ class Scales:
         return unit, normal, tangent, tie
 
 
-def is_proven(solution: Solution) -> bool:
-    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
-    problem, certificate = solution.problem, solution.certificate
-    if certificate.proven or not problem.frictional:
-        return certificate.proven
-    if solution not in _PROVEN:
-        forces = solution.normal_force, solution.friction_force, solution.tie_force
-        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
-        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
-        _PROVEN[solution] = found.proven
-    return _PROVEN[solution]
+def on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
+    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
+    if not sp.issparse(problem.stiffness):
+        return (np.outer(y, u) + np.outer(u, y)) / 2
+    return on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
+
+
+def on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
+    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
+    counts, entries = np.diff(rows.indptr), None
+    for left, right in pairs:
+        own = right.take(rows.indices)
+        own *= np.repeat(left, counts)
+        entries = own if entries is None else np.add(entries, own, out=entries)
+    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
+
+
+def read_direction(problem: ContactProblem, u: Vector, push: Vector, parameter: str, direction: Any) -> Direction:
+    """Return a direction of one parameter, and what it means at a displacement u (n,) with contact forces (m,).
+
+    Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
+
+    Parameters
+    ----------
+    problem, u, push : the problem, a displacement and contact forces
+    parameter, direction : as in `contactqp.analysis.derivatives.derivative`
+    """
+    zero = Direction.zero(problem)
+    if parameter in VECTORS:
+        expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
+        if parameter == "friction" and given.ndim == 0:
+            given = np.full(expected, given)
+        if given.shape not in (expected, (int(np.prod(expected)),), () if expected == (1,) else expected):
+            raise InvalidProblem(f"direction: expected shape {expected}, got {given.shape}")
+        if not np.all(np.isfinite(given)):
+            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
+        return Direction(**(vars(zero) | {parameter: given.reshape(expected)}))
+    change = read_matrix("direction", direction)
+    expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
+    if change.shape != expected:
+        raise InvalidProblem(f"direction: expected shape {expected}, got {change.shape}")
+    if parameter == "rows":
+        closing = np.asarray(change @ u)
+        changed = dict(turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing))
+        return Direction(**(vars(zero) | changed))
+    if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
+        raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
+    moved = np.asarray(change @ u)
+    return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved))))

@@ -40,6 +40,7 @@ from contactqp.analysis.rate_systems import (
     RateSystem,
     Scales,
     errors_of,
+    read_direction,
     shape_of_tangents,
 )  # fmt: skip
 from contactqp.certificate import bounds
@@ -226,6 +227,10 @@ class Linearised:
             return ahead, ahead
         back = towards(direction.reversed())
         return back.reversed(), ahead
+
+    def reads(self, parameter: str, direction: Any) -> Direction:
+        """Return a direction of a parameter, and what it means at the answer; raises as `read_direction`."""
+        return read_direction(self.problem, self.solution.displacement, self.push, parameter, direction)
 
     def adjoint(self, weights: Parts) -> Parts:
         """Return the solution of the transposed system; nothing is at a border."""

@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.analysis import derivatives
 
 HAS_JAX, HAS_TORCH = (importlib.util.find_spec(name) is not None for name in ("jax", "torch"))
 
@@ -54,6 +55,9 @@ def test_jax_has_the_derivatives_of_answers(which: int) -> None:
         assert found == pytest.approx(rate, rel=1e-9, abs=1e-12)
     batch = [np.stack([value, 1.01 * value]) for value in values]
     assert np.asarray(jax.vmap(function)(*batch))[0] == pytest.approx(np.asarray(getattr(solution, of)))
+    each = jax.vmap(jax.jacrev(function), in_axes=(0,) + (None,) * (len(values) - 1))(batch[0], *values[1:])
+    for place, value in enumerate(batch[0]):
+        assert each[place] == pytest.approx(np.asarray(jax.jacrev(function)(value, *values[1:])), rel=1e-12, abs=1e-12)
     total = jax.jit(jax.grad(lambda *given: (function(*given) ** 2).sum()))(*values)
     assert total.shape == values[0].shape
 
@@ -68,6 +72,34 @@ def test_torch_checks_the_gradients(which: int) -> None:
     values = [torch.tensor(value, requires_grad=True) for value in arguments(problem, varied)]
     step = 1e-9 if which == 0 else 1e-6
     assert torch.autograd.gradcheck(function, values, eps=step, atol=1e-4, rtol=1e-4)
+    first, *others = (value.detach() for value in values)
+    batch = torch.stack([first, 1.01 * first])
+    expected = torch.stack([function(one, *others) for one in batch])
+    assert torch.allclose(torch.func.vmap(function, (0,) + (None,) * len(others))(batch, *others), expected)
+    rate = torch.func.grad(lambda one: function(one, *others).sum())
+    assert torch.allclose(torch.func.vmap(rate)(batch), torch.stack([rate(one) for one in batch]))
+
+
+def test_batches_are_solved_as_many_load_cases_and_a_gradient_needs_no_second_solution(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = problems()[1][0]
+    host, solved = derivatives._Host(problem, "normal_force", ("load", "gap")), []
+    monkeypatch.setattr(derivatives, "solve", lambda one: solved.append(one) or cq.solve(one))
+    loads = np.linspace(0.5, 1.5, 7)[:, None] * problem.load
+    found = host.value(loads, problem.gap[None])
+    assert found == pytest.approx(cq.solve_many(problem, loads=loads).normal_force)
+    assert solved == []
+    weights = np.ones(problem.contacts)
+    host.value(loads[0], problem.gap)
+    by_load, by_gap = host.gradients(np.stack([weights, 2 * weights]), loads[:1], problem.gap[None])
+    assert len(solved) == 1
+    assert by_load[1] == pytest.approx(cq.solve(solved[0]).pullback("normal_force", 2 * weights, "load"))
+    assert by_gap.shape == (2, problem.contacts)
+    # A body that nothing but a wall holds, which one of the loads drives away: the error is that of `solve`.
+    free = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0], [[1.0, 0.0]], [0.5])
+    with pytest.raises(cq.NoEquilibrium):
+        derivatives._Host(free, "normal_force", ("load",)).value([[1.0, 1.0], [-1.0, -1.0]])
 
 
 def test_what_is_not_installed_or_no_argument_is_one_line() -> None:
