@@ -99,6 +99,13 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
 
     Of long tables the first rows are printed, `most` of them, and of more claims that are met how many they are. The
     courses are left out where only the least rows have room.
+
+    Parameters
+    ----------
+    console : Console
+    judgement : Judgement
+    verbose : bool, whether claims that are met are listed
+    most : int, the rows of a table that are printed, at most
     """
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
