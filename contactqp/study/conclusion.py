@@ -96,10 +96,11 @@ class Conclusion:
         return dict(sentence=self.sentence, methods=[asdict(line) for line in self.lines])
 
 
-def conclude(all_rows: Sequence[Row]) -> Conclusion:
+def conclude(all_rows: Sequence[Row], load_before: float | None = None) -> Conclusion:
     """Return the conclusion of the rows of a report; those whose times are not known yet count without them.
 
-    Cases whose answer is not known, as of motions, are left out: nobody is right or wrong there.
+    Cases whose answer is not known, as of motions, are left out: nobody is right or wrong there. Where the load of the
+    machine before the report says that it was busy, no method is called faster than another.
     """
     judged = {row.case for row in all_rows if row.error_judged is not None}
     tried = [row for row in all_rows if row.verdict != rows.MISSING and row.case in judged]
@@ -109,7 +110,8 @@ def conclude(all_rows: Sequence[Row]) -> Conclusion:
     lines = [_line([row for row in tried if row.method == name], timed) for name in names]
     lines.sort(key=lambda line: (-line.right / line.cases, line.linear_solves or math.inf))
     passed_wrong = sum(row.verdict == rows.WRONG for row in tried)
-    answers = _answers(lines, len({row.case for row in tried}), _smallest(tried, timed), passed_wrong)
+    known, unsure = len({row.case for row in tried}), bool(busy(load_before))
+    answers = _answers(lines, known, _smallest(tried, timed), passed_wrong, unsure)
     return Conclusion(answers, tuple(lines))
 
 
@@ -170,7 +172,9 @@ def _smallest(tried: Sequence[Row], timed: set[str]) -> int:
 WHICH, PENALTY, WRONG = "Which method?", "What does a penalty cost?", "Who is wrong without saying so?"
 
 
-def _answers(lines: Sequence[MethodLine], cases: int, smallest: int, passed_wrong: int) -> tuple[tuple[str, str], ...]:
+def _answers(
+    lines: Sequence[MethodLine], cases: int, smallest: int, passed_wrong: int, unsure: bool
+) -> tuple[tuple[str, str], ...]:
     """Return the questions of a report with their answers.
 
     Parameters
@@ -179,14 +183,19 @@ def _answers(lines: Sequence[MethodLine], cases: int, smallest: int, passed_wron
     cases : the number of cases with a known answer
     smallest : the unknowns of the smallest case whose times count
     passed_wrong : how many wrong answers the certificate has passed
+    unsure : whether the machine was busy with something else
     """
     if not lines:
         return (("", "No answer is known yet that others could be held against."),)
-    answers = {WHICH: _which(lines, cases, smallest), PENALTY: _penalties(lines), WRONG: _flags(lines, passed_wrong)}
+    answers = {
+        WHICH: _which(lines, cases, smallest, unsure),
+        PENALTY: _penalties(lines),
+        WRONG: _flags(lines, passed_wrong),
+    }
     return tuple((question, answer) for question, answer in answers.items() if answer)
 
 
-def _which(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
+def _which(lines: Sequence[MethodLine], cases: int, smallest: int, unsure: bool) -> str:
     default = next((line for line in lines if line.method == "active-set"), None)
     parts = []
     if default is not None:
@@ -199,7 +208,7 @@ def _which(lines: Sequence[MethodLine], cases: int, smallest: int) -> str:
     others = [line for line in lines if line is not default and line.exact and line.right == line.cases]
     if others:
         named = ", ".join(line.method for line in others)
-        parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default)}.")
+        parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default, unsure)}.")
     known = f"On {cases} case{'' if cases == 1 else 's'} with a known answer"
     return f"{known}: {' '.join(parts)}" if parts else f"{known} no method that promises the exact one is right in all."
 
@@ -220,18 +229,18 @@ def _off_by(line: MethodLine) -> str:
     return best if line.settings == 1 else f"{_off(line.off_at_worst)} to {best} depending on its value"
 
 
-def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None) -> str:
+def _fastest_of(others: Sequence[MethodLine], default: MethodLine | None, unsure: bool) -> str:
     """Return which of the methods that are right in all is the fastest, where it is so beyond doubt."""
     timed = [line for line in others if line.linear_solves is not None]
     if not timed:
         return ""
     fastest = min(timed, key=lambda line: line.linear_solves or math.inf)
     if default is None or default.linear_solves is None or default.right < default.cases:
-        return f"; the fastest is {fastest.method}{_time(fastest)}"
+        return UNSURE if unsure else f"; the fastest is {fastest.method}{_time(fastest)}"
     scatter = (default.spread or 0.0) + (fastest.spread or 0.0)
     if default.linear_solves <= max(AS_FAST, 1 + scatter) * (fastest.linear_solves or math.inf):
         return f"; none of them is faster by {'a tenth' if 1 + scatter <= AS_FAST else 'more than times scatter here'}"
-    return f"; {fastest.method} is faster{_time(fastest)}"
+    return UNSURE if unsure else f"; {fastest.method} is faster{_time(fastest)}"
 
 
 def _right_share(line: MethodLine) -> str:
@@ -250,6 +259,8 @@ def _time(line: MethodLine, smallest: int | None = None) -> str:
     return f", in the time of {line.linear_solves:{digits}} linear solves{where}"
 
 
+# In place of a claim of order.
+UNSURE = "; which of them is faster a busy machine cannot tell"
 # Times that differ by less are those of equals: what a machine scatters by from one run to the next.
 AS_FAST = 1.1
 # What a flag is called wrong by (`contactqp.study.comparison.GENEROSITY`).
@@ -325,6 +336,12 @@ BUSY = 0.5
 def load() -> float | None:
     """Return how many processes have run in the last minute on average; None where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def load_of(facts: Mapping[str, Any]) -> float | None:
+    """Return the load of the machine before a report, of which these are the facts; None where they do not tell."""
+    load_before: float | None = facts.get("load", {}).get("at_start")
+    return load_before
 
 
 def busy(before: float | None) -> str:

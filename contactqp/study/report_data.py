@@ -22,7 +22,7 @@ from contactqp.scene.scene import Scene
 from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
-from contactqp.study.conclusion import MethodLine, conclude
+from contactqp.study.conclusion import MethodLine, conclude, load_of
 from contactqp.study.footprint import Footprint
 from contactqp.study.rows import COLUMNS, VERDICTS, Row, aligned, as_dicts
 from contactqp.study.statistics import Rates, method_rates, overview, overview_data
@@ -246,7 +246,9 @@ def as_json(data: ReportData) -> str:
     """Return the text of results.json."""
     contents = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **data.facts)
     contents |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(data.summary))
-    contents |= dict(overview=overview_data(overview(data.rows)), conclusion=conclude(data.rows).data())
+    contents |= dict(
+        overview=overview_data(overview(data.rows)), conclusion=conclude(data.rows, load_of(data.facts)).data()
+    )
     contents["cases"] = [_case(case) for case in data.cases]
     contents["rows"] = as_dicts(data.rows)
     return json.dumps(contents, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

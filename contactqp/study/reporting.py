@@ -62,6 +62,7 @@ class ReportResult:
     rows: tuple[Row, ...]
     files: tuple[Path, ...]
     notes: tuple[str, ...]  # what was left out, and why
+    load: float | None = None  # of the machine, before it began
 
     @property
     def exit_code(self) -> int:
@@ -101,7 +102,7 @@ def report(
         return stop.code
     for note in result.notes:
         print(f"contactqp: {note}", file=sys.stderr)
-    found = conclude(result.rows)
+    found = conclude(result.rows, result.load)
     print(folded(found.cells(), NAMES))
     if found.note:
         print(f"\n{textwrap.fill(found.note, WIDTH)}")
@@ -202,7 +203,7 @@ def write_report(
                     if not missing_packages():
                         write(shop / PAGE, _page(data, folder, notes))
                     files = _deliver(shop, folder)
-    return ReportResult(data.summary, data.rows, files, notes)
+    return ReportResult(data.summary, data.rows, files, notes, before)
 
 
 def _report_data(collector: Collector, facts: Mapping[str, Any]) -> ReportData:

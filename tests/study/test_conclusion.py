@@ -17,7 +17,7 @@ from contactqp.study import report_data, rows
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.comparison import GENEROSITY, Timing, timed
-from contactqp.study.conclusion import HEADINGS, PENALTY, WHICH, WRONG, conclude
+from contactqp.study.conclusion import HEADINGS, PENALTY, UNSURE, WHICH, WRONG, conclude
 from contactqp.study.rows import Row, readable
 from contactqp.study.running.runner import Running
 from tests.study.statistics_examples import gave_up, right, wrong
@@ -115,6 +115,9 @@ def test_where_a_backend_is_right_in_all_and_faster_it_is_named_with_its_time() 
         for row in _study()
     ]
     assert "osqp; osqp is faster, in the time of 1 linear solves." in conclude(faster).sentence
+    assert "osqp; osqp is faster, in the time of 1 linear solves." in conclude(faster, 0.0).sentence
+    # On a busy machine nobody is.
+    assert f"osqp{UNSURE}." in conclude(faster, 1e3).sentence
 
 
 def test_no_method_is_called_faster_within_the_scatter_of_times() -> None:
@@ -287,7 +290,10 @@ def refuted(sentence: str, table: Sequence[dict[str, str]]) -> list[str]:
         wrong.append("who else is right")
     fastest = min(others, key=lambda method: method.time)
     is_faster = default.time > max(1.1, 1 + default.spread + fastest.spread) * fastest.time
-    if also[2].startswith(f"{fastest.name} is faster") != is_faster or ("none of them" in also[2]) == is_faster:
+    told = "faster" if UNSURE.strip("; ") in also[2] else also[2]  # a busy machine claims no order
+    if told != "faster" and (
+        told.startswith(f"{fastest.name} is faster") != is_faster or ("none of them" in told) == is_faster
+    ):
         wrong.append("who is faster")
     for method in (method for method in methods.values() if not method.exact):
         said = re.search(
@@ -316,8 +322,12 @@ def test_the_sentence_says_what_the_rows_of_results_csv_say(folder: Path) -> Non
         (r"On 3 cases", "On 4 cases", "cases"),
         (r"in the time of \S+ linear solves on", "in the time of 0.5 linear solves on", "time of the default"),
         (r"contact forces within \S+,", "contact forces within 1e-10,", "error of the default"),
-        (r"osqp, ", "", "who else is right"),
-        (r"; none of them is faster by [^.]*|; \S+ is faster[^.]*", "; osqp is the order of the day", "who is faster"),
+        (r"tried: [^,]*, ", "tried: ", "who else is right"),
+        (
+            r"; none of them is faster by [^.]*|; \S+ is faster[^.]*|; which of them[^.]*",
+            "; osqp is the order of the day",
+            "who is faster",
+        ),
         (r"off by \S+( %)? to", "off by 90 % to", "worst of penalty"),
         (r"the \d+ raw answers|Of \d+ raw answers", "the 7 raw answers", "claimed"),
     ):
@@ -327,7 +337,8 @@ def test_the_sentence_says_what_the_rows_of_results_csv_say(folder: Path) -> Non
     slow = [
         row | {"seconds": str(100 * float(row["seconds"]))} if row["method"] == "active-set" else row for row in table
     ]
-    assert {"time of the default", "who is faster"} <= set(refuted(sentence, slow))
+    assert {"time of the default"} <= set(refuted(sentence, slow))
+    assert "none of them" not in sentence or "who is faster" in refuted(sentence, slow)
 
 
 @pytest.mark.slow

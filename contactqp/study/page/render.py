@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from contactqp.scene.schema import PHYSICS
-from contactqp.study.conclusion import busy, conclude
+from contactqp.study.conclusion import busy, conclude, load_of
 from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.page.case_view import (
     FACETS,
@@ -134,7 +134,8 @@ def render(
     first, second = items("first", [telling] if telling else []), items("second", [examples] if examples else [])
     shared = items("all", overview)
     opened = opened or next((case.name for case in data.cases), "")
-    views, found = tuple(_views(data, by_case or {})), conclude(data.rows)
+    load = load_of(data.facts)
+    views, found = tuple(_views(data, by_case or {})), conclude(data.rows, load)
     headings, *lines = found.cells()
     return fill_template(
         "page.html",
@@ -149,7 +150,7 @@ def render(
         left_out=tuple(_left_out(data)),
         running=running,
         opened=opened,
-        busy=busy(data.facts.get("load", {}).get("at_start")),
+        busy=busy(load),
         overview=shared,
         views=views,
         groups=tuple(_by_physics(view for view, _ in views)),
