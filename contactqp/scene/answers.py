@@ -30,6 +30,9 @@ from contactqp.scene.schema import SceneData
 if TYPE_CHECKING:
     from contactqp.analysis.motion.motion_history import MotionHistory
 
+# Gaps below this part of the largest gap or displacement are the rounding of zero.
+ROUNDING_OF_GAPS = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Instant:
@@ -338,3 +341,9 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "reduced stiffness": lambda claim, answer: building.reduced_stiffness(answer.exact, _columns(claim, answer)),
     "reduced load": lambda claim, answer: building.reduced_load(answer.exact, _columns(claim, answer)),
 }
+
+
+def clean_gaps(solution: Solution) -> Array:
+    """Return the gaps (m,) without what rounding leaves of closed ones, relative to the largest gap or displacement."""
+    size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
+    return np.where(abs(solution.gap) > ROUNDING_OF_GAPS * size, solution.gap, 0.0)

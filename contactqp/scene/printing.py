@@ -19,9 +19,9 @@ from contactqp.analysis import is_moving
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.model.arrays import Array
-from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate, Solution
+from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate
 from contactqp.model.summary import FEW_EVENTS, MOST_EVENTS, events_together, without_rounding
-from contactqp.scene.answers import friction_along_axes
+from contactqp.scene.answers import clean_gaps, friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
 from contactqp.scene.judging import Comparison, Failure, Judgement
@@ -132,7 +132,7 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         moved = np.array([value for _, value in shown])
         _print_largest(console, header, [row for row, _ in shown], moved, [(2, moved)], most)
         clean = without_rounding(solution)
-        contacts = zip(names, solution.contact_status, clean.normal_force, _gaps(solution), strict=True)
+        contacts = zip(names, solution.contact_status, clean.normal_force, clean_gaps(solution), strict=True)
         rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
         if solution.problem.frictional:
@@ -140,7 +140,7 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
             vectors = friction_along_axes(judgement.model, replace(solution, friction_force=clean.friction_force))
             vectors = np.where(abs(vectors) > ROUNDING * np.linalg.norm(vectors, axis=1)[:, None], vectors, 0.0)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
-        pictures = [(3, solution.normal_force), (4, _gaps(solution))]
+        pictures = [(3, solution.normal_force), (4, clean_gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)
     if most > FEW_ROWS[-1]:
         print_courses(console, judgement)
@@ -186,12 +186,6 @@ def _print_largest(
     print_table(console, header, [rows[i] for i in chosen], drawn)
     if len(chosen) < len(rows):
         console.print(f"the {len(chosen)} largest of {len(rows)} (--verbose, --json)")
-
-
-def _gaps(solution: Solution) -> Array:
-    """Return the gaps without what rounding leaves of closed ones."""
-    size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
-    return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)
 
 
 def _drawn(before: int, values: ArrayLike) -> Drawn:

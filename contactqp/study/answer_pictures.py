@@ -38,6 +38,7 @@ from contactqp.pictures.history_drawing import cases_figure, draw_history, histo
 from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png, thumbnail
 from contactqp.pictures.vtu import check_vtu, write_vtu
+from contactqp.scene.answers import clean_gaps
 from contactqp.scene.building import exact_problem
 from contactqp.scene.deck.deck import Deck, read_deck
 from contactqp.scene.geometry import obstacle
@@ -127,7 +128,7 @@ def _members(scene: SceneData, value: Mapping[str, float]) -> Iterator[Member]:
 
 
 def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
-    place, gaps = _places(scene), solution.gap
+    place, gaps = _places(scene), clean_gaps(solution)
     for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
         push = [[-float(form.normal.get(name, 0)) for name in scene.displacements(node)] for node in contact.touched]
         initial_gap = float(form.gap)

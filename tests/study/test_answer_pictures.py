@@ -50,6 +50,13 @@ def test_a_structure_and_its_path() -> None:
 
 
 @pytest.mark.slow
+def test_a_gap_that_is_rounding_is_told_as_zero() -> None:
+    """The truss that snaps meets its stop to 1e-17 m."""
+    figure = cq.draw(cq.run("von_mises_snaps"), scene="von_mises_snaps")
+    told = [text.get_text() for legend in figure.legends for text in legend.get_texts() if "gap" in text.get_text()]
+    assert told == ["node: closed, force 8.966 N, gap 0 m"]
+
+
 def test_few_arrows_keep_their_colour_beside_large_bodies() -> None:
     drawn = answer_pictures(_judged("stacked_blocks"))
     assert drawn.history is None  # one instant
