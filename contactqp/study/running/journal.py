@@ -143,6 +143,8 @@ def decode(data: Any, kind: Any) -> Any:
     Raises KeyError, TypeError, ValueError: the data are not of that type.
     """
     origin, arguments = get_origin(kind), get_args(kind)
+    if hasattr(origin or kind, "__value__"):  # a name of a type, as NDArray since NumPy 2.5
+        return decode(data, (origin or kind).__value__)
     if origin in (Union, types.UnionType):
         return _decode_union(data, arguments)
     if kind is Any or kind in _PLAIN or data is None:

@@ -7,11 +7,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, Union
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from contactqp.scene.claims import Remark
 from contactqp.study.rows import Row
@@ -87,3 +88,11 @@ def test_a_field_that_is_new_has_its_default() -> None:
 def test_what_is_no_plain_data_is_refused() -> None:
     with pytest.raises(TypeError, match="got object"):
         encode([object()])
+
+
+def test_names_of_types_are_what_they_stand_for() -> None:
+    # Since NumPy 2.5 NDArray is such a name, `type NDArray[...] = ...`, with Python 3.12 and later.
+    values = np.array([1.0, 2.0])
+    for name in (TypeAliasType("Floats", np.ndarray), TypeAliasType("More", NDArray[np.float64])):
+        assert np.array_equal(decode(encode(values), name), values)
+        assert decode(None, Union[name, None]) is None  # noqa: UP007  a backport does not know |
