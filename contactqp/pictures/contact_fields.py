@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +26,7 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index, Indices, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
+from contactqp.scene.deck.contacts import Discretisation
 from contactqp.scene.deck.deck import Deck
 
 # A contact's point is a copy of its node's coordinates: beyond this distance, relative to the structure, is another.
@@ -221,14 +223,14 @@ def contact_fields(
 
 
 def fields_of_deck(deck: Deck, solution: Solution) -> ContactFields:
-    """Return the fields of a solution of ``deck.problem()``: elements of one type and section are a body.
+    """Return the fields of a solution of a deck, exact or on its springs, by nodes or as a mortar.
 
-    Trusses and springs, which are lines, are left out.
+    Elements of one type and section are a body. Trusses and springs, which are lines, are left out.
 
     Raises
     ------
     InvalidProblem
-        The solution is not one of this deck.
+        The solution is not one of this deck, or of its contact at Gauss points.
     Unsupported
         The deck has no solid elements.
 
@@ -237,22 +239,31 @@ def fields_of_deck(deck: Deck, solution: Solution) -> ContactFields:
     deck : Deck, read by `read_deck`
     solution : Solution
     """
-    parts, contacts = deck.assembly.bodies, deck.by_nodes
+    parts, rows = deck.assembly.bodies, solution.problem.normal
     if not parts:
         raise Unsupported(f"{deck.model.file}: a deck without solid elements has no bodies to draw")
-    kept = contacts.free.kept
-    expected, got = (len(deck.free), len(kept)), (len(solution.displacement), len(solution.normal_force))
-    if expected != got:
+    count = len(deck.free)
+    either: tuple[Discretisation, ...] = ("node-to-segment", "mortar") if deck.model.pairs else ("node-to-segment",)
+    alike = (by for by in map(deck.contacts, either) if _same_rows(rows, by.free.normal, count))
+    found = next(alike, None)
+    if found is None:
+        got = f"{len(solution.displacement)} unknowns and {len(solution.normal_force)} contacts"
         raise InvalidProblem(
-            f"{deck.model.file}: expected a solution of its {expected[0]} unknowns and {expected[1]} contacts, got one "
-            f"of {got[0]} and {got[1]}"
+            f"{deck.model.file}: expected a solution of its {count} unknowns by nodes or as a mortar, got one of {got}"
         )
     nodes = [unknowns[:: body.dimension] // body.dimension for _, body, unknowns in parts]
-    pairings = [one.pairing for one in contacts.pairs]
-    load = deck.assembly.load
-    whole = _Whole(tuple(body for _, body, _ in parts), nodes, deck.expand(solution.displacement), load)
+    pairings = [one.pairing for one in found.pairs]
+    u = deck.expand(solution.displacement[:count])  # those of springs stand behind all others
+    whole = _Whole(tuple(body for _, body, _ in parts), nodes, u, deck.assembly.load)
     owners = [(*whole.owners(pairing.nodes), False) for pairing in pairings]
-    return _fields_of(whole, pairings, kept, solution, [one.pair.name for one in contacts.pairs], owners)
+    return _fields_of(whole, pairings, found.free.kept, solution, [one.pair.name for one in found.pairs], owners)
+
+
+def _same_rows(rows: Any, expected: Any, count: int) -> bool:
+    """Return whether rows over `count` unknowns, and over those of springs behind them, are the expected ones."""
+    if rows.shape[0] != expected.shape[0] or rows.shape[1] < count:
+        return False
+    return not (sp.csr_array(rows)[:, :count] != expected).nnz
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import contactqp as cq
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
 from contactqp.pictures.contact_fields import contact_fields, fields_of_deck
+from contactqp.pictures.drawing import figure
 from tests.decks import STACK, lame_force, press_fit, two_blocks, write
 from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial
 
@@ -239,5 +240,23 @@ def test_a_curved_pair_of_a_deck_is_mapped_with_its_pressures(tmp_path):
 def test_the_fields_of_a_deck_are_those_of_its_own_solution(tmp_path):
     deck = cq.read_deck(write(tmp_path, STACK))
     other = cq.read_deck(write(tmp_path, STACK.replace("ALL, 1, 2", "ALL, 1"), "other.inp"))
-    with pytest.raises(InvalidProblem, match="a solution of its 8 unknowns and 4 contacts, got one of 20 and 4"):
-        fields_of_deck(deck, cq.solve(other.problem()))
+    for problem in (other.problem(), deck.problem(discretisation="points")):
+        with pytest.raises(InvalidProblem, match="a solution of its 8 unknowns by nodes or as a mortar, got one of "):
+            fields_of_deck(deck, cq.solve(problem))
+
+
+def test_a_deck_is_drawn_on_its_springs_and_as_a_mortar(tmp_path):
+    deck = cq.read_deck(write(tmp_path, two_blocks("hex8", "SURFACE TO SURFACE", "LINEAR\n1e7")))
+    for options in (dict(enforcement="penalty"), dict(discretisation="mortar")):
+        solution = cq.solve(deck.problem(**options))
+        (pairing,) = fields_of_deck(deck, solution).pairings
+        np.testing.assert_array_equal(pairing.force, solution.normal_force)
+        assert np.nanmin(pairing.gap) == pytest.approx(-np.max(solution.displacement[len(deck.free) :], initial=0.0))
+
+
+def test_a_deck_without_contact_has_bodies_all_the_same(tmp_path):
+    text = STACK[: STACK.index("*SURFACE INTERACTION")] + "*BOUNDARY\n" + STACK.partition("*BOUNDARY\n")[2]
+    deck = cq.read_deck(write(tmp_path, text))
+    fields = fields_of_deck(deck, cq.solve(deck.problem()))
+    assert (len(fields.bodies), fields.pairings) == (1, ())
+    assert figure(fields).axes
