@@ -107,6 +107,26 @@ def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
     assert (two_sided >= problems // 2) == grazes
 
 
+def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not() -> None:
+    rng, parts = np.random.default_rng(31), []
+    for grazes in (False, True) * 4:
+        problem, _ = drawn(rng, grazes)
+        solution, answer = cq.solve(problem), cq.exact(problem)
+        for name, size in (("load", problem.dimension), ("gap", problem.contacts)):
+            direction = rng.integers(-3, 4, size).astype(float)
+            for of in ("displacement", "normal_force", "gap"):
+                found = solution.derivative(of, name, direction)
+                if found.bound is None or (true := answer.derivative(of, name, direction)).right is None:
+                    continue
+                for rates, exactly in ((found.left, true.left), (found.right, true.right)):
+                    for one, other, bound in zip(rates, exactly, found.bound, strict=True):
+                        error = abs(Fraction(float(one)) - other)
+                        assert error <= Fraction(float(bound))
+                        parts.append(error / Fraction(float(bound)) if bound > 0 else Fraction())
+    assert len(parts) > 200
+    assert sum(part > Fraction(1, 10) for part in parts) > 20
+
+
 BAR = dict(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])  # kN and m
 
 
