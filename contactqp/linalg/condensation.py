@@ -47,13 +47,15 @@ from contactqp.linalg.factorization import (
 from contactqp.linalg.floating import NullSpace, unresisted
 from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
 from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
-from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock
+from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
 from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
+# Loads inside a body that cancel to this part of them on the contacts are measured by their sizes.
+CANCELLED = 1e-4
 # Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
 LOST_DIGITS = 8 * np.finfo(float).eps
 # Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
@@ -117,7 +119,7 @@ class Condensation:
     def fits(self, problem: ContactProblem) -> bool:
         """Return whether a problem has the stiffness and the rows that were condensed."""
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
-        return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
+        return all(same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
     def _precaution(self, touched: Indices) -> Indices:
         """Return unknowns that hold every body should it float, where that costs next to nothing; else none."""
@@ -319,13 +321,20 @@ class Condensation:
         self._reduced = (load.copy(), reduced, inner)
 
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
-        """Return the sizes behind each entry of f_S (p,): where a body floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
+        """Return the sizes behind each entry of f_S (p,): where a body floats, |f_c| + |K_ci||K_ii^-1 f_i|.
+
+        Where next to nothing is left of the loads inside, it is rounding of them all: then those of |f| come on top.
+        """
         size = problem.load_size[self.retained]
         if not self.rigid.count or len(size) == problem.dimension:
             return size
         if self._crossing is None or self._crossing[0] is not inner:
             held = abs(self.expand(np.zeros(len(self.retained)), inner))
-            self._crossing = inner, abs(self._sparse[self.retained]) @ held
+            crossing = abs(self._sparse[self.retained]) @ held
+            left, loads = self.scale * (size + crossing), problem.own_scale * problem.load_size
+            if np.max(left, initial=0.0) < CANCELLED * np.max(loads):
+                crossing += abs(self._elimination.reduce(problem.load_size)[0])
+            self._crossing = inner, crossing
         return np.asarray(size + self._crossing[1])
 
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
@@ -476,14 +485,6 @@ def condense(problem: ContactProblem) -> Condensation:
 def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
     """Return an orthonormal basis (n, q) of the motions that neither K nor a row of the closed set resists."""
     return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
-
-
-def _same_matrix(one: Any, other: Any) -> bool:
-    if one is other:
-        return True
-    if one is None or other is None or one.shape != other.shape:
-        return False
-    return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)
 
 
 def _stated_motions(problem: ContactProblem) -> RigidMotions:

@@ -258,3 +258,12 @@ class NestedBlock:
         both = np.empty((len(self._kept) + len(self._gone), *kept.shape[1:]))
         both[self._kept], both[self._gone] = kept, gone
         return both
+
+
+def same_matrix(one: Any, other: Any) -> bool:
+    """Return whether two matrices, dense, sparse or None, have the same entries."""
+    if one is other:
+        return True
+    if one is None or other is None or one.shape != other.shape:
+        return False
+    return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)

@@ -368,11 +368,15 @@ def thumbnail(figure: Figure) -> bytes:
     """Return the first axes of a figure without letters, as a PNG in the size of a stamp. The figure is changed."""
     from PIL import Image
 
-    first, *others = figure.axes
+    first = figure.axes[0]
+    # Matplotlib 3.10 lays out a title that was removed, and a colour bar whose axes were.
+    for field in (*first.collections, *first.images):
+        if field.colorbar is not None:
+            field.colorbar.remove()
     legend = first.get_legend()
-    for part in (*others, *figure.legends, *first.texts, *([legend] if legend is not None else [])):
+    for part in (*figure.axes[1:], *figure.legends, *first.texts, *([legend] if legend is not None else [])):
         part.remove()
-    for text in figure.texts:  # matplotlib 3.10 lays a title out that was removed
+    for text in figure.texts:
         text.set_visible(False)
         text.set_in_layout(False)
     for line in first.lines:

@@ -273,3 +273,19 @@ def test_loads_on_what_has_no_stiffness_beside_a_body_that_nothing_touches(force
     np.testing.assert_allclose(solution.displacement / length, [-0.75, -0.875, -0.625], rtol=1e-14)
     np.testing.assert_allclose(solution.normal_force / force, [3.75], rtol=1e-14)
     np.testing.assert_allclose(solution.friction_force / force, [[-0.0859375]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["active-set", "clarabel", "lemke", "lagrange-multiplier"])
+def test_a_chain_that_loads_squeeze_is_pushed_out_of_a_stop_without_force(method: str) -> None:
+    """Nothing is left of the loads where the stop is: what rounding leaves of them was measured by itself.
+
+    It drove the chain off the stop, and the answer of an interior point passed, 6e-8 too far out, with a force of 1e-9.
+    """
+    chain = np.array([[3.0, -3, 0], [-3, 8, -5], [0, -5, 5]])
+    problem = cq.ContactProblem(chain, [-9.0, 9, 0], [[0.0, 0, 1]], [-1.0])
+    found = cq.solve(problem, method)
+    assert abs(found.normal_force[0]) < 1e-14
+    assert found.displacement == pytest.approx([-4.0, -1.0, -1.0], abs=1e-13)
+    assert found.free_motions
+    if method == "active-set":
+        assert not found.work.routes
