@@ -46,8 +46,9 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
-from contactqp.linalg.interior_point import MET_TOGETHER, given_rows, highs, settled, without_conflict
+from contactqp.linalg.interior_point import MET_TOGETHER, settled, without_conflict
 from contactqp.linalg.measures import row_sizes
+from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.sparse_saddle import (
     REGULARISATIONS,
     ClosedState,

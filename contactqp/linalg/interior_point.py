@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,6 +35,7 @@ from contactqp.linalg.existence import (
 )
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
 from contactqp.linalg.least_norm import least_solution
+from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.sparse_saddle import (
@@ -51,8 +51,6 @@ from contactqp.model.arrays import Mask, Vector, all_finite
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 
-# Forces of a linear program beneath this part of what they carry are none.
-CARRIES = 1e-9
 # Closed contacts and ties that are met to this part of the largest length do not contradict each other: it is far
 # beyond all rounding of doubles.
 MET_TOGETHER = 1e-20
@@ -60,10 +58,6 @@ MET_TOGETHER = 1e-20
 FARTHEST = 1e3
 # Factorisations at a vertex where rows conflict: it settles at once, or the program has led elsewhere.
 AT_A_VERTEX = 20
-# Steps of the simplex method for every row and unknown: programs that end take one or two.
-SECONDS, LEAST_STEPS, STEPS_OF_A_ROW = 20.0, 1000, 5
-# HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
-HIGHEST_COST = 1e9
 # Forces of so many times what is unbalanced stay; and how often what remains is balanced anew.
 LARGE_FORCE, ROUNDS = 1e6, 6
 
@@ -98,14 +92,15 @@ def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state that holds closed only contacts that can be closed together, if there is one."""
-    if not state.solved or state.length_residual <= MET_TOGETHER:
+    """Return a state that holds closed only contacts that can be closed together, or the same, marked, without one."""
+    if not state.solved or state.length_residual <= MET_TOGETHER or state.in_conflict:
         return state
-    most, effort.most = effort.most, min(effort.most, effort.factorisations + AT_A_VERTEX)
+    most, enough = effort.most, effort.factorisations + AT_A_VERTEX
+    effort.most = min(most, enough)
     vertex = vertex_near(state.problem, state.answer, state.length * state.length_residual, effort)
     effort.most = most
     if vertex is None or not vertex.holds or vertex.residual > max(MET_TOGETHER, state.force_residual):
-        return state
+        return replace(state, in_conflict=most >= enough)
     return vertex
 
 
@@ -213,30 +208,9 @@ def _carried(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
     return residuals_of(extended_rows(problem), problem, resting).force.double()
 
 
-def given_rows(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
-    """Return rows and limits of a linear program as `highs` takes them, "ub" or "eq"; nothing where there are none."""
-    return {f"A_{kind}": rows, f"b_{kind}": limits} if rows.shape[0] else {}
-
-
 def _felt(limits: Vector) -> Vector:
     """Return limits of a linear program without those beneath its tolerance, which may make it infeasible."""
     return np.where(abs(limits) > CARRIES, limits, 0.0)
-
-
-def highs(cost: Vector, **constraints: Any) -> Any:
-    """Solve a linear program as `linprog` takes it by the simplex method; None where it fails or costs are high."""
-    from scipy.optimize import linprog
-
-    if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
-        return None
-    size = len(cost) + sum(len(constraints.get(limits, ())) for limits in ("b_ub", "b_eq"))
-    options = dict.fromkeys(("primal_feasibility_tolerance", "dual_feasibility_tolerance"), CARRIES)
-    options |= {"time_limit": SECONDS, "maxiter": LEAST_STEPS + STEPS_OF_A_ROW * size}
-    try:
-        found = linprog(cost, method="highs-ds", options=options, **constraints)
-    except ValueError:
-        return None
-    return found if found.x is not None and found.status == 0 else None
 
 
 # Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
@@ -301,8 +275,9 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     effort : counts factorisations and back-substitutions
     driven : whether contacts are closed in addition, as above
     """
-    start = ExtendedAnswer.of(answer)
-    state = nearest_state(problem, _closed_in(problem, answer), start, effort)
+    if (known := _remembered(problem, answer)) is not None:
+        return known
+    state = nearest_state(problem, _closed_in(problem, answer), start := ExtendedAnswer.of(answer), effort)
     if state.holds or not problem.contacts:
         return state
     point = sharpened(problem, answer, effort)
@@ -310,6 +285,31 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     state = nearest_state(problem, point.closed, middle, effort, driven)
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
     return state if vertex is None else vertex
+
+
+@dataclass(frozen=True, eq=False)
+class LastSolution:
+    """The solution that a method gave as its answer, with which the certificate of that very answer begins."""
+
+    given: Answer
+    closed: Mask
+    answer: ExtendedAnswer
+    in_conflict: bool
+
+
+def remember(state: ClosedState, given: Answer) -> None:
+    """Keep with an equilibrated problem the solution that an answer, in its units, is the rounding of."""
+    state.problem._computed.last_solution = LastSolution(given, state.closed, state.answer, state.in_conflict)
+
+
+def _remembered(problem: ContactProblem, answer: Answer) -> ClosedState | None:
+    """Return the kept solution, with its residuals formed anew, if it is that of this very answer and holds."""
+    last: LastSolution | None = problem._computed.last_solution
+    names = ("displacement", "normal_force", "tie_force")
+    if last is None or not all(np.array_equal(getattr(last.given, name), getattr(answer, name)) for name in names):
+        return None
+    state = ClosedState.of(problem, last.closed, last.answer)
+    return replace(state, in_conflict=last.in_conflict) if state.holds else None
 
 
 def _closed_in(problem: ContactProblem, answer: Answer) -> Mask:

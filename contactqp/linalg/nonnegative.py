@@ -4,9 +4,13 @@ The dual active-set method of Goldfarb and Idnani (1983) in terms of W: each ste
 opens those whose force it drives through zero, so the energy rises strictly and no set of contacts comes twice. It
 ends after finitely many steps, with redundant contacts too: a row that depends on closed ones replaces one of them
 instead of joining them.
+
+Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +20,12 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector
 DEPENDENT = 1e-11
 # A shift within gaps may overshoot them by this part of its lengths: a few roundings.
 SHIFT_SLACK = 1e-15
+# Forces of a linear program beneath this part of what they carry are none.
+CARRIES = 1e-9
+# Steps of the simplex method for every row and unknown: programs that end take one or two.
+SECONDS, LEAST_STEPS, STEPS_OF_A_ROW = 20.0, 1000, 5
+# HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
+HIGHEST_COST = 1e9
 
 
 class Infeasible(Exception):
@@ -118,3 +128,24 @@ def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     except Infeasible:
         return shift_within_gaps(rows, np.maximum(gap, 0.0), wanted) if np.any(gap < 0) else np.zeros(len(wanted))
     return np.asarray(wanted - unit.T @ force)
+
+
+def given_rows(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
+    """Return rows and limits of a linear program as `highs` takes them, "ub" or "eq"; nothing where there are none."""
+    return {f"A_{kind}": rows, f"b_{kind}": limits} if rows.shape[0] else {}
+
+
+def highs(cost: Vector, **constraints: Any) -> Any:
+    """Solve a linear program as `linprog` takes it by the simplex method; None where it fails or costs are high."""
+    from scipy.optimize import linprog
+
+    if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
+        return None
+    size = len(cost) + sum(len(constraints.get(limits, ())) for limits in ("b_ub", "b_eq"))
+    options = dict.fromkeys(("primal_feasibility_tolerance", "dual_feasibility_tolerance"), CARRIES)
+    options |= {"time_limit": SECONDS, "maxiter": LEAST_STEPS + STEPS_OF_A_ROW * size}
+    try:
+        found = linprog(cost, method="highs-ds", options=options, **constraints)
+    except ValueError:
+        return None
+    return found if found.x is not None and found.status == 0 else None

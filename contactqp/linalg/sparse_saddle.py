@@ -234,6 +234,7 @@ class ClosedState:
     unmet : float
         The larger of them relative to the forces that act, those of load and stiffness, and to the lengths that are
         imposed: forces that press against each other and unknowns that run away hide nothing.
+    in_conflict : bool, whether a vertex without contacts that conflict has been looked for in vain
     """
 
     problem: ContactProblem
@@ -245,6 +246,7 @@ class ClosedState:
     force_residual: float
     length_residual: float
     unmet: float
+    in_conflict: bool = False
 
     @classmethod
     def started(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:

@@ -49,6 +49,7 @@ class Computed:
     dependent_ties: Any = None  # certificate.idle_rows
     constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
+    last_solution: Any = None  # linalg.interior_point: the last one whose answer was given, in extended precision
     sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
     equilibrated: Any = None  # linalg.equilibration: the problem in units of its own, and the way there
     equilibrated_forces: Any = None  # linalg.equilibration: the same with a unit of forces apart from that of lengths

@@ -19,7 +19,7 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mostly_bare
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
-from contactqp.linalg.interior_point import refuse_ray, solved_from, with_least_forces
+from contactqp.linalg.interior_point import refuse_ray, remember, solved_from, with_least_forces
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.refinement import pushing_contacts
@@ -189,7 +189,9 @@ class SparseRun(Run):
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
         self._state = with_least_forces(self._state, self._effort)
-        found = self._scaling.unscale(_candidate(self._state))
+        given = _candidate(self._state)
+        remember(self._state, Answer(given.displacement, given.normal_force, None, given.tie_force))
+        found = self._scaling.unscale(given)
         return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
 
     def _at_rest(self, final: Final) -> Final:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,6 +119,49 @@ def test_planes_that_contradict_each_other_stay_as_they_are() -> None:
     assert "conflict" in " ".join(certificate.reasons)
     assert certificate.energy_bounds == pytest.approx((0.3, 0.3), rel=1e-12)
     assert "energy_bounds: those of the problem whose gaps and tie values are moved" in " ".join(certificate.reasons)
+
+
+def test_the_certificate_begins_with_the_solution_of_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the very answer that a method gave nothing is solved again, of any other everything."""
+    problem, _, _ = corner(0)
+    solution = cq.solve(problem)
+    u, forces = solution.displacement, solution.normal_force
+    solved_again: list[np.ndarray] = []
+
+    def counted(problem: cq.ContactProblem, closed: np.ndarray, *others: Any) -> sparse_saddle.ClosedState:
+        solved_again.append(closed)
+        return nearest_state(problem, closed, *others)
+
+    monkeypatch.setattr(interior_point, "nearest_state", counted)
+    assert cq.certify(problem, u, forces).proven
+    assert not solved_again
+    assert not cq.certify(problem, u * (1 + 1e-6), forces).passed
+    assert solved_again
+    # Another load has another solution, whatever is known of the first.
+    heavier = problem.replace(load=problem.load * np.linspace(1.0, 1.01, len(u)))
+    assert not cq.certify(heavier, u, forces).passed
+
+
+def test_a_vertex_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where none frees the answer of contacts that conflict, the certificate knows so from the method."""
+    rows = np.zeros((2, 16))
+    rows[:, :2] = 1.0
+    program = (np.zeros((16, 16)), np.arange(1.0, 17.0))
+    problem = cq.ContactProblem.from_qp(*program, A=rows, b=[0.3, 0.1 + 0.2], lb=np.zeros(16))
+    looked_for: list[bool] = []
+    vertex_near = interior_point.vertex_near
+
+    def counted(*given: Any) -> sparse_saddle.ClosedState | None:
+        found = vertex_near(*given)
+        looked_for.append(found is not None)
+        return found
+
+    monkeypatch.setattr(interior_point, "vertex_near", counted)
+    solution = cq.solve(problem)
+    searches = len(looked_for)
+    assert searches
+    assert not cq.certify(problem, solution.displacement, solution.normal_force, tie_force=solution.tie_force).proven
+    assert len(looked_for) == searches
 
 
 def in_one_unknown(load: float, gaps: list[float]) -> cq.ContactProblem:
