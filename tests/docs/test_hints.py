@@ -9,18 +9,22 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
 import click
 import pytest
 
+from contactqp.analysis.derivatives import FRAMEWORKS
 from contactqp.cli import command
 from tests.docs.blocks import ROOT, pages
+from tests.docs.commands import A_CASE, given_files, inline_commands, typed, unused
 
 PACKAGE = ROOT / "contactqp"
 HINT = re.compile(r"\bcontactqp ((?:[a-z]+)(?: +[^\s`'\";,)]+)*)")
 INSTALLED = re.compile(r"pip install (?:--upgrade )?([A-Za-z][A-Za-z0-9-]*)")
+EXTRAS = re.compile(r"pip install (?:--editable )?'\.\[([a-z,]+)\]'")
 # Without one of these a file hints at nothing; also where a string goes on in the next line.
 SUSPECTED = re.compile(r"contactqp[\s\"']|pip[\s\"']")
 # Words that follow the name of the tool in a sentence.
@@ -82,18 +86,75 @@ def test_extras_are_told_with_where_they_are() -> None:
     assert [place for place, text in told() if re.search(r"pip install '?contactqp", text)] == []
 
 
+def test_every_command_in_the_text_is_run_or_listed_with_why_not() -> None:
+    commands = inline_commands(told())
+    assert len(commands) > 150
+    assert [typed(command) for command in commands].count(None) < 40
+    assert unused(commands) == []
+
+
+@pytest.mark.parametrize(
+    "words", ["contactqp run SOMETHING", "contactqp gallery DIR [--list]", "contactqp explain X.toml"]
+)
+def test_a_command_in_the_text_that_nobody_can_type_is_found(words: str) -> None:
+    (command,) = inline_commands([("here", f"Type `{words}`.")])
+    with pytest.raises(LookupError, match="neither in TYPED nor in NOT_RUN"):
+        typed(command)
+
+
+def _requirements() -> dict[str, str]:
+    """What pyproject requires, with and without extras, by name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    every = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
+    return {re.split(r"[\[><=; ]", one)[0]: one for one in every if not one.startswith("contactqp[")}
+
+
+def _resolves(*requirements: str | Path) -> subprocess.CompletedProcess[str]:
+    """Ask pip what it would install, which downloads little and installs nothing."""
+    asked = (
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--dry-run",
+        "--no-deps",
+        "--ignore-installed",
+        "--report",
+        os.devnull,
+    )
+    return _ended(*asked, *requirements)
+
+
 @pytest.mark.slow
 def test_packages_that_are_hinted_at_can_be_installed() -> None:
     """By pip, without installing them. Those of which there is no wheel for this machine have a source."""
-    names = sorted({name for _, text in told() for name in INSTALLED.findall(text)})
+    names = {name for _, text in told() for name in INSTALLED.findall(text)} | set(FRAMEWORKS)
     assert len(names) > 20
-    missing = []
-    for name in names:
-        command_line = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--no-deps", name]
-        done = subprocess.run(command_line, capture_output=True, text=True)
-        if done.returncode and "No matching distribution" in done.stderr:
-            missing.append(name)
-    assert missing == []
+    required = _requirements()
+    done = _resolves(*(required[name] for name in sorted(names & required.keys())))
+    assert done.returncode == 0, done.stderr[-2000:]
+    with ThreadPoolExecutor(2) as pool:
+        others = dict(zip(names - required.keys(), pool.map(_resolves, names - required.keys()), strict=True))
+    assert [name for name, done in others.items() if "No matching distribution" in done.stderr] == []
+
+
+@pytest.mark.slow
+def test_extras_are_there_in_the_checkout_and_in_the_wheel(from_wheel: tuple[Path, Path]) -> None:
+    """Every group of extras that is told is known to pip as typed, and what the extras require is there."""
+    groups = sorted(
+        {group for _, text in told() for group in EXTRAS.findall(text)} | {"fast", "ansys", "jax,torch,dask"}
+    )
+    (wheel,) = (from_wheel[0].parents[1] / "dist").glob("contactqp-*.whl")
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert {name for group in groups for name in group.split(",")} <= set(known)
+    every = ",".join(sorted({name for group in groups for name in group.split(",")}))
+    for source in (ROOT, wheel):
+        done = _resolves(f"{source}[{every}]")
+        assert done.returncode == 0, done.stderr[-2000:]
+        assert "does not provide the extra" not in done.stderr
+    assert "does not provide the extra" in _resolves(f"{wheel}[nonesuch]").stderr
+    done = _resolves(*_requirements().values())
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +195,28 @@ def test_readme_and_pages_run_from_a_built_wheel(from_wheel: tuple[Path, Path]) 
     modules = [f"tests/docs/test_{name}.py" for name in ("blocks", "readme", "recipes", "notebook")]
     printed = _call(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *modules, folder=folder)
     assert int(re.findall(r"(\d+) passed", printed)[0]) > 40
+
+
+@pytest.mark.slow
+def test_commands_in_the_text_run_from_a_built_wheel(from_wheel: tuple[Path, Path], tmp_path: Path) -> None:
+    """Each in a folder of its own with the files that the pages show; the cases by name all in one."""
+    commands = inline_commands(told())
+    cases = sorted(command.split()[-1] for command in commands if A_CASE.fullmatch(command))
+    assert len(cases) > 60
+    lines = {line for command in commands if not A_CASE.fullmatch(command) and (line := typed(command))}
+    files = given_files()
+
+    def run(numbered: tuple[int, str]) -> str:
+        folder = tmp_path / str(numbered[0])
+        for name, text in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8")
+        done = _ended("sh", "-c", f"PATH='{from_wheel[0]}':$PATH; {numbered[1]}", folder=folder)
+        return f"{numbered[1]}\n{done.stdout[-500:]}{done.stderr[-500:]}" if done.returncode else ""
+
+    with ThreadPoolExecutor(2) as pool:
+        failed = list(pool.map(run, enumerate(sorted(lines | {f"contactqp run {' '.join(cases)}"}))))
+    assert [one for one in failed if one] == []
 
 
 @pytest.fixture(scope="module")
