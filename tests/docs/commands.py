@@ -12,7 +12,7 @@ STANDS_FOR = re.compile(r"\b[A-Z]+\b|[\[…]|\.\.\.")
 A_CASE = re.compile(r"contactqp run [a-z_]+")
 WRITES_A_DECK = re.compile(r'^deck = """\n(?P<text>.*?)"""\nwith open\("(?P<name>[^"]+)", "w"\)', re.S | re.M)
 FULL = "contactqp report --full bar_wall -o figures"
-COMPARED = "contactqp report bar_wall && cp report/results.json old && contactqp report bar_wall --compare old"
+COMPARED = "contactqp report bar_wall && cp report/results.json o.json && contactqp report bar_wall --compare o.json"
 MATRICES = "contactqp check mine answer.csv --compression negative"
 # What is typed for a command that has words which stand for others, or that is the name of a command alone. A part
 # behind `&&` is typed after the part before.
