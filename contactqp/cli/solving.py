@@ -323,7 +323,7 @@ def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, 
             raise NotConverged(text) from None
         raise
     finally:
-        pool.shutdown(wait=False)
+        pool.shutdown()  # waits: Python may end while the pool's own thread closes what Python then writes to
 
 
 def _leave_ctrl_c_to_the_first() -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -106,3 +107,10 @@ def test_streams_that_are_closed_are_no_traceback(closed: str, arguments: str, c
     assert done.returncode == code
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_processes_side_by_side_have_ended_when_the_command_has(capsys: pytest.CaptureFixture[str]) -> None:
+    """What the pool's own thread still closes while Python ends was a traceback now and then."""
+    for _ in range(2):
+        assert run(capsys, "run", CASES / "bar_wall.toml", CASES / "two_bars.toml", "--jobs", "2")[0] == 0
+        assert not [thread.name for thread in threading.enumerate() if "Executor" in type(thread).__name__]
