@@ -282,15 +282,6 @@ def scale_text(scale: float) -> str:
     return "displacements true to scale" if scale == 1 else f"displacements magnified {scale:g} times"
 
 
-# Colours of a small picture: enough for a colour map in distinct bands and for the edges of letters.
-PALETTE_SIZE = 64
-
-
-# Pixels of the longer side of the smallest picture.
-THUMBNAIL, DPI_OF_THUMBNAIL = 240, 60
-THICKER = 2.0  # lines of it, which would vanish
-
-
 # Chords that a curved edge is drawn with: those of a parabola are off by 1/144 of its rise.
 CURVED_PIECES = 6
 # Number of elements beyond which the curve of a single one is not visible.
@@ -362,6 +353,13 @@ def outline_points(kind: Reference) -> Array:
     along = np.arange(count)[:, np.newaxis] / count
     following = np.roll(corners, -1, axis=0)
     return np.concatenate([start + along * (end - start) for start, end in zip(corners, following, strict=True)])
+
+
+# Colours of a small picture: enough for a colour map in distinct bands and for the edges of letters.
+PALETTE_SIZE = 64
+# Pixels of the longer side of the smallest picture.
+THUMBNAIL, DPI_OF_THUMBNAIL = 240, 60
+THICKER = 2.0  # lines of it, which would vanish
 
 
 def thumbnail(figure: Figure) -> bytes:
