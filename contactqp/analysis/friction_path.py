@@ -38,8 +38,7 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.iteration import contacts_are_many, iterated
-from contactqp.linalg.runtime import one_blas_thread
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Mask, Vector, one_blas_thread
 from contactqp.model.coulomb import STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

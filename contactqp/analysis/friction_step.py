@@ -24,8 +24,7 @@ from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotCon
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.measures import own_compliance, row_sizes
-from contactqp.linalg.runtime import METHOD, POLISH, one_blas_thread, stage
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import METHOD, POLISH, Array, Mask, Vector, one_blas_thread, stage
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution

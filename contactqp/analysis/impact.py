@@ -19,9 +19,8 @@ from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
-from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import Array, Vector, one_blas_thread, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.model.solution import Solution

@@ -24,9 +24,8 @@ from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
-from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import Vector, one_blas_thread, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution

@@ -46,10 +46,20 @@ from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Uns
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import lower_factor
 from contactqp.linalg.iteration import Systems, systems_of
-from contactqp.linalg.runtime import METHOD, free_memory, lapack, one_blas_thread, stage, telling
+from contactqp.linalg.runtime import free_memory, lapack
 from contactqp.linalg.sliced import LEFT_OUT, SlicedStiffness
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
+from contactqp.model.arrays import (
+    METHOD,
+    Array,
+    Indices,
+    Mask,
+    Vector,
+    one_blas_thread,
+    own_floating_point,
+    stage,
+    telling,
+)
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
 from contactqp.solving.methods import DEFAULT_METHOD, registered_name

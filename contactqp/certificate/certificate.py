@@ -27,20 +27,29 @@ from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, 
 from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
-from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
+from contactqp.certificate.uniqueness import Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
-from contactqp.linalg.runtime import CERTIFY, in_any_time, one_blas_thread, stage
 from contactqp.linalg.sliced import plain_residuals
-from contactqp.model.arrays import Indices, Mask, Vector, all_finite, own_floating_point
+from contactqp.model.arrays import (
+    CERTIFY,
+    Indices,
+    Mask,
+    Vector,
+    all_finite,
+    in_any_time,
+    one_blas_thread,
+    own_floating_point,
+    stage,
+)
 from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
-from contactqp.model.solution import FIGURES, FIGURES_ALONE, GLOBALLY, Answer, Certificate, Violations
+from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
@@ -56,8 +65,6 @@ AMONG_CANDIDATES = "friction: of many contacts only those that may close are con
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
-# Why answers have no bounds whose numbers cannot be computed with.
-NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
 
 @own_floating_point
@@ -135,7 +142,7 @@ def certificate_of(
     """
     if not all_finite(answer):
         failures = list(messages.not_finite_parts(problem, answer))
-        return not_finite(problem.frictional, failures, tolerance, error_tolerance)
+        return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():
         problem.refuse_exchanged_arrays()
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
@@ -179,7 +186,7 @@ def _judged(
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(_absurd_parts(seen)):
         failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
-        return not_finite(problem.frictional, failures, tolerance, error_tolerance, ABSURD_ANSWER)
+        return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance, messages.ABSURD_ANSWER)
     if near is None:
         measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
     else:
@@ -461,36 +468,3 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
     if not factorization.fits(problem):
         raise InvalidProblem("factorization: it was made for another stiffness or other rows than this problem's")
     return factorization
-
-
-def not_finite(
-    frictional: bool, failures: list[str], tolerance: float, error_tolerance: float, reason: str = NOT_FINITE
-) -> Certificate:
-    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails.
-
-    Parameters
-    ----------
-    frictional : whether the problem has friction
-    failures : list of str, messages of what is not finite
-    tolerance, error_tolerance : as in `compute_certificate`
-    reason : why there are no bounds
-    """
-    figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
-    return Certificate(
-        **figures,
-        natural_map=float("inf") if frictional else None,
-        energy_error=None,
-        force_error=None,
-        force_bound=None,
-        reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")),
-        grazing=(),
-        failures=tuple(failures),
-        notes=(),
-        uniqueness=(UNKNOWN,) if frictional else (),
-        contraction=None,
-        tolerance=tolerance,
-        error_tolerance=error_tolerance,
-        passed=False,
-        proven=False,
-        basis=FIGURES_ALONE,
-    )

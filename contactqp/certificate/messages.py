@@ -8,12 +8,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.certificate.bounds import Bounds
+from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.model.solution import ANSWER_PARTS, FIGURES, Answer, Violations
+from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
 # Grazing contacts, and dependent ties, that a note names.
 MOST_NAMED = 8
+# Why answers have no bounds whose numbers cannot be computed with.
+NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
 
 class Named(Protocol):
@@ -255,4 +258,37 @@ def of_distances(problem: Named, worst: int, relative: dict[str, float], toleran
     limit = f" (tolerance {tolerance:.3g})"
     return tuple(
         f"state: {named[name].format(part)}{limit}" for name, part in relative.items() if not part <= tolerance
+    )
+
+
+def not_finite(
+    frictional: bool, failures: list[str], tolerance: float, error_tolerance: float, reason: str = NOT_FINITE
+) -> Certificate:
+    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails.
+
+    Parameters
+    ----------
+    frictional : whether the problem has friction
+    failures : list of str, messages of what is not finite
+    tolerance, error_tolerance : as in `compute_certificate`
+    reason : why there are no bounds
+    """
+    figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
+    return Certificate(
+        **figures,
+        natural_map=float("inf") if frictional else None,
+        energy_error=None,
+        force_error=None,
+        force_bound=None,
+        reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")),
+        grazing=(),
+        failures=tuple(failures),
+        notes=(),
+        uniqueness=(UNKNOWN,) if frictional else (),
+        contraction=None,
+        tolerance=tolerance,
+        error_tolerance=error_tolerance,
+        passed=False,
+        proven=False,
+        basis=FIGURES_ALONE,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
-from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes
 from contactqp.certificate.coulomb_law import IMPLIED
 from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants, status_words
 from contactqp.certificate.uniqueness import UNKNOWN
@@ -264,7 +264,7 @@ def certify_distributed(
         _refuse_shapes(problem, answer)
     frictional = problem.frictional
     if failures := _not_finite(problem, answer):
-        return not_finite(frictional, failures, tolerance, error_tolerance)
+        return messages.not_finite(frictional, failures, tolerance, error_tolerance)
     if frictional or bounds is None:
         error_bounds = no_bounds(FRICTION_HAS_NONE if frictional else NOT_ASKED)
     else:

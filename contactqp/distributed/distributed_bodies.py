@@ -25,8 +25,7 @@ from contactqp.elements.reference_elements import Block
 from contactqp.elements.solid import stress_sums
 from contactqp.elements.structure import FreeContacts, Part, Structure, Support, free_contacts
 from contactqp.errors import Unsupported
-from contactqp.linalg.runtime import BUILD, stage
-from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.arrays import BUILD, Array, Index, Vector, stage
 from contactqp.model.problem import Units
 from contactqp.scene.body_model import (
     ContactEntries,

@@ -46,9 +46,8 @@ from contactqp.linalg.factorization import (
 )
 from contactqp.linalg.floating import NullSpace, unresisted
 from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
-from contactqp.linalg.runtime import CONDENSE, RUNNING, refuse_late, stage
 from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
-from contactqp.model.arrays import TINY, Array, Indices, Vector
+from contactqp.model.arrays import CONDENSE, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 

@@ -34,8 +34,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.runtime import RUNNING, lapack
-from contactqp.model.arrays import TINY, Array, Indices, Mask, Vector, inverse_root
+from contactqp.linalg.runtime import lapack
+from contactqp.model.arrays import RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.

@@ -37,7 +37,6 @@ from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extend
 from contactqp.linalg.least_norm import least_solution
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
-from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.sparse_saddle import (
     BALANCED,
     ClosedState,
@@ -47,7 +46,7 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import Mask, Vector, all_finite
+from contactqp.model.arrays import Mask, Vector, all_finite, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 

@@ -26,9 +26,8 @@ from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Constrain
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
-from contactqp.linalg.runtime import refuse_late
 from contactqp.linalg.v_cycle import HeldHierarchy
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with

@@ -35,8 +35,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import NotPositive, Pardiso
-from contactqp.linalg.runtime import RUNNING
-from contactqp.model.arrays import Array, Indices, Vector, inverse_root
+from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
 # 1e12: S is as accurate as without springs, up to 30 times more than with T = 1; f_S is as accurate as with T = 1, up

@@ -1,19 +1,23 @@
-"""Types of arrays, and how functions compute: settings of NumPy's floating-point errors, and threads of BLAS.
+"""Types of arrays, and how functions compute: floating-point errors, threads of BLAS, clocks and time limits.
 
 Arrays are named by what they hold; shapes stand beside each field and in each docstring.
 
 OpenBLAS keeps to one thread around small dense systems: two threads make a Cholesky factorisation of a few hundred rows
 no faster, and a hundred times slower where another process has the second core: they wait for each other by spinning.
-A lock that another thread holds while the process is forked would never be released in the child, which therefore makes
-its own.
+MKL, which PARDISO runs on, keeps its threads. A lock that another thread holds while the process is forked would never
+be released in the child, which therefore makes its own.
+
+A clock takes the seconds of an answer's stages and counts its factorisations; it costs nothing where none runs.
 """
 
 from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import cache, cached_property, wraps
 from inspect import Parameter, Signature, isfunction, signature
 from typing import Any, ParamSpec, TypeVar
@@ -21,7 +25,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, WrongCall, no_argument
+from contactqp.errors import InvalidProblem, NotConverged, WrongCall, no_argument
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]  # one number an unknown, contact, tie
@@ -246,3 +250,162 @@ def _openblas() -> Any:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(internal_api="openblas")
+
+
+# Contacts from which a second thread pays.
+THREADS_PAY = 1500
+
+
+def one_blas_thread(problem: Any) -> AbstractContextManager[None]:
+    """Keep OpenBLAS on one thread while a problem is worked on, unless its dense systems are large enough for two.
+
+    What counts is the size of the dense systems, whatever the number of unknowns: a membrane of 737 unknowns has 217
+    contacts, and two threads made its Cholesky factors up to a hundred times slower beside other work.
+    """
+    tangents = 0 if problem.tangent is None else problem.tangent.shape[0]
+    rows = max(problem.contacts + tangents + problem.ties, problem.dimension)
+    return on_one_thread() if rows >= WORTHWHILE and problem.contacts < THREADS_PAY else nullcontext()
+
+
+READ = "read and check the file"
+BUILD = "build the problem"
+CONDENSE = "condense"
+METHOD = "method"
+POLISH = "expand and polish"
+CERTIFY = "certify"
+STEPS = "between the steps"  # of a path or a motion: tangents, predictions, events
+# In the order of the data.
+STAGES = (READ, BUILD, CONDENSE, METHOD, POLISH, CERTIFY, STEPS)
+
+
+class StageClock:
+    """Seconds by stage. Each instant belongs to the innermost stage that it is in, so that they sum to the total."""
+
+    def __init__(self) -> None:
+        self.factorisations = 0  # of the stiffness
+        self.half_substitutions = 0  # forward or backward, with one right-hand side
+        self._seconds: dict[str, float] = {}
+        self._outer: list[str] = []
+        self._stage, self._since = "", time.perf_counter()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """The seconds so far by stage; those outside of any have the name ''."""
+        self._charge()
+        return dict(self._seconds)
+
+    @property
+    def back_substitutions(self) -> int:
+        """The number of right-hand sides solved, forward and backward."""
+        return (self.half_substitutions + 1) // 2
+
+    @contextmanager
+    def within(self, name: str) -> Iterator[None]:
+        """Count the time inside the block as that of a stage, apart from stages inside it."""
+        self._charge()
+        self._outer.append(self._stage)
+        self._stage = name
+        try:
+            yield
+        finally:
+            self._charge()
+            self._stage = self._outer.pop()
+
+    def _charge(self) -> None:
+        now = time.perf_counter()
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._since
+        self._since = now
+
+
+# The clock that runs, if one does: whoever factorises or solves adds to its counts.
+RUNNING: ContextVar[StageClock | None] = ContextVar("the clock that runs", default=None)
+_UNTIMED = nullcontext()
+
+
+@contextmanager
+def timed() -> Iterator[StageClock]:
+    """Run a clock for all that this thread does inside the block."""
+    clock = StageClock()
+    token = RUNNING.set(clock)
+    try:
+        yield clock
+    finally:
+        RUNNING.reset(token)
+
+
+# Who is told where the call that runs is, if anybody.
+_LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("who is told where the call is", default=None)
+
+
+@contextmanager
+def telling(progress: Callable[[str], object] | None) -> Iterator[None]:
+    """Have `tell` call a function while this lasts; None leaves the one that there is."""
+    token = _LISTENER.set(_LISTENER.get() if progress is None else progress)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)
+
+
+def tell(where: str) -> None:
+    """Say in a few words what is done now."""
+    listener = _LISTENER.get()
+    if listener is not None:
+        listener(where)
+
+
+def stage(name: str) -> AbstractContextManager[None]:
+    """Say that a stage begins, and charge what happens meanwhile to it if a clock runs."""
+    tell(name)
+    clock = RUNNING.get()
+    return _UNTIMED if clock is None else clock.within(name)
+
+
+# When the call that runs has to end, if it has to, and the seconds that it was given.
+_END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that runs has to end", default=None)
+
+
+def within_time(seconds: float | None) -> AbstractContextManager[None]:
+    """Have `refuse_late` raise so many seconds from now; an earlier end that is already set stays."""
+    earlier = _END.get()
+    end = earlier if seconds is None else (time.perf_counter() + seconds, seconds)
+    return _ending(end if earlier is None or (end is not None and end[0] < earlier[0]) else earlier)
+
+
+def in_any_time() -> AbstractContextManager[None]:
+    """Suspend the time limit inside the block, so that what has been found is certified."""
+    return nullcontext() if _END.get() is None else _ending(None)
+
+
+@contextmanager
+def _ending(end: tuple[float, float] | None) -> Iterator[None]:
+    token = _END.set(end)
+    try:
+        yield
+    finally:
+        _END.reset(token)
+
+
+def seconds_left() -> float | None:
+    """Return the seconds until the running call has to end, at least a microsecond; None without a limit."""
+    end = _END.get()
+    return None if end is None else max(end[0] - time.perf_counter(), 1e-6)
+
+
+def time_is_up() -> bool:
+    """Return whether the call that runs should have ended."""
+    end = _END.get()
+    return end is not None and time.perf_counter() > end[0]
+
+
+def stated_limit(seconds: float | None) -> str:
+    """Return in words the time limit of the call; outside of a call, of a step that was given these seconds."""
+    end = _END.get()
+    return f"{seconds if end is None else end[1]:g} s"
+
+
+def refuse_late(what: str) -> None:
+    """Raise NotConverged where the call that runs should have ended; `what` was to be done next."""
+    end = _END.get()
+    if end is not None and time.perf_counter() > end[0]:
+        raise NotConverged(f"stopped at the time limit of {stated_limit(None)}, before {what}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.elements.reference_elements import Block
-from contactqp.model.arrays import Array, Index
+from contactqp.model.arrays import Array, Index, Vector
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import BodyFields, ContactFields, PairingFields, contact_facets
 from contactqp.pictures.space_drawing import draw_space, load_arrows, load_handle
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 from typing import TYPE_CHECKING
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
 from contactqp.oracle.foreign.crosscheck_verdict import CrossCheck, PairVerdict
 
 if TYPE_CHECKING:

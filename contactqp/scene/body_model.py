@@ -30,8 +30,7 @@ from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface, diameters
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.runtime import BUILD, stage
-from contactqp.model.arrays import Array, Index, Mask, Vector
+from contactqp.model.arrays import BUILD, Array, Index, Mask, Vector, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle, warn_of_start

@@ -27,8 +27,7 @@ from contactqp.elements.obstacle import ContactRows, Plane, against_plane, again
 from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
 from contactqp.linalg.exact_algebra import reduced
-from contactqp.linalg.runtime import BUILD, stage
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import BUILD, Array, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle, warn_of_nodes
 from contactqp.scene.schema import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of

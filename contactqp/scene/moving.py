@@ -16,7 +16,7 @@ from contactqp.analysis.impact import OWN_ARGUMENTS, impact
 from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.elements.scalars import Number
 from contactqp.errors import InvalidProblem, NotConverged, SceneError, Unsupported
-from contactqp.model.arrays import Index, Vector
+from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
 from contactqp.scene.schema import start_values
@@ -35,7 +35,6 @@ from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.large_deformation import large_deformation
 from contactqp.elements.deformable import ContactGeometry, ContactGroup, ObstacleContact, Supported
 from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTruss
-from contactqp.model.arrays import Array
 from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import end_time
 

@@ -24,8 +24,7 @@ from contactqp.errors import (
     Unsupported,
     shown,
 )
-from contactqp.linalg.runtime import THREADS_PAY
-from contactqp.model.arrays import Vector, on_one_thread, own_floating_point
+from contactqp.model.arrays import THREADS_PAY, Vector, on_one_thread, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any

@@ -34,8 +34,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import bounds_of_unknowns
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.iteration import contacts_are_many
-from contactqp.linalg.runtime import tell
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import Array, Indices, Vector, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings

@@ -37,9 +37,19 @@ from contactqp.linalg.refinement import (
     pushing_contacts,
     without_noise,
 )
-from contactqp.linalg.runtime import POLISH, one_blas_thread, refuse_late, stage
 from contactqp.linalg.schur import LARGE
-from contactqp.model.arrays import Array, Vector, all_finite, on_one_thread, own_floating_point, zero_beneath
+from contactqp.model.arrays import (
+    POLISH,
+    Array,
+    Vector,
+    all_finite,
+    on_one_thread,
+    one_blas_thread,
+    own_floating_point,
+    refuse_late,
+    stage,
+    zero_beneath,
+)
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.model.unknown_names import describe_motion

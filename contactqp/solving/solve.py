@@ -37,8 +37,16 @@ from contactqp.linalg.iteration import (
     may_be_factorised,
     systems_of,
 )
-from contactqp.linalg.runtime import METHOD, one_blas_thread, stage, telling, time_is_up, within_time
-from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.arrays import (
+    METHOD,
+    Vector,
+    one_blas_thread,
+    own_floating_point,
+    stage,
+    telling,
+    time_is_up,
+    within_time,
+)
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -56,7 +64,7 @@ from contactqp.solving.methods import (
 )
 from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
-from contactqp.solving.sparse_run import SparseRun
+from contactqp.solving.sparse_run import SparseRun, has_sparse_systems
 
 # The active set on sparse systems, nothing being condensed.
 SPARSE = "sparse"
@@ -461,17 +469,9 @@ def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, 
     )
 
 
-def has_sparse_systems(method: Method) -> bool:
-    """Return whether a method is shown sparse systems, instead of a dense one, where contacts are too many for that."""
-    return method.sparse and method.kind in (CONDENSES_ITSELF, "quadratic program", "modelling language")
-
-
 def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense: bool | str) -> bool:
-    if not has_sparse_systems(method):
-        return False
-    if condense == "auto":
-        return systems is Systems.SPARSE
-    return condense is False and method.kind == CONDENSES_ITSELF
+    everywhere = condense is False and method.kind == CONDENSES_ITSELF
+    return (systems is Systems.SPARSE if condense == "auto" else everywhere) and has_sparse_systems(method)
 
 
 # The first that applies is taken.

@@ -23,7 +23,6 @@ from contactqp.linalg.interior_point import refuse_ray, remember, solved_from, w
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.refinement import pushing_contacts
-from contactqp.linalg.runtime import refuse_late, tell
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (
     SYSTEMS_AT_FIRST,
@@ -32,7 +31,7 @@ from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
 )
-from contactqp.model.arrays import all_finite, on_one_thread
+from contactqp.model.arrays import all_finite, on_one_thread, refuse_late, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.methods import Method, Settings, find
@@ -59,6 +58,11 @@ BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter
 ENOUGH = 1e-18
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
+
+
+def has_sparse_systems(method: Method) -> bool:
+    """Return whether a method is shown sparse systems, instead of a dense one, where contacts are too many for that."""
+    return method.sparse and method.kind in (CONDENSES_ITSELF, "quadratic program", "modelling language")
 
 
 class SparseRun(Run):

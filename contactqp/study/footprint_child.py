@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import ContactQPError
-from contactqp.linalg.runtime import STAGES, StageClock, timed
+from contactqp.model.arrays import STAGES, StageClock, timed
 from contactqp.study.footprint import IMPORT, OPTIONAL, ContactCount, Footprint, Memory, Modules, StageTime
 
 if TYPE_CHECKING:

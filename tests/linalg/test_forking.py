@@ -13,7 +13,6 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.history import History
-from contactqp.linalg import runtime
 from contactqp.model import arrays
 from contactqp.study.running import workers
 from tests.public_objects import bars, rubbing
@@ -92,7 +91,7 @@ def test_a_solve_may_fork_inside_of_itself() -> None:
 
 
 def test_the_limit_of_threads_of_blas(monkeypatch) -> None:
-    monkeypatch.setattr(runtime, "WORTHWHILE", 1)
+    monkeypatch.setattr(arrays, "WORTHWHILE", 1)
     problem = bars()
     with held_elsewhere(arrays._LIMIT._lock):
         assert in_forked_child(lambda: cq.solve(problem).certificate.passed)

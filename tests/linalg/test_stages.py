@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import contactqp as cq
-from contactqp.linalg.runtime import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, stage, timed
+from contactqp.model.arrays import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, stage, timed
 
 
 def chain(unknowns: int = 30) -> cq.ContactProblem:
@@ -21,7 +21,7 @@ def chain(unknowns: int = 30) -> cq.ContactProblem:
 
 def test_an_instant_belongs_to_the_innermost_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr("contactqp.linalg.runtime.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("contactqp.model.arrays.time.perf_counter", lambda: now[0])
     with timed() as clock, stage(READ):
         now[0] += 2.0
         with stage(BUILD):

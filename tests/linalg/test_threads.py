@@ -11,7 +11,6 @@ import pytest
 import threadpoolctl
 
 import contactqp as cq
-from contactqp.linalg import runtime
 from contactqp.model import arrays
 from tests.blocks_in_space import on_paraboloid
 
@@ -34,7 +33,7 @@ def test_loads_of_one_body_in_threads(solver, monkeypatch):
 
 
 def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
-    monkeypatch.setattr(runtime, "WORTHWHILE", 1)
+    monkeypatch.setattr(arrays, "WORTHWHILE", 1)
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 
     def counts() -> list[int]:
@@ -42,7 +41,7 @@ def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
 
     with threadpoolctl.threadpool_limits(2, "blas"):
         before = counts()
-        first, second = runtime.one_blas_thread(problem), runtime.one_blas_thread(problem)
+        first, second = arrays.one_blas_thread(problem), arrays.one_blas_thread(problem)
         first.__enter__(), second.__enter__()
         assert set(counts()) <= {1}
         first.__exit__(None, None, None)
@@ -72,7 +71,7 @@ def test_paths_of_one_body_in_threads():
 @pytest.mark.parametrize("ask", ["solve", "certify", "follow_path", "impact"])
 def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str, monkeypatch) -> None:
     """On a membrane of 737 unknowns with 217 contacts two threads of BLAS spun; the body was thought too small."""
-    m = runtime.WORTHWHILE + 8
+    m = arrays.WORTHWHILE + 8
     chain = 2 * np.eye(m) - np.eye(m, k=1) - np.eye(m, k=-1)
     problem = cq.ContactProblem(stiffness=chain, load=np.ones(m), normal=np.eye(m), gap=np.linspace(0.1, 500.0, m))
     rest, seen = np.zeros(m), set()

@@ -8,8 +8,9 @@ import pytest
 import contactqp as cq
 from contactqp.cli import output
 from contactqp.cli.solving import whereabouts
-from contactqp.linalg import multigrid, runtime
+from contactqp.linalg import multigrid
 from contactqp.linalg.pardiso import CHOICE
+from contactqp.model import arrays
 from tests.blocks_in_space import fresh, on_paraboloid
 
 
@@ -17,9 +18,9 @@ def test_the_stages_of_a_solve_are_told_in_their_order() -> None:
     told: list[str] = []
     solution = cq.solve(fresh(on_paraboloid((4, 4, 3))), progress=told.append)
     assert solution.certificate.passed
-    stages = [one for one in told if one in runtime.STAGES]
-    assert stages[0] == runtime.METHOD
-    assert [one for one in stages if one != runtime.METHOD] == [runtime.CONDENSE, runtime.POLISH, runtime.CERTIFY]
+    stages = [one for one in told if one in arrays.STAGES]
+    assert stages[0] == arrays.METHOD
+    assert [one for one in stages if one != arrays.METHOD] == [arrays.CONDENSE, arrays.POLISH, arrays.CERTIFY]
     before = len(told)
     cq.solve(fresh(on_paraboloid((4, 4, 3))))
     assert len(told) == before, "nobody asked"
@@ -51,7 +52,7 @@ def test_what_progress_raises_ends_the_call() -> None:
         pass
 
     def stop(where: str) -> None:
-        if where == runtime.CONDENSE:
+        if where == arrays.CONDENSE:
             raise Enough
 
     problem = fresh(on_paraboloid((4, 4, 3)))

@@ -9,7 +9,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate import certificate
-from contactqp.linalg import condensation, runtime
+from contactqp.linalg import condensation
+from contactqp.model import arrays
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.solving.friction.problems import rough_truss
 from tests.solving.friction.space import block
@@ -61,9 +62,9 @@ def test_what_was_found_is_certified_however_long_that_takes(
 
 
 def test_an_earlier_end_stays_within_a_later_one() -> None:
-    with runtime.within_time(1e-9), runtime.within_time(60.0), pytest.raises(cq.NotConverged, match="of 1e-09 s"):
-        runtime.refuse_late("more")
-    with runtime.within_time(1e-9), runtime.in_any_time():
-        runtime.refuse_late("more")
-    runtime.refuse_late("more")
-    assert runtime.seconds_left() is None
+    with arrays.within_time(1e-9), arrays.within_time(60.0), pytest.raises(cq.NotConverged, match="of 1e-09 s"):
+        arrays.refuse_late("more")
+    with arrays.within_time(1e-9), arrays.in_any_time():
+        arrays.refuse_late("more")
+    arrays.refuse_late("more")
+    assert arrays.seconds_left() is None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from contactqp.linalg.runtime import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
+from contactqp.model.arrays import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene, run_model
 from contactqp.study.footprint import IMPORT, OPTIONAL, Footprint, measure

@@ -23,8 +23,7 @@ from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.iteration import Systems, systems_of
-from contactqp.linalg.runtime import POLISH, one_blas_thread, stage
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import POLISH, Array, Vector, one_blas_thread, stage
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, FreeMotion, Solution, Work
 from contactqp.solving.methods import find

@@ -32,8 +32,7 @@ from contactqp.errors import (
     warn,
 )
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
-from contactqp.linalg.runtime import CERTIFY, METHOD, stage
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import CERTIFY, METHOD, Array, Indices, Mask, Vector, stage
 from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive

@@ -26,8 +26,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.runtime import refuse_late
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, refuse_late
 from contactqp.model.coulomb import lengths
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 

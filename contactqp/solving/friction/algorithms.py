@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.runtime import stated_limit, tell
+from contactqp.model.arrays import stated_limit, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.admm import admm

@@ -26,8 +26,7 @@ from contactqp.linalg.iterated_states import (
     FrictionRows,
     combination_of,
 )
-from contactqp.linalg.runtime import tell
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, tell
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.local_form import RELAXATION, aitken
 from contactqp.solving.methods import Settings

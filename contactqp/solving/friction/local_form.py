@@ -21,8 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.runtime import seconds_left, stated_limit
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
 from contactqp.model.coulomb import natural_map
 from contactqp.model.local_problem import LocalProblem
 

@@ -26,9 +26,8 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, answer_in, without_noise
 from contactqp.linalg.iteration import iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
-from contactqp.linalg.runtime import stated_limit
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
-from contactqp.model.arrays import Mask, Vector, all_finite
+from contactqp.model.arrays import Mask, Vector, all_finite, stated_limit
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Solution

@@ -27,8 +27,7 @@ from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.friction_states import answer_in
-from contactqp.linalg.runtime import stated_limit, tell
-from contactqp.model.arrays import Array, Vector, all_finite
+from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate

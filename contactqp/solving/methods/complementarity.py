@@ -22,8 +22,7 @@ import scipy.sparse as sp
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
-from contactqp.linalg.runtime import stated_limit
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings

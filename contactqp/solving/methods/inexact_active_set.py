@@ -21,8 +21,7 @@ from contactqp.certificate.multigrid_bounds import balanced_forces, dual_norm, f
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
-from contactqp.linalg.runtime import tell
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector, tell
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Settings
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.runtime import seconds_left
+from contactqp.model.arrays import seconds_left
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 

@@ -25,8 +25,7 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.runtime import stated_limit
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Settings

@@ -16,7 +16,7 @@ from contactqp.certificate.uniqueness import FORCES, SEVERAL
 from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
-from contactqp.solving.solve import has_sparse_systems
+from contactqp.solving.sparse_run import has_sparse_systems
 from contactqp.study import rows as report_rows
 from contactqp.study.comparison import answer
 from contactqp.study.rows import Row, as_dicts, column, columns_of, finite

@@ -24,7 +24,7 @@ from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
-from contactqp.solving.solve import has_sparse_systems
+from contactqp.solving.sparse_run import has_sparse_systems
 from contactqp.study import rows as report_rows
 from contactqp.study.curves import Chart
 from contactqp.study.page.case_view import stability_bars
