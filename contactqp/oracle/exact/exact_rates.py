@@ -2,11 +2,13 @@
 
 Without friction, and with it in the plane, contacts keep the states that they are in exactly; those at the border of
 two states may go to either. In each combination rates solve a linear system (`contactqp.analysis.rate_systems` has it),
-here in rational numbers; those of one whose signs lead to where it says are the answer's.
+here in rational numbers; those of one whose signs lead to where it says are the answer's. Redundant contacts share
+their forces in many ways, but the displacement has one rate by loads and stiffness, and so has what follows from it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -17,27 +19,35 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import InvalidProblem, Unsupported, shown
-from contactqp.linalg.rational import column, fraction, fractions, solve_any, zeros
+from contactqp.linalg.rational import column, dot, fraction, fractions, is_zero, null_space, solve_any, take, zeros
 from contactqp.model.arguments import checked
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.rational_problem import of_floats
 
-QUANTITIES = ("displacement", "normal_force", "friction_force", "tie_force", "gap", "slip")
+OF_DISPLACEMENT = ("displacement", "gap", "slip", "reaction", "energy")
+QUANTITIES = ("normal_force", "friction_force", "tie_force", *OF_DISPLACEMENT)
 PARAMETERS = ("load", "gap", "tie_value", "friction", "slip_origin", "stiffness", "rows")
+# Along these the answer is linear while contacts keep their states.
+LINEAR = ("load", "gap", "tie_value", "slip_origin")
 # Combinations of states of contacts at a border, at most.
 MOST = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class ExactDerivative:
-    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None."""
+    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None.
 
-    value: Fractions | None
-    left: Fractions | None
-    right: Fractions | None
+    `reach` are the steps (back, ahead) within which no contact changes its state, infinity where none ever does; None
+    where the answer is not linear along the direction, and where contacts share their forces in many ways.
+    """
+
+    value: Any
+    left: Any
+    right: Any
     exists: bool
     reason: str = ""
+    reach: tuple[Fraction | float, Fraction | float] | None = None
 
 
 @checked
@@ -60,12 +70,15 @@ def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direc
         raise Unsupported("exact derivatives: of rational answers to a problem's floats alone")
     exact = _ExactRates(answer)
     along = exact.read(with_respect_to, direction)
-    right, left = (exact.rates(of, {name: sign * part for name, part in along.items()}) for sign in (1, -1))
-    if isinstance(right, str) or isinstance(left, str):
-        return ExactDerivative(None, None, None, False, right if isinstance(right, str) else str(left))
-    left, same = -left, bool(np.all(right == -left))
+    ahead, back = (exact.rates(of, {name: sign * part for name, part in along.items()}) for sign in (1, -1))
+    if isinstance(ahead, str) or isinstance(back, str):
+        return ExactDerivative(None, None, None, False, ahead if isinstance(ahead, str) else str(back))
+    left, right, same = -back[0], ahead[0], bool(np.all(ahead[0] == -back[0]))
     reason = "" if same else "the two sides differ: contacts are at the border of two states"
-    return ExactDerivative(right if same else None, left, right, same, reason)
+    reach = None
+    if with_respect_to in LINEAR and not (ahead[1] is None or back[1] is None):
+        reach = back[1], ahead[1]
+    return ExactDerivative(right if same else None, left, right, same, reason, reach)
 
 
 class _ExactRates:
@@ -122,30 +135,58 @@ class _ExactRates:
         names = dict(load="load", gap="gap", tie_value="tie", friction="friction", slip_origin="slip")
         sizes = (data.unknowns, data.contacts, data.ties, data.contacts, data.contacts * data.width)
         along = {name: zeros(size, 1) for name, size in zip(names.values(), sizes, strict=True)}
+        along |= dict(own=zeros(data.unknowns, 1), strained=zeros(data.unknowns, 1))
         if parameter in names:
             along[names[parameter]] = column(entries)
+            along["own"] = along["load"]
             return along
         change = fmpq_mat(dense.shape[0], dense.shape[1], column(entries).entries())
         if parameter == "stiffness":
-            along["load"] = -(change * self.u)
+            along["load"] = along["strained"] = -(change * self.u)
         else:
             along["load"], along["gap"] = -(change.transpose() * self.force), -(change * self.u)
         return along
 
-    def rates(self, of: str, along: dict[str, fmpq_mat]) -> Fractions | str:
-        """Return the exact rates of a quantity along a direction, or why there are none."""
-        found: list[Fractions] = []
+    def rates(self, of: str, along: dict[str, fmpq_mat]) -> tuple[Any, Fraction | float | None] | str:
+        """Return the exact rates of a quantity towards a direction and how far they reach, or why there are none."""
+        found: list[tuple[Any, Fraction | float | None]] = []
+        shares = self._may_share(along)
         for states in product(*self.choices):
             rates = self._in_states(states, along)
             if rates is None:
                 continue
-            if not rates["unique"]:
+            if not (rates["unique"] or (shares and of in OF_DISPLACEMENT and rates["moves as one"])):
                 return "in a combination of states that may come the rates are not unique"
-            if self._holds(states, rates, along) and not any(np.all(rates[of] == other) for other in found):
-                found.append(rates[of])
-        if len(found) != 1:
-            return "several rates continue the answer" if found else "no rates continue the answer"
-        return found[0]
+            if self._holds(states, rates, along):
+                reach = min(self._events(states, rates), default=math.inf) if rates["unique"] else None
+                found.append((rates[of], reach))
+        if any(np.any(found[0][0] != other) for other, _ in found):
+            return "several rates continue the answer"
+        if not found:
+            return "no rates continue the answer"
+        reaches = [reach for _, reach in found if reach is not None]
+        return found[0][0], min(reaches) if len(reaches) == len(found) else None
+
+    def _may_share(self, along: dict[str, fmpq_mat]) -> bool:
+        """Return whether forces that are not unique leave the displacement its rates: all that touch keep touching."""
+        held = is_zero(along["gap"]) and is_zero(along["tie"])
+        return held and not any(self.data.friction) and all(len(one) == 1 for one in self.choices)
+
+    def _events(self, states: tuple[int, ...], rates: dict[str, Any]) -> Iterator[Fraction]:
+        """Yield the steps at which contacts leave these states; what is at a border already moves away from it."""
+        answer = self.answer
+        for i, state in enumerate(states):
+            pairs = [(answer.gap[i], rates["gap"][i])]
+            if state != OPEN:
+                pairs = [(answer.normal_force[i], rates["normal_force"][i])]
+            mu = fraction(self.data.friction[i])
+            if mu and state == STICK and answer.friction_force is not None:
+                push, change = mu * answer.normal_force[i], mu * rates["normal_force"][i]
+                drag, drags = answer.friction_force[i, 0], rates["friction_force"][i, 0]
+                pairs += [(push - side * drag, change - side * drags) for side in (1, -1)]
+            elif mu and state != OPEN and answer.slip is not None and (answer.normal_force[i] or pairs[0][1]):
+                pairs.append((state * answer.slip[i, 0], state * rates["slip"][i, 0]))
+            yield from (size / -rate for size, rate in pairs if size > 0 > rate)
 
     def _in_states(self, states: tuple[int, ...], along: dict[str, fmpq_mat]) -> dict[str, Any] | None:
         """Return the rates in a combination of states, None where its system has none."""
@@ -172,7 +213,10 @@ class _ExactRates:
         if solved is None:
             return None
         x, unique = solved[0].entries(), solved[1]
-        return self._quantities(x, unique, (c, b), (signs, own), along)
+        found = self._quantities(x, unique, (c, b), (signs, own), along)
+        # What may be added to the solutions moves nothing: forces alone are many.
+        found["moves as one"] = unique or is_zero(take(null_space(system), range(data.unknowns)))
+        return found
 
     def _quantities(
         self, x: list[fmpq], unique: bool, places: tuple[list[int], list[int]], law: tuple[list[int], list[fmpq]],
@@ -186,6 +230,9 @@ class _ExactRates:
         found: dict[str, Any] = dict(unique=unique, displacement=_fractions(x[:n]), normal_force=_fractions(normal))
         found["tie_force"] = _fractions(x[n + len(c) + len(b) :])
         found["gap"] = np.array(fractions(along["gap"] - data.E * u), dtype=object)
+        found["reaction"] = np.array(fractions(along["own"] + along["strained"] - data.K * u), dtype=object)
+        half = along["strained"] * fmpq(1, 2)
+        found["energy"] = fraction(dot(data.K * self.u - data.f, u) - dot(self.u, along["own"] + half))
         if data.width:
             drag = [data.friction[i] * signs[i] * normal[i] + (own[i] if i in c else 0) for i in range(m)]
             for place, i in enumerate(b):
