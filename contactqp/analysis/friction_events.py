@@ -35,9 +35,9 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, plane_states
+from contactqp.model.names import NAMES_IN_A_MESSAGE
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
-from contactqp.model.unknown_names import NAMES_IN_A_MESSAGE
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 

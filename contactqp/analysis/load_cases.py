@@ -15,17 +15,9 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
+from contactqp.model.names import Units, read_names
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import (
-    ReadOnly,
-    Units,
-    is_masked,
-    is_whole,
-    read_array,
-    read_matrix,
-    read_names,
-    read_only,
-)  # fmt: skip
+from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
 from contactqp.model.solution import Solution, Work
 from contactqp.model.summary import Printed, Table, csv_text, number, without_rounding
 from contactqp.solving.solve import solve

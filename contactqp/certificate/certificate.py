@@ -30,7 +30,7 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.dense import RigidMotions
+from contactqp.linalg.dense import RigidMotions, condensed_at_once
 from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
@@ -182,7 +182,7 @@ def _judged(
     prove_friction: bool,
 ) -> Certificate:
     """Return the certificate of a finite answer, measured in units in which the problem's numbers are near one."""
-    near = near_one(problem)
+    near = None if problem.is_near_one else near_one(problem)
     seen = answer if near is None else near.answer(answer)
     if absurd := tuple(_absurd_parts(seen)):
         failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
@@ -218,7 +218,8 @@ def _measured(
     """Compute the figures and bounds of an answer and, with friction, what its own contact states say of it."""
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
-        systems = systems_of(problem) if factorization is None else Systems.CONDENSED
+        at_once = factorization is not None or condensed_at_once(problem)
+        systems = Systems.CONDENSED if at_once else systems_of(problem)
         candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
         if candidates is not None and problem.frictional:
             reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE

@@ -24,11 +24,9 @@ from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import FARTHEST, are_near_one
 from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
 
-# Numbers up to this and down to its inverse need no other units: 1e24 and 1e-24.
-FARTHEST = 80
-LEAST_NEAR = 2.0 ** (-FARTHEST - 1)  # the least number whose exponent is not below that
 # Displacements and forces beyond this (1e60), in units in which the problem's numbers are near one, answer nothing.
 ABSURD = 2.0**200
 # Gaps beyond this part of the lengths that move are as far as that: nothing that is no absurd answer reaches them.
@@ -235,18 +233,12 @@ def _exponent(values: Any) -> Index:
     return np.where(values == 0, NONE, np.frexp(values)[1]).astype(np.int64)
 
 
-def _near(values: Array) -> bool:
-    """Return whether the exponents of all nonzero numbers are within the range."""
-    size = abs(values[values != 0])
-    return not size.size or bool(size.min() >= LEAST_NEAR and size.max() < 2.0**FARTHEST)
-
-
 def _matrices_are_near_one(problem: ContactProblem) -> bool:
     matrices = _matrices(problem)
     return (
-        _near(problem.diagonal)
-        and all(_near(_largest(matrix)) for matrix in matrices if matrix.nnz)
-        and (bool(problem.diagonal.all()) or _near(_largest_without_stiffness(problem, matrices)))
+        are_near_one(problem.diagonal)
+        and all(are_near_one(_largest(matrix)) for matrix in matrices if matrix.nnz)
+        and (bool(problem.diagonal.all()) or are_near_one(_largest_without_stiffness(problem, matrices)))
     )
 
 
@@ -270,7 +262,7 @@ def _vectors_are_near_one(problem: ContactProblem) -> bool:
     if problem.slip_origin is not None:
         parts.append(problem.slip_origin)
     largest = max(float(abs(part).max(initial=0.0)) for part in parts)
-    return largest == 0 or LEAST_NEAR <= largest < 2.0**FARTHEST
+    return are_near_one(np.array([largest]))
 
 
 def _units_are_own(problem: ContactProblem) -> bool:
@@ -339,8 +331,8 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
     """
     diagonal, rows, unit = problem.diagonal[problem.diagonal > 0], _matrices(problem), _uniform_unit(problem)
     exponents = _exponent(diagonal) + 2 * unit
-    near = bool(np.all(abs(exponents) <= FARTHEST)) and all(_near(_largest(matrix)) for matrix in rows)
-    if not (near and _near(_largest_without_stiffness(problem, rows))) or not _columns_are_alike(problem):
+    near = bool(np.all(abs(exponents) <= FARTHEST)) and all(are_near_one(_largest(matrix)) for matrix in rows)
+    if not (near and are_near_one(_largest_without_stiffness(problem, rows))) or not _columns_are_alike(problem):
         return None
     sizes = np.concatenate([_row_exponents(matrix) for matrix in rows])
     alike = bool(problem.diagonal.all()) or _rows_are_alike(problem)

@@ -148,7 +148,7 @@ def run_command(
     if asked.in_a_line and not as_json and speakers.speaks and not (quiet and met):
         click.echo(f"{whole} of {len(scenes)} met{'' if quiet else ' (--verbose prints the answers)'}")
     if foreign:
-        from contactqp.model.problem_data import read_units
+        from contactqp.model.names import read_units
         from contactqp.study.friction_files import run_files, write_files
 
         shows = speakers.speaks and sys.stderr.isatty()

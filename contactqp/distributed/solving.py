@@ -29,6 +29,7 @@ from contactqp.distributed.violations import violations
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.names import describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import (
     FIGURES,
@@ -41,7 +42,6 @@ from contactqp.model.solution import (
     Violations,
     Work,
 )
-from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.friction.algorithms import ALGORITHMS, name_of
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name

@@ -12,9 +12,9 @@ import numpy as np
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.files import Ledger, Path, one_line, wrong
 from contactqp.model.arrays import Array
+from contactqp.model.names import other_spellings
 from contactqp.model.problem import ContactProblem
 from contactqp.model.quadratic_program import answer_of_program
-from contactqp.model.unknown_names import other_spellings
 
 # The parts of an answer, and what else they are called. Pressures are forces only where areas come with them.
 PARTS = ("displacement", "normal_force", "normal_pressure", "friction_force", "tie_force")

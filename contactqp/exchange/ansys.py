@@ -18,8 +18,8 @@ from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader, Path, fil
 from contactqp.exchange.numpy_files import sparse_matrix
 from contactqp.exchange.processes import read_in_own_process
 from contactqp.model.arrays import Vector
+from contactqp.model.names import AXES
 from contactqp.model.problem import ContactProblem
-from contactqp.model.unknown_names import AXES
 
 # The standard header: 100 words of four bytes; its item 2 is the kind of file, item 27 the length of the file in words.
 WORDS, KIND, LENGTH = 100, 2, 28

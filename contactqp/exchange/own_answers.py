@@ -41,8 +41,8 @@ from contactqp.exchange.numpy_files import NUMPY, ZIP
 from contactqp.exchange.tables import Table, begins_with, is_table, read_tables
 from contactqp.exchange.text_matrices import is_matrix_market
 from contactqp.model.arrays import Array
+from contactqp.model.names import axis_called
 from contactqp.model.problem import ContactProblem
-from contactqp.model.unknown_names import axis_called
 
 JSON = "JSON"
 COMPONENTS = "friction_components"

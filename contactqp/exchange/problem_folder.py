@@ -35,8 +35,8 @@ from contactqp.exchange.problem_writing import (
 )
 from contactqp.exchange.problem_writing import write_problem as write_problem
 from contactqp.exchange.tables import Unknowns, is_table, read_contact_rows, read_load_rows, read_tie_rows
+from contactqp.model.names import plain_name
 from contactqp.model.problem import ContactProblem
-from contactqp.model.unknown_names import plain_name
 
 # A problem in one .npz file: arrays called stiffness (K), load (f), normal (E_N), gap (g), ..., dense or sparse.
 #

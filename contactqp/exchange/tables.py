@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from contactqp.errors import counted
 from contactqp.exchange.files import HEAD, Ledger, Path, no_number, number, read_bytes, read_text, wrong
 from contactqp.model.arrays import Array
-from contactqp.model.unknown_names import plain_name
+from contactqp.model.names import plain_name
 
 EXPECTED = "a table with named columns"
 SEPARATORS = (";", "\t", ",")

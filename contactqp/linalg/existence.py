@@ -30,9 +30,9 @@ from contactqp.linalg.least_norm import nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
+from contactqp.model.names import describe_motion, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.unknown_names import describe_motion, listed
 
 # Both feasibilities of linear programs, whose unknowns and rows are of unit size.
 LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem, counted, counts, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point, refuses_misfits
+from contactqp.model.names import name_of, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
     SYMMETRY_TOLERANCE,
@@ -38,11 +39,9 @@ from contactqp.model.problem_data import (
     ReadOnly,
     eigenvalues_of,
     is_number,
-    name_of,
     read_array,
     read_coefficient,
     read_matrix,
-    read_names,
     read_only,
     read_vector,
 )

@@ -27,21 +27,20 @@ from contactqp.model.arguments import read_places
 from contactqp.model.arrays import Array, Indices, Mask, inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.computed import Computed
+from contactqp.model.names import NO_UNITS, name_of, read_names, read_units
+from contactqp.model.names import Units as Units
 from contactqp.model.problem_data import Matrix as Matrix
-from contactqp.model.problem_data import Units as Units
 from contactqp.model.problem_data import (
+    are_near_one,
     csr_rows,
-    name_of,
     no_rows,
     read_array,
     read_friction,
     read_gap,
     read_motions,
-    read_names,
     read_only,
     read_rows,
     read_stiffness,
-    read_units,
     read_vector,
     rows_of_dense,
 )
@@ -157,11 +156,11 @@ class ContactProblem:
             slip_origin=origin,
             tie=A,
             tie_value=read_vector("tie_value", np.zeros(A.shape[0]) if tie_value is None else tie_value, A.shape[0]),
-            dof_names=read_names("dof_names", dof_names, n),
-            contact_names=read_names("contact_names", contact_names, m),
-            tie_names=read_names("tie_names", tie_names, A.shape[0]),
+            dof_names=None if dof_names is None else read_names("dof_names", dof_names, n),
+            contact_names=None if contact_names is None else read_names("contact_names", contact_names, m),
+            tie_names=None if tie_names is None else read_names("tie_names", tie_names, A.shape[0]),
             near_null_space=read_motions(near_null_space, n),
-            units=read_units(units),
+            units=NO_UNITS if units is None else read_units(units),
         )
         self._keep(values, Computed())
 
@@ -418,6 +417,14 @@ class ContactProblem:
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @cached_property
+    def is_near_one(self) -> bool:
+        """Whether all unknowns have stiffness and no number is far from one: `number_range` asks further where not."""
+        rows = [one.data for one in (self.normal, self.tie, self.tangent) if one is not None]
+        lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
+        largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)
+        return bool(self.diagonal.all()) and all(map(are_near_one, (self.diagonal, *rows, largest)))
+
+    @cached_property
     def has_idle_rows(self) -> bool:
         """Return whether a contact or a tie constrains nothing: its row is zero, or its gap infinite."""
         return any(bool(which.any()) for which in self.idle_rows())
@@ -430,20 +437,6 @@ class ContactProblem:
             self._computed.idle_rows = zero[0], zero[1]
         contacts, ties = self._computed.idle_rows
         return contacts | (self.gap == np.inf), ties
-
-    @property
-    def finite_gap(self) -> Vector:
-        """Return the gaps (m,) with a finite number in place of infinity, for solvers without one.
-
-        Raises
-        ------
-        Unsupported
-            One is infinite.
-        """
-        if (never := self.gap == np.inf).any():
-            i = int(np.argmax(never))
-            raise Unsupported(f"{self.contact_name(i)} never closes: infinity is no rational number, leave it out")
-        return self.gap
 
     def with_ties(self, ties: Indices) -> ContactProblem:
         """Return the problem with some of its ties only, which keep their names."""

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numbers
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import nullcontext
 from copy import copy
-from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
-from itertools import islice
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
@@ -31,6 +29,8 @@ OTHER_KINDS = {"c": "complex numbers", "U": "words", "S": "words", "T": "words",
 SYMMETRY_TOLERANCE = 1e-6
 # Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
+# Numbers up to this power of two and down to its inverse need no other units: 1e24 and 1e-24.
+FARTHEST = 80
 # Entries of a direction of negative curvature that a message gives.
 CURVED_NAMED = 4
 
@@ -430,68 +430,7 @@ def read_motions(value: ArrayLike | None, n: int) -> Array | None:
     return read_only(motions)
 
 
-def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
-    if value is None:
-        return None
-    try:
-        if isinstance(value, (str, bytes)) or sp.issparse(value):
-            raise TypeError("no names")
-        names = tuple(str(v) for v in islice(value, size + 1))  # some have no end
-        "".join(names).encode()
-    except Exception as error:  # noqa: BLE001  whatever an object says of itself
-        raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)} ({error})") from None
-    if len(names) != size:
-        raise InvalidProblem(f"{name}: expected {size} names, got {len(names) if len(names) < size else 'more'}")
-    if len(set(names)) != size:
-        twice = next(v for v in names if names.count(v) > 1)
-        raise InvalidProblem(f"{name}: expected distinct names, got {shown(twice)} more than once")
-    return names
-
-
-def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
-    """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
-
-    Raises InvalidProblem: it is none of the numbers from 0 to `count` - 1.
-
-    Parameters
-    ----------
-    kind : "contact", "unknown" or "tie"
-    number, count, names : int, counted from 0, how many there are, and their names, if they have any
-    """
-    if not (is_whole(number) and 0 <= number < count):
-        raise InvalidProblem(f"{kind}: expected a number from 0 to {count - 1}, got {shown(number)}")
-    return names[number] if names else f"{kind} {number}"
-
-
-@dataclass(frozen=True)
-class Units:
-    """Names of the units that the numbers of a problem are in; they label messages and tables and convert nothing."""
-
-    length: str = ""
-    force: str = ""
-
-    def __post_init__(self) -> None:
-        for what, name in vars(self).items():
-            if not isinstance(name, str):
-                raise InvalidProblem(f"units: expected the name of a unit of {what}, got {shown(name)}")
-
-
-# Names that are units of one and never of the other, and such as are units of neither.
-LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
-NEITHER = ("g", "kg", "s", "min", "h", "rad", "deg", "Pa", "kPa", "MPa", "GPa", "psi", "bar", "J")
-FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
-
-
-def read_units(value: Units | Mapping[str, str] | None) -> Units:
-    """Return the units that a mapping with the keys ``length`` and ``force`` names; none where nothing is given."""
-    if value is None or isinstance(value, Units):
-        return value or Units()
-    if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):
-        example = '{"length": "mm", "force": "N"}'
-        raise InvalidProblem(
-            f"units: expected the keys 'length' and 'force', both of them, as in {example}, got {shown(value)}"
-        )
-    for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
-        if not isinstance(value[what], str) or value[what] in (*others, *NEITHER):
-            raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
-    return Units(**value)
+def are_near_one(values: Array) -> bool:
+    """Return whether the binary exponents of all numbers but zeros are at most `FARTHEST` and at least its inverse."""
+    size = abs(values[values != 0])
+    return not size.size or bool(size.min() >= 2.0 ** (-FARTHEST - 1) and size.max() < 2.0**FARTHEST)

@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector, refuse_places_outside
-from contactqp.model.problem_data import read_array, read_names
+from contactqp.model.names import read_names
+from contactqp.model.problem_data import read_array
 
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
 Names = tuple[list[str], list[str]]  # of contacts and of ties

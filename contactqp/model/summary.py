@@ -16,8 +16,8 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.names import plain_name
 from contactqp.model.problem_data import is_whole
-from contactqp.model.unknown_names import plain_name
 
 # Rows of a table, at most; of more the largest are shown.
 MOST = 10

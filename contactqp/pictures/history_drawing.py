@@ -15,7 +15,7 @@ from contactqp.analysis.load_cases import Solutions
 from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array
-from contactqp.model.problem_data import read_names
+from contactqp.model.names import read_names
 from contactqp.pictures import style
 from contactqp.pictures.history_panels import (
     ALL,

@@ -27,7 +27,7 @@ from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
-from contactqp.linalg.iteration import constraints_are_many, frictional_iteration, iterated
+from contactqp.linalg.iteration import Systems, frictional_iteration, iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.model.arrays import Array, all_finite, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
@@ -293,12 +293,16 @@ def refuse_unknown_algorithm(algorithm: str | None) -> None:
         raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
 
 
-def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> Run:
+def run_friction(
+    problem: ContactProblem, method: Method, settings: Settings, systems: Systems, algorithm: str | None
+) -> Run:
     """Find an answer with Coulomb friction, by one algorithm or by one after another until one succeeds.
 
     Parameters
     ----------
     problem, method, settings : ContactProblem, Method, Settings
+    systems : Systems
+        Those that cost the problem least.
     algorithm : str or None
         None stands, on bodies that are iterated on, for Tresca's and Newton's method by iteration; else, in the plane,
         Newton's method in sparse systems where contacts are many, else from `settings.warm_start` if there is one, then
@@ -318,14 +322,14 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
         Bodies too large to factorise, a method that is approximate by design or needs a regular stiffness,
         enumeration in space or of too many contacts.
     """
-    if iterated(problem):
+    if systems is Systems.ITERATED:
         if algorithm not in (None, "tresca"):
             raise Unsupported(
                 f"friction: a body this large is not factorised, and without factors there is 'tresca' alone, got "
                 f"{algorithm!r}; {_FACTORISE}"
             )
         return IteratedFrictionRun(problem, method, settings)
-    if algorithm in (None, "newton") and method.name == DEFAULT_METHOD and constraints_are_many(problem):
+    if algorithm in (None, "newton") and method.name == DEFAULT_METHOD and systems is Systems.SPARSE:
         with suppress(NotConverged):
             return SparseFrictionRun(problem, settings)
     meter = Meter(problem)

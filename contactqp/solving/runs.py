@@ -50,9 +50,9 @@ from contactqp.model.arrays import (
     stage,
     zero_beneath,
 )
+from contactqp.model.names import describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
-from contactqp.model.unknown_names import describe_motion
 from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 

@@ -28,6 +28,7 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
+from contactqp.linalg.dense import condensed_at_once
 from contactqp.linalg.iteration import (
     Systems,
     condense_anyway,
@@ -222,9 +223,9 @@ def _solve(
     if engine != SERIAL:
         elsewhere: Callable[..., Solution] = engine_named(engine).function("solve")
         return elsewhere(problem, method, warm_start=warm_start, **same)
-    if (near := near_one(problem)) is not None:
+    if not problem.is_near_one and (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    systems = systems_of(problem)
+    systems = Systems.CONDENSED if condensed_at_once(problem) else systems_of(problem)
     if systems is Systems.ITERATED and may_be_factorised(problem):
         needs_factors = find(method).kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
         if needs_factors:
@@ -430,15 +431,10 @@ def _begun(
 
 
 def _run(
-    problem: ContactProblem,
-    method: Method,
-    systems: Systems,
-    settings: Settings,
-    condense: bool | str,
-    algorithm: str | None,
+    problem: ContactProblem, method: Method, systems: Systems, settings: Settings, condense: Any, algorithm: str | None
 ) -> Run:
     rule = next(rule for rule in RUN_RULES if rule.applies(systems, problem, method, condense))
-    return rule.run(problem, method, settings, condense, algorithm)
+    return rule.run(problem, method, settings, systems, condense, algorithm)
 
 
 @dataclass(frozen=True)
@@ -446,13 +442,15 @@ class RunRule:
     """One rule of the table `RUN_RULES`: when it applies, and the run that it then makes."""
 
     applies: Callable[[Systems, ContactProblem, Method, bool | str], bool]  # condense
-    run: Callable[[ContactProblem, Method, Settings, bool | str, str | None], Run]  # condense, algorithm
+    run: Callable[[ContactProblem, Method, Settings, Systems, bool | str, str | None], Run]  # condense, algorithm
 
 
-def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _: Any, algorithm: str | None) -> Run:
+def _run_friction(
+    problem: ContactProblem, method: Method, settings: Settings, systems: Systems, _: Any, algorithm: str | None
+) -> Run:
     from contactqp.solving.friction_runs import run_friction
 
-    return run_friction(problem, method, settings, algorithm)
+    return run_friction(problem, method, settings, systems, algorithm)
 
 
 def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
@@ -461,7 +459,7 @@ def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: 
     return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
 
 
-def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, condense: Any, _: Any) -> Run:
+def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, _: Any, condense: Any, __: Any) -> Run:
     kept = presolved(problem)
     assert kept is not None
     return PresolvedRun(
@@ -486,7 +484,7 @@ RUN_RULES = (
     # The body is too large to factorise.
     RunRule(
         lambda systems, *_: systems is Systems.ITERATED,
-        lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
+        lambda problem, method, settings, _, condense, __: IteratedRun(problem, method, settings, condense),
     ),
     # Rows outnumber the unknowns, and some are not needed.
     RunRule(_has_rows_to_spare, _run_presolved),
@@ -495,6 +493,6 @@ RUN_RULES = (
     # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
     RunRule(
         lambda *_: True,
-        lambda problem, method, settings, condense, _: CondensedRun(problem, method, settings, condense),
+        lambda problem, method, settings, _, condense, __: CondensedRun(problem, method, settings, condense),
     ),
 )

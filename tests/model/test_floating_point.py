@@ -83,7 +83,7 @@ def strict() -> Iterator[None]:
 def looked_at(thing: Any, depth: int = 2) -> None:
     """Ask for all that an answer of the package has to say."""
     str(thing)
-    for name in [name for name in dir(thing) if not name.startswith("_") and name != "finite_gap"]:
+    for name in [name for name in dir(thing) if not name.startswith("_")]:
         value = getattr(thing, name)
         if depth and type(value).__module__.startswith("contactqp") and not callable(value):
             looked_at(value, depth - 1)

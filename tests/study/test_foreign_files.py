@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
-from contactqp.model.unknown_names import axis_called, plain_name
+from contactqp.model.names import axis_called, plain_name
 from tests.cli.test_cli import CASES, run
 from tests.decks import STACK
 

@@ -21,9 +21,9 @@ from contactqp.errors import (
     Unsupported,
 )
 from contactqp.linalg.rational import NoSolution, Undecided, dot, fraction, is_semidefinite, number, zeros
+from contactqp.model.names import describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
-from contactqp.model.unknown_names import describe_motion
 from contactqp.oracle.exact.exact_path import follow
 from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
 from contactqp.oracle.exact.rational_equilibrium import Proposal, Settled, settle, settle_with_friction

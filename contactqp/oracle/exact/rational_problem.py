@@ -40,6 +40,7 @@ from contactqp.linalg.rational import (
     zeros,
 )
 from contactqp.model.problem import ContactProblem
+from contactqp.solving.friction.exact_enumeration import finite_gap
 
 if TYPE_CHECKING:
     from contactqp.scene.building import ExactProblem
@@ -99,7 +100,7 @@ def of_floats(problem: ContactProblem) -> RationalProblem:
         K=matrix(problem.stiffness),
         f=column(problem.load),
         E=matrix(problem.normal),
-        g=column(problem.finite_gap),
+        g=column(finite_gap(problem)),
         A=matrix(problem.tie),
         b=column(problem.tie_value),
         T=T,

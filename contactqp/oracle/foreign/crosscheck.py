@@ -17,7 +17,7 @@ from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index, Vector, own_floating_point
-from contactqp.model.problem_data import Units, read_units
+from contactqp.model.names import Units, read_units
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
 from contactqp.oracle.foreign.crosscheck_verdict import (
     WORTH,

@@ -12,7 +12,8 @@ from contactqp.elements.surface import Surface, diameters, kind_of
 from contactqp.errors import counted
 from contactqp.exchange.files import Ledger
 from contactqp.model.arrays import Array, Index, Mask, Vector
-from contactqp.model.problem_data import ReadOnly, Units
+from contactqp.model.names import Units
+from contactqp.model.problem_data import ReadOnly
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
 
 # A spring law is recognised where its stiffnesses at nine nodes in ten differ by no more than this factor.

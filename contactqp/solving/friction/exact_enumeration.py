@@ -71,7 +71,7 @@ class ExactData:
         return [flat[i * width : (i + 1) * width] for i in range(len(floats))]
 
     def _vector(self, name: str) -> Row:
-        known = self._problem.finite_gap if name == "gap" else getattr(self._problem, name)
+        known = finite_gap(self._problem) if name == "gap" else getattr(self._problem, name)
         return self._numbers(name, np.asarray(known))
 
     def _numbers(self, name: str, floats: np.ndarray[Any, Any]) -> Row:
@@ -456,3 +456,14 @@ def _fractions(matrix: Any) -> list[Row]:
 
 def _row(values: Any) -> Row:
     return [Fraction(float(x)) for x in np.asarray(values).ravel()]
+
+
+def finite_gap(problem: ContactProblem) -> NDArray[np.float64]:
+    """Return the gaps (m,) of a problem that is solved in rational numbers, which have no infinity.
+
+    Raises Unsupported: one is infinite.
+    """
+    if (never := problem.gap == np.inf).any():
+        i = int(np.argmax(never))
+        raise Unsupported(f"{problem.contact_name(i)} never closes: infinity is no rational number, leave it out")
+    return problem.gap

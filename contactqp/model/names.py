@@ -1,19 +1,23 @@
-"""What unknowns are called: 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys, and which of them are the same.
+"""Names of unknowns, contacts, ties and units: read, looked up and put into words.
+
+An unknown is called 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys; which of these are the same is told.
 
 Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Abaqus and CalculiX number them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
+from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Vector
-
-if TYPE_CHECKING:
-    from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import is_whole
 
 NAMES_IN_A_MESSAGE = 8
 # An unknown that moves by this part of the largest takes part in a motion.
@@ -62,8 +66,8 @@ def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterab
     return {name: found for name in wanted if (found := by_meaning.get(plain_name(name) or "", []))}
 
 
-def describe_motion(problem: ContactProblem, motion: Vector) -> str:
-    """Describe a motion in words: the unknowns that move, and how far relative to the largest."""
+def describe_motion(problem: Any, motion: Vector) -> str:
+    """Describe a motion (n,) of a problem in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
     if problem.dof_names is not None:
         together = _moving_together((problem.dof_names[j] for j in moving.tolist()), motion[moving])
@@ -98,3 +102,71 @@ def listed(names: list[str], count: int | None = None) -> str:
     shown = names[:NAMES_IN_A_MESSAGE]
     more = (len(names) if count is None else count) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")
+
+
+def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    try:
+        if isinstance(value, (str, bytes)) or sp.issparse(value):
+            raise TypeError("no names")
+        names = tuple(str(v) for v in islice(value, size + 1))  # some have no end
+        "".join(names).encode()
+    except Exception as error:  # noqa: BLE001  whatever an object says of itself
+        raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)} ({error})") from None
+    if len(names) != size:
+        raise InvalidProblem(f"{name}: expected {size} names, got {len(names) if len(names) < size else 'more'}")
+    if len(set(names)) != size:
+        twice = next(v for v in names if names.count(v) > 1)
+        raise InvalidProblem(f"{name}: expected distinct names, got {shown(twice)} more than once")
+    return names
+
+
+def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
+    """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
+
+    Raises InvalidProblem: it is none of the numbers from 0 to `count` - 1.
+
+    Parameters
+    ----------
+    kind : "contact", "unknown" or "tie"
+    number, count, names : int, counted from 0, how many there are, and their names, if they have any
+    """
+    if not (is_whole(number) and 0 <= number < count):
+        raise InvalidProblem(f"{kind}: expected a number from 0 to {count - 1}, got {shown(number)}")
+    return names[number] if names else f"{kind} {number}"
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units that the numbers of a problem are in; they label messages and tables and convert nothing."""
+
+    length: str = ""
+    force: str = ""
+
+    def __post_init__(self) -> None:
+        for what, name in vars(self).items():
+            if not isinstance(name, str):
+                raise InvalidProblem(f"units: expected the name of a unit of {what}, got {shown(name)}")
+
+
+NO_UNITS = Units()
+# Names that are units of one and never of the other, and such as are units of neither.
+LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
+NEITHER = ("g", "kg", "s", "min", "h", "rad", "deg", "Pa", "kPa", "MPa", "GPa", "psi", "bar", "J")
+FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
+
+
+def read_units(value: Units | Mapping[str, str] | None) -> Units:
+    """Return the units that a mapping with the keys ``length`` and ``force`` names; none where nothing is given."""
+    if value is None or isinstance(value, Units):
+        return value or NO_UNITS
+    if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):
+        example = '{"length": "mm", "force": "N"}'
+        raise InvalidProblem(
+            f"units: expected the keys 'length' and 'force', both of them, as in {example}, got {shown(value)}"
+        )
+    for what, others in (("length", FORCES), ("force", LENGTHS)) if value else ():
+        if not isinstance(value[what], str) or value[what] in (*others, *NEITHER):
+            raise InvalidProblem(f"units: expected a {what}, got {shown(value[what])}")
+    return Units(**value)
