@@ -13,14 +13,15 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, counted, counts
+from contactqp.linalg.condensation import condense
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
 from contactqp.model.names import Units, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
-from contactqp.model.solution import Solution, Work
+from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.model.summary import Printed, Table, csv_text, number, without_rounding
-from contactqp.solving.solve import solve
+from contactqp.solving.solve import begin, solve
 
 # Rows that are printed, at most.
 PRINTED_ROWS = 40
@@ -243,6 +244,13 @@ class LoadCases:
         """Return the gaps of a case (m,)."""
         return self.problem.gap if self.gaps is None else np.asarray(self.gaps[i], dtype=float)
 
+    def coefficients(self, i: int) -> Vector:
+        """Return the coefficients of friction of a case (m,), zero without friction."""
+        if self.friction is not None:
+            return np.asarray(self.friction[i])
+        friction = self.problem.friction
+        return np.zeros(self.problem.contacts) if friction is None else friction
+
     def case(self, i: int) -> ContactProblem:
         """Return the problem of a case, which shares the factorisation.
 
@@ -356,6 +364,7 @@ class Solutions(ReadOnly, Printed):
     _status: NDArray[np.uint8] = field(repr=False)  # (N, m)
     _cases: LoadCases = field(repr=False)
     _arguments: dict[str, Any] = field(repr=False)  # of `solve`
+    _started: Mask = field(repr=False)  # (N,) whether the forces here are those that a solution starts from
 
     def __len__(self) -> int:
         return self._cases.count
@@ -377,8 +386,20 @@ class Solutions(ReadOnly, Printed):
             return [self[i] for i in range(len(self))[place]]
         if is_whole(place) and not self._has(place):
             raise IndexError(f"case {place} of {len(self)}")  # what ends a loop over a sequence
-        found: Solution = solve(self.case(place), self.method, **self._arguments)
-        return found
+        return self._solved(place)
+
+    def _solved(self, place: int) -> Solution:
+        """Return the solution of a case; with friction, of which there may be several, the one near the forces here."""
+        problem = self.case(place)
+        if self.friction_force is None or not (problem.frictional and self._started[place]):
+            found: Solution = solve(problem, self.method, **self._arguments)
+            return found
+        forces = self.normal_force[place], self.tie_force[place], self.friction_force[place]
+        rows = problem.normal, problem.tie, problem.tangent
+        outer = sum((row.T @ force.ravel() for row, force in zip(rows, forces, strict=True) if row is not None), 0.0)
+        u = condense(problem).free_displacements((problem.load - outer)[:, None])[:, 0]
+        run = begin(problem, self.method, Candidate(u, *forces[:2], friction_force=forces[2]), **self._arguments)
+        return run.finish()
 
     def __iter__(self) -> Iterator[Solution]:
         return (self[i] for i in range(len(self)))
@@ -397,8 +418,7 @@ class Solutions(ReadOnly, Printed):
 
     def displacement(self, i: int) -> Vector:
         """Return the displacement (n,) of a case, with the digits of its `Solution`."""
-        found: Solution = solve(self.case(i), self.method, **self._arguments)
-        return found.displacement
+        return self._solved(i).displacement
 
     def envelope(self) -> Envelope:
         """Return the largest force of each contact over all cases, and the case that causes it."""

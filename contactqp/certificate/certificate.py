@@ -32,9 +32,9 @@ from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import RigidMotions, condensed_at_once
 from contactqp.linalg.extended import Residuals, residuals
+from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import bodies, own_compliance, ratio
-from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import (
     CERTIFY,
     Indices,

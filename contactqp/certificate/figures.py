@@ -37,6 +37,7 @@ from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import images
 from contactqp.linalg.floating import that_move
+from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
     beyond,
@@ -52,7 +53,6 @@ from contactqp.linalg.measures import (
     untouched,
     without_rigid_part,
 )
-from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Mask, Vector, all_finite
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Certificate, Nothing, Violations

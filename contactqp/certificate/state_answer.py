@@ -43,9 +43,9 @@ from contactqp.certificate.state_bodies import (
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import extend, extended_rows, residuals
+from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iterated, iteration, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, row_sizes
-from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of

@@ -35,8 +35,8 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
+from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.runtime import lapack
-from contactqp.linalg.sliced import elastic_after
 from contactqp.model.arrays import Array, Mask, Vector, refuse_late, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of

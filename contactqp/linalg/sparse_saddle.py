@@ -25,9 +25,9 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import least_length, rows_alone
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
+from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sliced import plain_residuals
 from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 

@@ -166,16 +166,54 @@ def test_answers_are_pickled_and_printed() -> None:
     assert told
 
 
-def plate(cells: int, unit: float = 1.0, apart: float = 1.0) -> cq.ContactProblem:
+def plate(cells: int, unit: float = 1.0, apart: float = 1.0, friction: float = 0.0) -> cq.ContactProblem:
     """A strip of plane-strain elements over a floor, held at its top; units of its unknowns that far apart."""
     steel = cq.Material(1.0 / unit, 0.3)
     body = cq.Body(cq.rectangle(2.0, 1.0, (2 * cells, cells)), steel, "plane-strain", name="block")
     structure = cq.Structure([body])
     system = structure.assemble([cq.Support("block", "top", axis) for axis in range(2)])
     floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, -1e-3], [0.0, 1.0]))
-    problem = system.problem([floor])
+    problem = system.problem([floor], friction=friction)
     scale = sp.diags(np.where(np.arange(problem.dimension) % 2, apart, 1.0))
-    return cq.ContactProblem(scale @ problem.stiffness @ scale, problem.load, problem.normal @ scale, problem.gap)
+    rubs = dict(tangent=problem.tangent @ scale, friction=friction) if friction else {}
+    return cq.ContactProblem(
+        scale @ problem.stiffness @ scale, problem.load, problem.normal @ scale, problem.gap, **rubs
+    )
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize(("unit", "apart", "friction"), [
+    (1.0, 1.0, 0.3), (2.0**40, 1.0, 0.3), (1e-9, 1.0, 0.05), (1.0, 1e-3, 0.7)
+])  # fmt: skip
+def test_influence_functions_prove_equilibria_with_friction(unit: float, apart: float, friction: float) -> None:
+    """In any order of the cases; where several answers are possible a solution is that of the forces."""
+    problem, rng = plate(12, unit, apart, friction), np.random.default_rng(5)
+    m, along = problem.contacts, np.asarray(problem.tangent.sum(axis=0)).ravel()
+    push = np.zeros((40, problem.dimension))
+    push[:, problem.normal.indices] = -rng.uniform(0.0, 4e-3, (40, m)) / unit * apart
+    push += np.linspace(-1e-3, 1e-3, 40)[:, None] * along / unit
+    many = cq.solve_many(problem, loads=push)
+    assert many.work.routes == ("influence functions: 40 of 40 cases",)
+    assert many.proven.all()
+    words = set()
+    for i in range(0, 40, 4):
+        largest = np.max(many.normal_force[i])
+        one = many[i]
+        assert one.certificate.passed
+        assert one.normal_force == pytest.approx(many.normal_force[i], abs=1e-11 * largest)
+        assert one.friction_force == pytest.approx(many.friction_force[i], abs=1e-11 * largest)
+        assert np.all(abs(many.normal_force[i] - one.normal_force) <= many.force_bound[i])
+        assert np.all(abs(many.friction_force[i] - one.friction_force)[:, 0] <= many.force_bound[i])
+        assert np.all(many.force_bound[i] <= 1e-6 * largest)
+        assert one.contact_status.tolist() == many.contact_status[i].tolist()
+        words |= set(one.contact_status.tolist())
+    assert words >= {"open", "slip"}
+    mixed = rng.permutation(40)
+    assert cq.solve_many(problem, loads=push[mixed]).normal_force == pytest.approx(many.normal_force[mixed], rel=1e-12)
+    rough = np.linspace(0.0, friction, 40)[:, None]
+    varied = cq.solve_many(problem.replace(load=push[7]), friction=rough)
+    assert varied.work.routes[0].endswith("of 40 cases")
+    assert varied[31].normal_force == pytest.approx(varied.normal_force[31], abs=1e-11 * np.max(varied.normal_force))
 
 
 @pytest.mark.sampled(5)
@@ -223,6 +261,35 @@ def test_no_bound_is_below_the_true_error(monkeypatch: pytest.MonkeyPatch) -> No
             assert np.all(abs(many.normal_force[i] - true) <= many.force_bound[i])
             seen += np.count_nonzero(true)
     assert seen > 40
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("seed", range(4))
+def test_no_bound_with_friction_is_below_the_true_error(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against Fractions: an equilibrium is within the bounds, with ties and coefficients of each contact, too."""
+    monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
+    rng, seen, rubs = np.random.default_rng(seed), 0, set()
+    for _ in range(6):
+        shape = rng.integers(-3, 4, (8, 8)).astype(float)
+        rows = rng.integers(-2, 3, (7, 8)).astype(float)
+        rows[~rows.any(axis=1), 0] = 1.0
+        problem = cq.ContactProblem(
+            shape @ shape.T + 2 * np.eye(8), np.zeros(8), rows[:3], [0.125, 0.25, 0.5], rows[3:6],
+            rng.integers(0, 5, 3) / 8, [[0.5], [0.0], [-0.25]], tie=rows[6:], tie_value=[0.25],
+        )  # fmt: skip
+        loads = rng.integers(-9, 10, (6, 8)).astype(float)
+        many = cq.solve_many(problem, loads=loads)
+        for i in np.flatnonzero(np.isfinite(many.force_bound).all(axis=1)):
+            near = []
+            for one in cq.exact_equilibria(problem.replace(load=loads[i])):
+                normal, drag = ([float(x) for x in np.ravel(part)] for part in (one.normal_force, one.friction_force))
+                off = np.hypot(many.normal_force[i] - normal, many.friction_force[i, :, 0] - drag)
+                near.append(bool(np.all(off <= many.force_bound[i])))
+            assert sum(near) == 1
+            seen += np.count_nonzero(many.normal_force[i])
+            rubs |= set(many.contact_status[i].tolist())
+    assert seen > 10
+    assert rubs >= {"open", "slip"}
 
 
 def test_what_is_close_to_another_set_is_left_to_solve(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import images
-from contactqp.linalg.sliced import elastic_after
+from contactqp.linalg.influence import elastic_after
 from contactqp.model.computed import OfStiffness
 
 

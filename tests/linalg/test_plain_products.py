@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from contactqp.errors import Unsupported
-from contactqp.linalg.sliced import SlicedStiffness
+from contactqp.linalg.influence import SlicedStiffness
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-20, 3e15])
