@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import SIMULTANEOUS, STEADY, Event
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in

@@ -23,7 +23,7 @@ import numpy as np
 from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
 from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import (
     ContactQPError,

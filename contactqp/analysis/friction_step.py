@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.analysis.history import Unfinished
-from contactqp.certificate.figures import balance
+from contactqp.certificate.balance import balance
 from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated

@@ -15,14 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from contactqp.certificate.energy_norm import (
-    CONTRACTION,
-    energy_norm,
-    energy_norms,
-    force_norm,
-    residual_noise,
-    response,
-)
+from contactqp.certificate.figures import CONTRACTION, energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.extended import Extended, Residuals, SparseRows, extend, extended_rows

@@ -46,19 +46,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair, rows_on_motions
-from contactqp.certificate.energy_norm import (
+from contactqp.certificate.balance import free_distance, shared_by_rounding, strain_of, strain_of_rigid_part
+from contactqp.certificate.figures import (
     FEW_DIGITS,
     RIGID_ROUNDING,
     energy_norm,
     energy_norms,
     force_norm,
-    free_distance,
     own_forces,
     residual_noise,
     rigid_rounding,
-    shared_by_rounding,
-    strain_of,
-    strain_of_rigid_part,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.errors import NoEquilibrium

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import messages
+from contactqp.certificate.balance import balance
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
@@ -20,8 +21,8 @@ from contactqp.certificate.bounds import (
     no_bounds,
 )
 from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
-from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.figures import balance, kept_residuals, violations
+from contactqp.certificate.energy_bounds import bounds_by_energy, energy_bounds
+from contactqp.certificate.figures import kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties, with_forces_without_law
 from contactqp.certificate.number_range import ABSURD, near_one
@@ -34,7 +35,7 @@ from contactqp.linalg.dense import RigidMotions, condensed_at_once
 from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
-from contactqp.linalg.measures import bodies, own_compliance, ratio
+from contactqp.linalg.measures import own_compliance, ratio
 from contactqp.model.arrays import (
     CERTIFY,
     Indices,
@@ -56,9 +57,12 @@ from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Vio
 ROUNDING_OF_ANSWERS = 1e-3
 # A relative error beyond which bounds are tried in another way where K is singular.
 FAR = 1e-6
-MOTIONS_OF_A_BODY = 6
 # A gap of this part of the largest length is none that other lengths have left as their rounding.
 NO_ROUNDING = 1e-9
+# Largest figure at which signs count as satisfied: tighter than the certificate's, as rounding may add to it.
+HOLDS = 1e-10
+# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
+NOTHING = 1e-13
 # Changes of the forces that are less than this part of them are as good as none.
 WORTH_SAYING = 1e-9
 AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
@@ -401,26 +405,8 @@ def _residuals_and_bounds(
     bounds = error_bounds(problem, answer, residual, condensation)
     far = FAR if condensation.rigid.count else np.finfo(float).max
     if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
-        bounds = _by_energy(problem, answer, bounds, condensation.rigid)
+        bounds = bounds_by_energy(problem, answer, bounds, condensation.rigid)
     return residual, bounds, condensation.rigid, condensation
-
-
-def _by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:
-    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats."""
-    if problem.frictional or _floats(problem, rigid):
-        return bounds
-    found = energy_bounds(problem, answer)
-    return found if found.proven else bounds
-
-
-def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
-    """Return whether bodies float, so that the rounding of their stiffness along rigid motions would enter the energy.
-
-    Unknowns without stiffness are no bodies, nor are parts with more motions without energy than a body has.
-    """
-    stiff = problem.diagonal > 0
-    motions = int(np.sum(np.any(rigid.motions[stiff] != 0, axis=0)))
-    return 0 < motions <= MOTIONS_OF_A_BODY * len(np.unique(bodies(problem)[stiff]))
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, tolerance: float) -> Mask:
@@ -469,3 +455,31 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
     if not factorization.fits(problem):
         raise InvalidProblem("factorization: it was made for another stiffness or other rows than this problem's")
     return factorization
+
+
+def holds(problem: ContactProblem, answer: Answer) -> bool:
+    """Return whether an answer satisfies equilibrium, contact and Coulomb's law by the certificate's measures.
+
+    The rigid part of the displacement is left out, and what is nothing beside the intrinsic size is excused.
+    """
+    if not all_finite(answer):
+        return False
+    rigid = condense(problem).rigid
+    found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
+    if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
+        return False
+    return not rigid.count or balance(problem, answer, rigid, found.nothing.force) <= HOLDS
+
+
+def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:
+    """Return `holds` but for the balance of a body that is not factorised, by products in double precision.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    rigid : the null space of K
+    answer : Answer
+    tolerance : largest figure that passes
+    """
+    found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
+    return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")

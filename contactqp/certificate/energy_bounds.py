@@ -33,8 +33,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
-from contactqp.certificate.energy_norm import energy_norm
+from contactqp.certificate.figures import energy_norm
 from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     Scaling,
     bounds_of_unknowns,
@@ -47,7 +48,7 @@ from contactqp.linalg.equilibration import (
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
 from contactqp.linalg.interior_point import MET_TOGETHER, settled, without_conflict
-from contactqp.linalg.measures import row_sizes
+from contactqp.linalg.measures import bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.sparse_saddle import (
     REGULARISATIONS,
@@ -84,6 +85,8 @@ NO_SOLUTION = "no solution was found near the answer"
 # Elastic energy beneath zero by this part of the energy's terms is that of a stationary point that is no minimum.
 NEGATIVE = 1e-9
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
+# Rigid motions of a body in space; what K leaves more of is no body.
+MOTIONS_OF_A_BODY = 6
 
 
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
@@ -339,3 +342,21 @@ def unique_on(state: ClosedState) -> Unique:
         float(abs(moved).max(initial=0.0)) < most,
         float(max(abs(values).max(initial=0.0) for values in pushed)) < most,
     )
+
+
+def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:
+    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats."""
+    if problem.frictional or _floats(problem, rigid):
+        return bounds
+    found = energy_bounds(problem, answer)
+    return found if found.proven else bounds
+
+
+def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
+    """Return whether bodies float, so that the rounding of their stiffness along rigid motions would enter the energy.
+
+    Unknowns without stiffness are no bodies, nor are parts with more motions without energy than a body has.
+    """
+    stiff = problem.diagonal > 0
+    motions = int(np.sum(np.any(rigid.motions[stiff] != 0, axis=0)))
+    return 0 < motions <= MOTIONS_OF_A_BODY * len(np.unique(bodies(problem)[stiff]))

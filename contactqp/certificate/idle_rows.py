@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.coulomb_law import contact_entries, vector_measure
-from contactqp.certificate.energy_norm import energy_norm, response
+from contactqp.certificate.figures import energy_norm, response
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense

@@ -31,7 +31,7 @@ import numpy as np
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.energy_norm import FEW_DIGITS, RIGID_ROUNDING, energy_norm, own_forces
+from contactqp.certificate.figures import FEW_DIGITS, RIGID_ROUNDING, energy_norm, own_forces
 from contactqp.certificate.state_bodies import (
     Bodies,
     CondensedBodies,

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from contactqp.certificate.energy_norm import energy_norm, response, rigid_rounding
-from contactqp.certificate.figures import kept_residuals
+from contactqp.certificate.figures import energy_norm, kept_residuals, response, rigid_rounding
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate import messages
+from contactqp.certificate.balance import NO_RESULTANT, Resultants, resultants
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes
 from contactqp.certificate.coulomb_law import IMPLIED
-from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants, status_words
+from contactqp.certificate.figures import status_words
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.problem import (
     Bodies,

@@ -105,7 +105,7 @@ def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], le
     """Return the place of each entry among the names that a file gives it, or its positions counted from 0.
 
     Unknowns that the problem does not have, such as those of nodes that are held, are left out and the ledger says so;
-    contacts that it does not have are refused. An unknown may be spelled otherwise (`unknown_names`).
+    contacts that it does not have are refused. An unknown may be spelled otherwise (`contactqp.model.names`).
 
     Parameters
     ----------

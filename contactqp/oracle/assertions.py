@@ -17,10 +17,10 @@ from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import BY_DISPLACEMENT, Answer
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import aligned, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
-from contactqp.oracle.judged_answer import JudgedAnswer, certify
+from contactqp.oracle.judged_answer import JudgedAnswer, certify, read_given
 
 # The answer that given numbers are held against: exact where it is known, else a certified solution.
 

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import compute_certificate, holds, holds_by_products
 from contactqp.certificate.coulomb_law import rounded_slips
-from contactqp.certificate.figures import holds, holds_by_products
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported, shown
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import Condensation, condense

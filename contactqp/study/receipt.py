@@ -17,7 +17,7 @@ from typing import Any
 from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import read_text, write_whole, wrong
 from contactqp.exchange.problem_files import is_problem_file
-from contactqp.oracle.foreign.foreign_answer import COMPRESSION
+from contactqp.oracle.judged_answer import COMPRESSION
 from contactqp.scene.scene import load_scene
 from contactqp.scene.shipped import case_path
 from contactqp.study.checking import check_answer

@@ -24,8 +24,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate, Solution
-from contactqp.oracle.foreign.foreign_answer import COMPRESSION
-from contactqp.oracle.judged_answer import JudgedAnswer
+from contactqp.oracle.judged_answer import COMPRESSION, JudgedAnswer
 from contactqp.study.friction_files import figures
 from contactqp.study.rows import finite
 

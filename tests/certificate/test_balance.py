@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.figures import _worst_direction
+from contactqp.certificate.balance import _worst_direction
 
 # Of a lattice in corners that is free to slide: forces along two motions, next to none along the third.
 BASIS = np.array(

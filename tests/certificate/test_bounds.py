@@ -13,7 +13,7 @@ from benchmarks.judging import exact_truth
 from benchmarks.problem_families import family
 from contactqp.certificate import bounds as bounds_module
 from contactqp.certificate.admissible_pair import Undecided, _of_penetration
-from contactqp.certificate.energy_norm import force_norm
+from contactqp.certificate.figures import force_norm
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.refinement import polish

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contactqp.certificate.figures import _worst_direction
+from contactqp.certificate.balance import _worst_direction
 from contactqp.distributed.certificate import CuttingPlanes
 from contactqp.errors import NotConverged
 from contactqp.linalg.floating import resting_place

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, compliance_of, condensed_frictional_rows

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.certificate.uniqueness import NOTHING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation

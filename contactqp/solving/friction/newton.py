@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, answer_in, without_noise

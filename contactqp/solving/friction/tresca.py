@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from contactqp.certificate.certificate import holds
 from contactqp.certificate.critical_friction import critical, too_many
-from contactqp.certificate.figures import holds
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.figures import holds
+from contactqp.certificate.certificate import holds
 from contactqp.model.solution import Answer
 from tests.solving.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 

@@ -1,0 +1,283 @@
+"""What rigid motions do to an answer: the balance of bodies that float, and what the rounding of K along them makes.
+
+`balance` is the work that the outer forces of every body do on its rigid motions, relative to that of their sizes. K,
+being rounded, makes forces and strain of a rigid motion, which the norms of displacements and forces allow for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.certificate.figures import (
+    FEW_DIGITS,
+    energy_norm,
+    energy_norms,
+    force_norm,
+    response,
+    without_part_along,
+)
+from contactqp.linalg.condensation import Condensation, free_motions
+from contactqp.linalg.dense import RigidMotions, SaddlePoint
+from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.factorization import RIGID_ENERGY, images
+from contactqp.linalg.floating import that_move
+from contactqp.linalg.measures import bodies, outer_forces, rigid_part, untouched
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
+
+# Rounding of K makes so many times the contact forces that one sample of it does, at most.
+PUSHED_BY_ROUNDING = 8.0
+# Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
+NO_RESULTANT = 1e-14
+# A motion along which K's rounding makes up this part of the forces cannot be judged by them.
+NOTHING_BUT_ROUNDING = 0.1
+# What K's rounding makes of a rigid motion is forgiven up to this part of the forces: beyond, a resultant is wrong,
+# whoever carries the rest.
+FORGIVEN = 1e-6
+# Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
+SAME_MOTION = 1e-10
+# Forces that do this part of the work of the others on a motion act on it.
+ACTING = 1e-6
+# HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
+# formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
+LP_TOLERANCES = (1e-10, 1e-7)
+
+
+def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
+    forces = _forces_of_rigid_part(problem, condensation, displacement)
+    elastic, missing = response(problem, condensation, extend(forces), tied=False)
+    return sum(energy_norm(problem, elastic)) + missing
+
+
+def strain_of(
+    problem: ContactProblem,
+    solution: Extended,
+    condensation: Condensation,
+    forces: tuple[Extended, Extended] | None,
+) -> tuple[float, float]:
+    """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
+
+    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
+    does not move rigidly.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    solution : Extended (n,), the displacement
+    condensation : that of the problem
+    forces : Extended (m,) and Extended (k,), or None, those of contacts and ties, if they are known
+    """
+    norm, uncertain = energy_norm(problem, solution)
+    if forces is None or uncertain <= FEW_DIGITS * norm:
+        return energy_norms(problem, condensation, solution, (norm, uncertain))[0], uncertain
+    load = extend(problem.load) - extended_rows(problem).contact_force(*forces)
+    elastic, missing = response(problem, condensation, load, tied=False)
+    strain, rounding = energy_norm(problem, elastic)
+    return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
+
+
+def free_distance(
+    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, apart: Extended, energy_scale: float
+) -> float:
+    """Return the energy norm of a distance along free motions, which is rounding of K.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : that of the problem
+    saddle : the factorised system of the closed contacts, which leaves the motions free
+    apart : Extended (n,), the distance
+    energy_scale : |u*|_K of the solution
+    """
+    motions = free_motions(condensation, saddle)
+    if not motions.shape[1]:
+        return 0.0
+    resisted, _ = energy_norm(problem, without_part_along(motions, apart))
+    distance = sum(energy_norm(problem, apart))
+    if 0 < FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
+        forces = extended_rows(problem).stiffness @ apart
+        elastic, missing = response(problem, condensation, forces, tied=False)
+        resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)
+    size = abs(motions @ (motions.T @ apart.double()))
+    # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
+    most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
+    return min(max(distance - resisted, 0.0), most)
+
+
+def shared_by_rounding(
+    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector
+) -> tuple[Vector, float]:
+    """Return sizes (m,) of the contact forces that K's rounding along rigid motions may make, and their energy norm.
+
+    On the closed contacts they balance the forces of the rigid part of a displacement, less the resultants of these:
+    forces that equilibrium alone determines do not feel it.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : that of the problem
+    saddle : the factorised system of the closed contacts
+    displacement : (n,) array [length], whose rigid part makes the forces
+    """
+    forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
+    spread = problem.diagonal[:, None] * motions
+    forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
+    pushed, closed = np.zeros(problem.contacts), saddle.closed
+    _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
+    pushed[closed] = PUSHED_BY_ROUNDING * share
+    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True))
+
+
+def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:
+    """Return the forces (n,) that K, being rounded, makes of the rigid part of a displacement."""
+    K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
+    return np.asarray(forces @ rigid_part(problem, displacement, condensation.rigid))
+
+
+def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: Vector | None = None) -> float:
+    """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
+
+    By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
+    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
+    depends on no choice of basis, unit or scale.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+    rigid : RigidMotions
+        The null space of K.
+    none : (n,) array, optional
+        The forces up to which there is none at an unknown. Without load, forces that are no more need not balance.
+    """
+    if not rigid.count:
+        return 0.0
+    rows = extended_rows(problem)
+    force, tie = extend(answer.normal_force), extend(answer.tie_force)
+    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
+    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
+    size = outer_forces(problem, answer)
+    if none is not None and not problem.load_size.any() and np.all(size <= none):
+        return 0.0
+    body, moved = bodies(problem), that_move(problem, rigid.motions)
+    # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
+    # there are none.
+    hidden = 1.0 if problem.frictional else 0.0
+    worst = 0.0
+    for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
+        members = np.flatnonzero(body == b)
+        moving = np.any(rigid.motions[members] != 0, axis=0)
+        motions = moved[np.ix_(members, moving)]
+        if not np.any(motions * size[members, None]):
+            continue  # nothing acts where the body moves
+        if none is not None and np.all(size[members] <= none[members]) and np.all(untouched(problem)[members]):
+            continue  # the component of a load across what bears it, F sin(pi)
+        work = motions.T @ outer.double()[members]
+        mixed = rigid.uncertainty * (abs(motions).T @ size[members])
+        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))
+    return worst
+
+
+def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
+    """Return |K z| (r, n) of the rigid motions, which is formed once for a stiffness."""
+    cached = problem._computed.rounding_of_motions
+    if cached is None or cached[0] is not rigid:
+        forces = rigid.forces
+        if forces is None:
+            forces = images(problem.stiffness_rows, rigid.motions)
+        cached = rigid, abs(forces.T)
+        problem._computed.rounding_of_motions = cached
+    return np.asarray(cached[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Resultants:
+    """The resultants of a body's forces on p coordinates of its rigid motions.
+
+    With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns: the coordinates are
+    those of an orthonormal basis of the columns w.
+    """
+
+    weight: Array  # (p, r) the motions of each coordinate
+    strength: Vector  # (p,) how much force acts along it, of the most
+    work: Vector  # (p,) on each
+    stray: Vector  # (p,) what K's rounding may make of that
+
+    def unseen(self, forces: Vector, hidden: float) -> bool:
+        """Return whether the rounding of K hides a resultant that is notable; `forces` (p,) are the sums of |w_j|."""
+        return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
+
+    def seen(self, forces: Vector) -> Mask:
+        """Return along which motions forces act by more than the rounding of K."""
+        return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
+
+    def worst(self, forces: Vector) -> float:
+        """Return the figure of the worst coordinate."""
+        seen = self.seen(forces)
+        whole = abs(self.work)[seen] / forces[seen]
+        net = np.maximum(abs(self.work) - self.stray, 0.0)[seen] / forces[seen]
+        return float(np.max(np.where(whole > FORGIVEN, whole, net), initial=0.0))
+
+    def net(self, direction: Vector) -> float:
+        """Return the work on a motion (p,) in these coordinates, less its uncertainty."""
+        return float(abs(self.work @ direction) - self.stray @ abs(direction))
+
+
+def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Resultants:
+    """Form the resultants of residual forces along r rigid motions.
+
+    Parameters
+    ----------
+    values : (r,) array, descending
+        Singular values of w (n, r): the motions of each unknown, times the forces that meet there.
+    right : (r, r) array, right singular vectors of w, a row each
+    work : (r,) array, the work of the residual on each motion
+    stray : (r,) array, how uncertain that work is
+    """
+    kept = values > SAME_MOTION * values[0]
+    weight = right[kept] / values[kept, None]
+    return Resultants(weight, values[kept] / values[0], weight @ work, abs(weight) @ stray)
+
+
+def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
+    """Return max over a of (|work'a| - stray'|a|) / |motions a|'size, or `hidden` where rounding hides the forces."""
+    left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
+    found = resultants(values, right, work, stray)
+    basis = left[:, : len(found.work)]
+    forces = np.sum(abs(basis), axis=0)
+    if found.unseen(forces, hidden):
+        return hidden
+    seen, worst = found.seen(forces), found.worst(forces)
+    if np.sum(seen) <= 1 or worst <= NO_RESULTANT:
+        return worst
+    direction = np.zeros(len(seen))
+    direction[seen] = _worst_direction(basis[:, seen], found.work[seen] / np.max(abs(found.work[seen])))
+    return max(found.net(direction) / float(np.sum(abs(basis @ direction))), worst)
+
+
+def _worst_direction(basis: Array, weight: Vector) -> Vector:
+    """Return the coordinates a that maximise weight'a subject to sum |basis a| <= 1."""
+    from scipy.optimize import linprog
+
+    count, width = basis.shape
+    unit, dense = sp.identity(count), sp.csr_matrix(basis)
+    rows = sp.bmat([[dense, -unit], [-dense, -unit], [None, np.ones((1, count))]], format="csr")
+    for tolerance in LP_TOLERANCES:
+        answer = linprog(
+            np.concatenate([-weight, np.zeros(count)]),
+            A_ub=rows,
+            b_ub=np.append(np.zeros(2 * count), 1.0),
+            bounds=[(None, None)] * width + [(0, None)] * count,
+            method="highs",
+            options={"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance},
+        )
+        if answer.x is not None:
+            return np.asarray(answer.x[:width])
+    raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
