@@ -85,9 +85,10 @@ def _positive(stiffness: Any) -> bool:
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# Seconds of an answer to a problem of a few unknowns, and how many unknowns take a second; of a record, whose pictures
-# take most of it; of a footprint, which starts a process. They are for the estimate of the time left alone.
-ANSWER, A_SECOND, PICTURES, FOOTPRINT = 0.01, 1.2e5, 0.7, 2.5
+# Seconds of an answer to a problem of a few unknowns, what a body of any size takes more, and how many unknowns take a
+# second; of a record, whose pictures take most of it; of a footprint, which starts a process; of the files at the end.
+# They are for the estimate of the time left alone.
+ANSWER, OF_BODY, A_SECOND, PICTURES, FOOTPRINT, FILES = 0.01, 0.03, 1.2e5, 0.7, 2.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,8 @@ def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...]
 
 def _answer_seconds(study: CaseStudy) -> float:
     """Return about the seconds of one answer to a case."""
-    return ANSWER + study.problem.dimension / A_SECOND
+    unknowns = study.problem.dimension
+    return ANSWER + OF_BODY * (unknowns >= BODY) + unknowns / A_SECOND
 
 
 def _name(setting: Setting) -> str:
@@ -262,7 +264,10 @@ def _study(ticket: Ticket) -> CaseStudy:
 
 # Least seconds of a call; seconds that a cell takes in addition to its calls, and the time of these over that which is
 # measured: making a fresh problem is not.
-OVERHEAD, AROUND, BESIDE = 1e-3, 1.2e-2, 1.1
+OVERHEAD, AROUND, BESIDE = 1e-3, 4e-3, 1.1
+# The time of a call alone over that of a first one while other processes solve: these share caches, memory and what a
+# core has twice. Measured on two cores, 0.43 to 0.55 on bodies of 1 000 to 40 000 unknowns.
+ALONE = 0.5
 # A first call beyond so many times the median of its case loaded packages: the next one is expected to take no longer.
 UNUSUAL = 3.0
 
@@ -303,6 +308,7 @@ class Collector:
         self.answered = self.timed = 0
         self._changed: dict[str, None] = {}  # cases that changed since their results were kept
         self._kept = 0
+        self._quicker = 1.0  # the time of a timed call over that of the first one
         # Seconds that timing each answered row is expected to take, by its case.
         self._expected: dict[str, list[float]] = {study.name: [] for study in studies}
 
@@ -315,14 +321,16 @@ class Collector:
         # The largest first: at the end no process waits for another one's long cell.
         studies = sorted(self._studies, key=lambda study: -study.problem.dimension)
         with self._workers.side_by_side() as pool:
+            self._quicker = ALONE if pool.size > 1 else 1.0
             self._run("truths", [truth_cell(study) for study in studies], pool, later=None)
             truths = {study.name: self._truth(study.name) for study in studies}
             records = [record_cell(study, truths[study.name]) for study in studies]
             answers = [cell for study in studies for cell in answer_cells(study, truths[study.name])]
-            self._run("answers", [*records, *answers], pool, later=self._timing_left)
+            measuring = sum(cell.cost for cell in self._footprint_cells(studies))
+            self._run("answers", [*records, *answers], pool, later=lambda: measuring + self._timing_left())
         with self._workers.alone() as pool:
             self._run("footprints", self._footprint_cells(studies), pool, later=self._timing_left)
-            self._run("times", list(self._timing_cells(studies)), pool, later=lambda: 0.0)
+            self._run("times", list(self._timing_cells(studies)), pool, later=lambda: FILES)
 
     def found(self) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
         """Return the records and the rows that there are, in the order of the cases; those not timed have no time."""
@@ -388,12 +396,13 @@ class Collector:
         for study in sorted(studies, key=lambda study: study not in bodies[-1:]):
             answers = ((setting, self._found[answer_key(study, setting)]) for setting in study.settings)
             firsts = [(setting, row.seconds) for setting, row in answers if isinstance(row, Row)]
-            usual = statistics.median([first for _, first in firsts if first is not None] or [0.0])
+            known = [first for _, first in firsts if first is not None] or [0.0]
+            least, usual = min(known), statistics.median(known)
             for round_ in range(max(self._rounds.most, 1)):
-                yield limit_cell(study, round_, min((first for _, first in firsts if first is not None), default=0.0))
+                yield limit_cell(study, round_, _solves(self._quicker * least))
                 for setting, first in firsts if round_ % 2 == 0 else firsts[::-1]:
                     if first is not None and round_ < self._rounds.of(first):
-                        yield timing_cell(study, setting, first, round_, _cost(min(first, UNUSUAL * usual)))
+                        yield timing_cell(study, setting, first, round_, self._cost(min(first, UNUSUAL * usual)))
 
     def _footprint_cells(self, studies: Sequence[CaseStudy]) -> list[Cell]:
         """Return the cells of the cases that have a file; in brief of the largest that all settings are run on."""
@@ -439,8 +448,8 @@ class Collector:
             self._expected[cell.key.partition("/")[0]].append(seconds)
 
     def _timing_left(self) -> float:
-        """Return the seconds that timing is expected to take: those of unanswered rows are as others of their case."""
-        return sum(self._timing_of_one(study) * len(study.settings) for study in self._studies)
+        """Return the seconds that timing, of unanswered rows as of others of their case, and the files are to take."""
+        return FILES + sum(self._timing_of_one(study) * len(study.settings) for study in self._studies)
 
     def _timing_of_one(self, study: CaseStudy) -> float:
         """Return the seconds that timing one setting of a case is expected to take, by its size if none is answered."""
@@ -452,7 +461,11 @@ class Collector:
 
     def _timing(self, seconds: float) -> float:
         """Return the seconds that timing a setting takes whose call takes so many."""
-        return self._rounds.of(seconds) * _cost(seconds)
+        return self._rounds.of(seconds) * self._cost(seconds)
+
+    def _cost(self, first: float) -> float:
+        """Return the seconds that a cell of timing takes for a setting whose first call took so many."""
+        return BESIDE * _visit(self._quicker * first) + AROUND
 
 
 @dataclass(frozen=True)
@@ -474,9 +487,9 @@ def _visit(seconds: float) -> float:
     return min(VISIT_CALLS, ceil(VISIT / max(seconds, OVERHEAD))) * seconds
 
 
-def _cost(seconds: float) -> float:
-    """Return the seconds that a cell for such a round takes."""
-    return BESIDE * _visit(seconds) + AROUND
+def _solves(seconds: float) -> float:
+    """Return the seconds that timing linear solves takes, of which one takes so many: two are for nothing."""
+    return min(REPEATS * seconds, ENOUGH_SOLVES + seconds) + 2 * seconds + AROUND
 
 
 def _timed(row: Row, found: Sequence[Timing | Crash]) -> Row:

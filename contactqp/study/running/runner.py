@@ -106,8 +106,10 @@ def in_words(seconds: float) -> str:
     Examples
     --------
     >>> in_words(4.2), in_words(95), in_words(3980)
-    ('10 s', '1 min 40 s', '1 h 6 min')
+    ('5 s', '1 min 40 s', '1 h 6 min')
     """
+    if seconds < 7.5:
+        return "5 s"
     tens = max(10 * round(seconds / 10), 10)
     if tens < 60:
         return f"{tens} s"

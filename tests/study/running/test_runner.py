@@ -218,7 +218,7 @@ def test_progress_tells_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -
     progress.begin(cells, {"0": Number(1.0), "1": Number(1.0)})
     clock.now = 60.0
     progress.done(cells[2], Number(1.0))
-    assert shown[2:] == ["times 2/3 ", "times 3/3 about 10 s left"]
+    assert shown[2:] == ["times 2/3 ", "times 3/3 about 5 s left"]
 
 
 def test_the_least_cells_do_not_tell_the_time_of_the_large_ones_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
