@@ -231,10 +231,11 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> Indice
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
     """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
-    dropped, tie_change = _without_tension(problem, condensation, on_set)
-    undecided = _undecided(problem, condensation, on_set)
-    if dropped.hi.any():
+    force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
+    if (force.hi < 0).any():
+        dropped, tie_change = _without_tension(problem, condensation, on_set)
         undecided += sum(force_norm(problem, condensation, dropped))
+        force, tie_force = force + dropped, tie_force + tie_change
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
@@ -242,8 +243,8 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,
         dual_radius=allowance,
-        force=(on_set.normal_force + dropped).positive_part(),
-        tie_force=on_set.tie_force + tie_change,
+        force=force.positive_part(),
+        tie_force=tie_force,
         open_gap=np.maximum(on_set.gaps, 0.0),
         saddle=on_set.saddle,
         exact=True,
@@ -306,8 +307,10 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
     """
     gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
-    touching = (abs(gap) <= WITHIN_ROUNDING * length).nonzero()[0]
-    if not saddle_point(condensation, touching).redundant:
+    touching, saddle = (abs(gap) <= WITHIN_ROUNDING * length).nonzero()[0], on_set.saddle
+    if not np.array_equal(touching, saddle.closed):
+        saddle = saddle_point(condensation, touching)
+    if not saddle.redundant:
         return 0.0
     moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
     whole = intrinsic_size(problem, on_set.doubles, moved)

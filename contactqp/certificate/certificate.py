@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,11 +32,12 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.dense import RigidMotions, condensed_at_once
+from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import own_compliance, ratio
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.arrays import (
     CERTIFY,
     Indices,
@@ -222,7 +224,7 @@ def _measured(
     """Compute the figures and bounds of an answer and, with friction, what its own contact states say of it."""
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
-        at_once = factorization is not None or condensed_at_once(problem)
+        at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
         systems = Systems.CONDENSED if at_once else systems_of(problem)
         candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
         if candidates is not None and problem.frictional:
@@ -401,7 +403,10 @@ def _residuals_and_bounds(
         return residual, bounds, RigidMotions(np.zeros((problem.dimension, 0))), None
     if candidates is not None:
         return residual, *bounds_among(problem, answer, residual, candidates), None
-    condensation = condense(problem) if factorization is None else _matching(problem, factorization)
+    if factorization is not None:
+        condensation = _matching(problem, factorization)
+    else:
+        condensation = problem._computed.condensation or condense(problem)
     bounds = error_bounds(problem, answer, residual, condensation)
     far = FAR if condensation.rigid.count else np.finfo(float).max
     if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
@@ -427,7 +432,10 @@ def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, t
     tolerance : float
         The part of these sizes up to which a gap or a force vanishes.
     """
-    vanish = (ratio(abs(found.gap), found.lengths) <= tolerance) & (found.force_measure <= tolerance)
+    vanish = found.force_measure <= tolerance
+    if not vanish.any():
+        return vanish
+    vanish &= ratio(abs(found.gap), found.lengths) <= tolerance
     if bounds.energy_scale > 0:
         vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * bounds.energy_scale
     return np.asarray(vanish)

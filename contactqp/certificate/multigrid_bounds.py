@@ -37,7 +37,7 @@ import numpy as np
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.model.arrays import Indices, Vector
 
-# Refinement that contracts less than this proves nothing, as in `energy_norm`.
+# Refinement that contracts less than this proves nothing, as in `figures`.
 CONTRACTION = 0.5
 SAFETY = 10.0
 # The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.

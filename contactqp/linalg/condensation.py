@@ -94,14 +94,15 @@ class Condensation:
         self.unknown_scale = unknown_scale(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
-        self.rigid = RigidMotions(stated.motions[:, :0]) if stated.count else stated
+        floats = stated.motions.shape[1] > 0
+        self.rigid = RigidMotions(stated.motions[:, :0]) if floats else stated
         retained = touched
         if problem.near_null_space is None and problem.dimension >= LARGE:
             retained = np.union1d(touched, self._precaution(touched))
-        elif stated.count:
+        elif floats:
             retained = np.union1d(touched, fixing_unknowns(stated.motions, touched, self._diagonal))
         self._eliminate_if_regular(retained, self.unknown_scale)
-        if stated.count and self._floats_no_further(stated):
+        if floats and self._floats_no_further(stated):
             self.rigid = stated
         elif self._may_be_singular(problem):
             self._find_rigid_motions(problem, touched)

@@ -25,7 +25,6 @@ which costs a Cholesky factorisation of W_BB alone. Elsewhere it is the null-spa
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,9 +34,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import RUNNING, TINY, WORTHWHILE, Array, Indices, Mask, Vector, inverse_root
+from contactqp.model.arrays import RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
@@ -118,16 +116,6 @@ def refuse_negative(smallest_pivot: float) -> None:
     if smallest_pivot < -SUSPICIOUS_PIVOT:
         got = f"got a pivot of {smallest_pivot:.3g} after scaling its diagonal to one"
         raise InvalidProblem(f"stiffness: expected positive semidefinite, {got}")
-
-
-def condensed_at_once(problem: ContactProblem) -> bool:
-    """Return whether a problem is so small that nothing costs less than condensing it, whatever `systems_of` predicts.
-
-    Its bodies are stiff all over, and nobody has chosen a solver.
-    """
-    rows = problem.contacts + problem.ties + (0 if problem.tangent is None else problem.tangent.shape[0])
-    small = max(problem.dimension, rows) < WORTHWHILE
-    return small and not os.environ.get(CHOICE, "") and bool(problem.diagonal.all())
 
 
 def orthonormal(motions: Array) -> Array:

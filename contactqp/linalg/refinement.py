@@ -231,8 +231,9 @@ class _CorrectionSize:
         moved = self._moved(u)
         if 0 < moved < SMALL * whole and size > max(NEGLIGIBLE * moved / whole, EPS) * moved:
             return False
-        elastic = without_rigid_part(self._problem, u, self._rigid)
-        return not self._rigid.count or size <= NEGLIGIBLE * self(elastic, force, tie)
+        if not self._rigid.count:
+            return True
+        return size <= NEGLIGIBLE * self(without_rigid_part(self._problem, u, self._rigid), force, tie)
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> Indices:

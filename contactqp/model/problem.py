@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, Unsupported, counts
 from contactqp.model.arguments import read_places
-from contactqp.model.arrays import Array, Indices, Mask, inverse_root, own_floating_point, refuses_misfits
+from contactqp.model.arrays import WORTHWHILE, Array, Indices, Mask, inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.computed import Computed
 from contactqp.model.names import NO_UNITS, name_of, read_names, read_units
@@ -423,6 +423,12 @@ class ContactProblem:
         lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
         largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)
         return bool(self.diagonal.all()) and all(map(are_near_one, (self.diagonal, *rows, largest)))
+
+    @cached_property
+    def is_small(self) -> bool:
+        """Whether bodies, stiff all over, have so few unknowns and rows that condensing them costs next to nothing."""
+        rows = self.contacts + self.ties + (0 if self.tangent is None else self.tangent.shape[0])
+        return max(self.dimension, rows) < WORTHWHILE and bool(self.diagonal.all())
 
     @cached_property
     def has_idle_rows(self) -> bool:

@@ -5,6 +5,7 @@ A problem of very many contacts is solved on a subset of them that grows until n
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -28,7 +29,6 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
-from contactqp.linalg.dense import condensed_at_once
 from contactqp.linalg.iteration import (
     Systems,
     condense_anyway,
@@ -38,6 +38,7 @@ from contactqp.linalg.iteration import (
     may_be_factorised,
     systems_of,
 )
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.arrays import (
     METHOD,
     Vector,
@@ -225,7 +226,8 @@ def _solve(
         return elsewhere(problem, method, warm_start=warm_start, **same)
     if not problem.is_near_one and (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    systems = Systems.CONDENSED if condensed_at_once(problem) else systems_of(problem)
+    small = problem.is_small and not os.environ.get(CHOICE)  # nothing costs less than condensing it
+    systems = Systems.CONDENSED if small else systems_of(problem)
     if systems is Systems.ITERATED and may_be_factorised(problem):
         needs_factors = find(method).kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
         if needs_factors:

@@ -62,8 +62,10 @@ def solve_condensed(
     size = condensation.reduced_size(problem, inner)
     operator = condensation.delassus
     limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
-    anchor = _rigid_answer(problem, operator, load)
-    force = _warm(settings, operator, problem.contacts)
+    anchor = _rigid_answer(problem, operator, load) if condensation.rigid.count else np.zeros(len(load))
+    force = np.zeros(len(operator.W))
+    if settings.warm_start is not None:
+        force[: problem.contacts] = settings.warm_start.normal_force / operator.row_scale[: problem.contacts]
     # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
     doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
@@ -151,13 +153,6 @@ def _furthest(drive: Vector, rows: Array, limit: Vector) -> Vector:
     return np.zeros(len(drive)) if nowhere else aim
 
 
-def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
-    force = np.zeros(len(operator.W))
-    if settings.warm_start is not None:
-        force[:m] = settings.warm_start.normal_force / operator.row_scale[:m]
-    return force
-
-
 def _closed_by(data: tuple[Array, Vector, Mask, Vector], force: Vector, limit: int) -> tuple[Vector, int]:
     """Return scaled forces of the anchored problem by primal-dual steps, then by the finite method where these cycle.
 
@@ -212,9 +207,10 @@ def _equilibrium_on(
     """Return x, l_N and tie forces on a set without anchors; None where signs fail or a free motion is driven."""
     saddle = saddle_point(condensation, closed)
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
-    carried = condensation.normal[closed].T @ on_set + condensation.tie.T @ tie_force
-    if np.any(saddle.drive(load - carried, size)):
-        return None
+    if saddle.free.shape[1]:
+        carried = condensation.normal[closed].T @ on_set + condensation.tie.T @ tie_force
+        if np.any(saddle.drive(load - carried, size)):
+            return None
     force = np.zeros(problem.contacts)
     force[closed] = on_set
     push = force / operator.row_scale[: problem.contacts]
