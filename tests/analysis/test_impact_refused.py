@@ -254,3 +254,26 @@ def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
     assert np.max(history.normal_forces) > 0.1
     if scheme == "backward-euler":  # which comes to rest at once, on the wall that the loads push it to
         assert history[-1].displacement == pytest.approx(cq.solve(chain).displacement, abs=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::contactqp.TimeStepWarning")
+@pytest.mark.parametrize("held", ["tie", "contact"])
+def test_what_comes_to_rest_under_a_load_that_ties_or_contacts_carry_is_right(held: str) -> None:
+    """Implicit steps damp the motion until its velocities are no more than the rounding of the forces at rest."""
+    K = [[9e4, -2e4, 1e4], [-2e4, 5e4, 3e3], [1e4, 3e3, 7e4]]
+    rows: Any = dict(normal=[[1.0, -0.3, -0.2]], gap=[0.0])
+    if held == "tie":
+        rows = dict(normal=[[1.0, 0.0, 0.0]], gap=[1.0], tie=[[1.0, -2.0, 0.7]], tie_value=[0.0])
+    body, nothing = cq.ContactProblem(K, [30.0, -50.0, 20.0], **rows), np.zeros(3)
+    history = cq.impact(body, [1.0, 2.0, 0.5], nothing, nothing, 4.0, 0.1, theta=1.0)
+    assert all(instant.certificate.passed for instant in history)
+    at_rest = cq.solve(body)
+    assert history[-1].displacement == pytest.approx(at_rest.displacement, rel=1e-12)
+    assert np.max(abs(history.velocities[10])) < 1e-12  # of a motion that begins with 0.006
+    for name, size in (("velocity", 1e-12), ("displacement", 1e-12), ("normal_force", 1e-6), ("tie_force", 1e-6)):
+        states, values = list(history.motion.states), np.array(getattr(history.motion.states[10], name))
+        if len(values):
+            values[-1] += size
+            states[10] = replace(states[10], **{name: values})
+            forged = cq.MotionHistory(replace(history.motion, states=states), tuple, history.resume)
+            assert not forged[10].certificate.passed, name
