@@ -27,7 +27,8 @@ from contactqp.certificate.figures import kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties, with_forces_without_law
 from contactqp.certificate.number_range import ABSURD, near_one
-from contactqp.certificate.state_answer import StateVerdict, remember_verdict, state_verdict
+from contactqp.certificate.state_answer import remember_verdict, state_verdict
+from contactqp.certificate.state_bodies import StateVerdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
 from contactqp.certificate.uniqueness import Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
@@ -472,7 +473,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
     """
     if not all_finite(answer):
         return False
-    rigid = condense(problem).rigid
+    rigid = (problem._computed.condensation or condense(problem)).rigid
     found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
     if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
         return False

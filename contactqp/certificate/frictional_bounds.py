@@ -54,7 +54,7 @@ import numpy as np
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
 from contactqp.certificate.critical_friction import MOST_CONTACTS, MOST_UNKNOWNS, critical, of_operator, too_many
 from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
-from contactqp.certificate.state_answer import Compared
+from contactqp.certificate.state_bodies import Compared
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import (
     ContactCompliance,

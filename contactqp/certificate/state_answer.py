@@ -22,35 +22,45 @@ are proven.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contactqp.certificate import messages
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, error_bounds, failed_errors, fails_force_bound
-from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.figures import FEW_DIGITS, RIGID_ROUNDING, energy_norm, own_forces
+from contactqp.certificate.bounds import NEXT_TO_NOTHING
+from contactqp.certificate.figures import (
+    FEW_DIGITS,
+    RIGID_ROUNDING,
+    energy_norm,
+    kept_residuals,
+    own_forces,
+    response,
+    rigid_rounding,
+)
 from contactqp.certificate.state_bodies import (
     Bodies,
-    CondensedBodies,
+    Compared,
     IteratedBodies,
     SparseBodies,
-    own_compliances,
+    StateVerdict,
+    figures_alone,
     squared_lengths,
+    with_friction_held,
 )
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.extended import extend, extended_rows, residuals
-from contactqp.linalg.influence import plain_residuals
-from contactqp.linalg.iteration import Systems, iterated, iteration, systems_of
+from contactqp.linalg.delassus import condensed_frictional_rows, contact_compliance
+from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, row_sizes
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import FIGURES_ALONE, STATE, Answer, Violations
+from contactqp.model.solution import STATE, Answer, Violations
 
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
@@ -72,35 +82,10 @@ UNSETTLED = (
     "system of that is singular to working precision"
 )
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
+# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
+HELD = 1e-13
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """The answer of a combination that an answer was compared with; norms are square roots of energies."""
-
-    refined: RefinedState
-    status: Status
-    frictional: Mask  # (m,) contacts that friction acts on
-    displacement: float  # |u - u_c|_K
-    force: float  # |l - l_c|_W
-    last: float  # of the last correction of the refinement
-    strain: float  # |u_c|_K
-    size: float  # |l_c|_W
-
-
-@dataclass(frozen=True, eq=False)
-class StateVerdict:
-    """The verdict of the comparison, with its basis, distance and messages."""
-
-    basis: str
-    distance: float | None = None  # the largest of the three, relative; None where there is nothing to compare with
-    energy: float = 0.0  # |u|_K of the answer that it was compared with
-    failures: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    displacement: Vector | None = None  # of that answer
-    compared: Compared | None = None  # where it is near enough to pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +97,7 @@ class _Distance:
     contact: tuple[float, float]
     worst: int  # the contact whose force is farthest away
     failing: float  # what signs that fail may change
+    size: float  # of the forces of the combination, |l_c|_W
     forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
 
     def relative(self, nothing: float) -> dict[str, float]:
@@ -163,7 +149,7 @@ def state_verdict(
     except BackendFailed as error:
         distance, reason = None, str(error)
     if reason is not None:
-        return _with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
+        return with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
     if distance is None:
         return StateVerdict(STATE, float("inf"), failures=(f"state: {NONE_HOLDS}",))
     relative = distance.relative(nothing)
@@ -206,11 +192,6 @@ def _numbers(problem: ContactProblem, answer: Answer, tolerances: tuple[float, f
     return np.concatenate([*(part.ravel() for part in parts if part is not None), tolerances])
 
 
-def figures_alone(reason: str) -> StateVerdict:
-    """Return the verdict where there is no combination to compare with."""
-    return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
-
-
 def _too_large(problem: ContactProblem, condensation: Condensation, answer: Answer) -> str | None:
     closed = int(np.count_nonzero(answer.normal_force))
     width = 1 if problem.slip_origin is None else problem.slip_origin.shape[1]
@@ -220,41 +201,52 @@ def _too_large(problem: ContactProblem, condensation: Condensation, answer: Answ
     return f"the system of its combination, {size:.0f} equations, is too large to be solved beside it"
 
 
-def _with_friction_held(
-    problem: ContactProblem,
-    answer: Answer,
-    condensation: Condensation | None,
-    tolerance: float,
-    nothing: float,
-    reason: str,
-) -> StateVerdict:
-    """Judge by the bounds of the minimisation with the answer's friction as a load.
+class CondensedBodies:
+    """Bodies that are condensed onto their contacts."""
 
-    Parameters
-    ----------
-    tolerance, nothing : the largest relative error that passes; the error that counts as none [square root of energy]
-    reason : why there is no combination to compare with
-    """
-    if problem.tangent is None or answer.friction_force is None:
-        return figures_alone(reason)
-    load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
-    minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
-    held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
-    if condensation is None and iterated(problem):
-        bounds = error_bounds(minimised, held, plain_residuals(minimised, held), iteration(problem))
-    elif condensation is None:
-        bounds = energy_bounds(minimised, held)
-    else:
-        bounds = error_bounds(minimised, held, residuals(minimised, held), condensation)
-    pairs = ((bounds.energy_error, bounds.energy_scale), (bounds.force_error, bounds.force_scale))
-    far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
-    words = failed_errors(bounds, tolerance, nothing) if far else ()
-    failures = tuple(f"with friction held, {text}" for text in words)
-    if fails_force_bound(bounds, tolerance, nothing):
-        assert bounds.relative_force_bound is not None
-        worst = int(np.argmax(bounds.relative_force_bound))
-        failures += (f"with friction held, {messages.of_force_bound(problem, answer, bounds, worst, tolerance)}",)
-    return replace(figures_alone(reason), energy=bounds.energy_scale, failures=failures)
+    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
+        self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
+        self._rows = condensed_frictional_rows(problem, condensation)
+        self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
+        self.floats = condensation.rigid.count > 0
+        compliance = contact_compliance(problem, condensation)
+        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1)
+        per_contact = np.where(per_contact > HELD, per_contact, 0.0) * compliance.scale[:, None] ** 2
+        self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
+
+    def refined(self, status: Status, start: Answer) -> RefinedState:
+        """Return the answer of a combination, refined from a start."""
+        from contactqp.linalg.friction_states import refined_in
+
+        left = kept_residuals(self._problem, start)
+        return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True, left=left)
+
+    def response_norm(self, normal: Vector, friction: Array) -> float:
+        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+        condensation = self._condensation
+        load = normal @ condensation.normal + self._outward @ friction.ravel()
+        saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp))
+        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
+        return float(np.sqrt(max(float(load @ x), 0.0)))
+
+    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> tuple[float, float] | None:
+        """Return the energy norm of the response of untied bodies to all forces, and a bound on its error."""
+        rows = extended_rows(self._problem)
+        load = rows.contact_force(extend(normal), extend(tie)) + rows.friction_force(extend(friction.ravel()))
+        u, left = response(self._problem, self._condensation, load, tied=False)
+        norm, rounding = energy_norm(self._problem, u)
+        return norm, rounding + left
+
+    def rounding(self, displacement: Vector) -> float:
+        """Return the energy norm of the rounding of a rigid displacement."""
+        return rigid_rounding(self._problem, self._condensation.rigid, displacement)
+
+
+def own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
+    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
+    normal = row_sizes(problem, problem.normal).compliance
+    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
+    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
 
 
 class _Comparison:
@@ -306,7 +298,7 @@ class _Comparison:
                 return None, SINGULAR
             strain, _ = energy_norm(self._problem, refined.displacement)
             signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
-            distance = self._distance(refined, signs)
+            distance = self._distance(refined, signs, strain)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
             last = self._last_correction(refined)
             if not last <= max(SETTLED * limit, nothing):
@@ -321,10 +313,8 @@ class _Comparison:
         return None, None
 
     def _beside(self, refined: RefinedState, status: Status, distance: _Distance, last: float) -> Compared:
-        friction = refined.friction_force.double().reshape(-1, self._width)
-        size = self._bodies.response_norm(refined.normal_force.double(), friction)
         (moved, strain), (pushed, _) = distance.displacement, distance.force
-        return Compared(refined, status, self._frictional, moved, pushed, last, strain, size)
+        return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size)
 
     def _last_correction(self, refined: RefinedState) -> float:
         """Return the size of the last correction of the refinement [square root of energy]."""
@@ -378,16 +368,16 @@ class _Comparison:
         moved = extended_rows(self._problem).slip(extend(displacement)) - extend(origin.ravel())
         return np.asarray(moved.double().reshape(-1, self._width))
 
-    def _distance(self, refined: RefinedState, signs: _Signs) -> _Distance:
+    def _distance(self, refined: RefinedState, signs: _Signs, strain: float) -> _Distance:
+        """Return the distance from a refined answer whose displacement has the energy norm `strain`."""
         problem, answer = self._problem, self._answer
         apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
-        strain, _ = energy_norm(problem, refined.displacement)
-        other = refined.friction_force.double().reshape(-1, self._width)
+        push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
         dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
-        size = self._bodies.response_norm(refined.normal_force.double(), other)
-        size = size if size > NEXT_TO_NOTHING * strain else strain
-        whole = max(size, force_size(problem, refined.normal_force.double()), self._friction_size(other))
+        of_forces = self._bodies.response_norm(push, other)
+        size = of_forces if of_forces > NEXT_TO_NOTHING * strain else strain
+        whole = max(size, force_size(problem, push), self._friction_size(other))
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
             met = in_energy(self._found.lengths, own_normal)
@@ -406,6 +396,7 @@ class _Comparison:
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,
+            of_forces,
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 

@@ -1,29 +1,36 @@
-"""On what combinations of open, stick and slip are solved, for a certificate: condensed, sparse or iterated on."""
+"""What the comparison with an answer's own states says, and how combinations are solved where nothing is condensed.
+
+Bodies are then solved in sparse systems of all their unknowns, or iterated on. Where no combination can be compared
+with, the minimisation with the friction forces held is judged.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from contactqp.certificate.figures import energy_norm, kept_residuals, response, rigid_rounding
+from contactqp.certificate import messages
+from contactqp.certificate.bounds import error_bounds, failed_errors, fails_force_bound
+from contactqp.certificate.energy_bounds import energy_bounds
+from contactqp.certificate.figures import energy_norm, rigid_rounding
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
-from contactqp.linalg.delassus import contact_compliance
-from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extend, residuals
+from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
-from contactqp.linalg.iteration import frictional_iteration
+from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
 from contactqp.linalg.measures import row_sizes
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import FIGURES_ALONE, Answer
 
 if TYPE_CHECKING:
-    from contactqp.linalg.friction_states import RefinedState, ScaledRows
+    from contactqp.linalg.friction_states import RefinedState
 
 # Equilibrium at every unknown that the answer of a combination that is iterated on is asked for.
 ROUNDING_OF_FIGURES = 1e-10
@@ -32,8 +39,6 @@ SETTLED_TURN = 1e-10
 # Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
 MOST_COMPARING = 150
 FAR = "it is far from the answers of the combinations that it leads to"
-# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
-HELD = 1e-13
 # Steps of conjugate gradients towards the response to forces.
 MOST_STEPS = 200
 
@@ -60,49 +65,6 @@ class Bodies(Protocol):
         """Return the energy norm of the rounding of a rigid displacement."""
 
 
-class CondensedBodies:
-    """Bodies that are condensed onto their contacts."""
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        from contactqp.linalg.delassus import condensed_frictional_rows
-
-        self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
-        self._rows = condensed_frictional_rows(problem, condensation)
-        self.width, self.frictional = self._rows.width, _with_friction(self._rows)
-        self.floats = condensation.rigid.count > 0
-        compliance = contact_compliance(problem, condensation)
-        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1)
-        per_contact = np.where(per_contact > HELD, per_contact, 0.0) * compliance.scale[:, None] ** 2
-        self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
-
-    def refined(self, status: Status, start: Answer) -> RefinedState:
-        """Return the answer of a combination, refined from a start."""
-        from contactqp.linalg.friction_states import refined_in
-
-        left = kept_residuals(self._problem, start)
-        return refined_in(self._problem, self._condensation, self._rows, status, start, independent=True, left=left)
-
-    def response_norm(self, normal: Vector, friction: Array) -> float:
-        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-        condensation = self._condensation
-        load = normal @ condensation.normal + self._outward @ friction.ravel()
-        saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp))
-        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
-        return float(np.sqrt(max(float(load @ x), 0.0)))
-
-    def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> tuple[float, float] | None:
-        """Return the energy norm of the response of untied bodies to all forces, and a bound on its error."""
-        rows = extended_rows(self._problem)
-        load = rows.contact_force(extend(normal), extend(tie)) + rows.friction_force(extend(friction.ravel()))
-        u, left = response(self._problem, self._condensation, load, tied=False)
-        norm, rounding = energy_norm(self._problem, u)
-        return norm, rounding + left
-
-    def rounding(self, displacement: Vector) -> float:
-        """Return the energy norm of the rounding of a rigid displacement."""
-        return rigid_rounding(self._problem, self._condensation.rigid, displacement)
-
-
 class SparseBodies:
     """Bodies that are held, in the plane, in all their unknowns; a contact's response is that of its own unknowns."""
 
@@ -112,7 +74,7 @@ class SparseBodies:
         from contactqp.linalg.sparse_states import frictional_rows
 
         self._problem, self._rows = problem, frictional_rows(problem)
-        self.width, self.frictional = self._rows.width, _with_friction(self._rows)
+        self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
@@ -221,19 +183,76 @@ class IteratedBodies:
         return rigid_rounding(self._problem, self._iteration.rigid, displacement)
 
 
-def _with_friction(rows: ScaledRows) -> Mask:
-    """Return the contacts that friction acts on (m,)."""
-    return np.asarray(rows.slides & (rows.coefficient > 0))
-
-
-def own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
-    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
-    normal = row_sizes(problem, problem.normal).compliance
-    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
-    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
-
-
 def squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
     """Return the largest |E_i|^2 of the rows of each contact (m,)."""
     squared = np.asarray(rows.power(2).sum(axis=1)).reshape(problem.contacts, -1)
     return np.asarray(np.max(squared, axis=1, initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The answer of a combination that an answer was compared with; norms are square roots of energies."""
+
+    refined: RefinedState
+    status: Status
+    frictional: Mask  # (m,) contacts that friction acts on
+    displacement: float  # |u - u_c|_K
+    force: float  # |l - l_c|_W
+    last: float  # of the last correction of the refinement
+    strain: float  # |u_c|_K
+    size: float  # |l_c|_W
+
+
+@dataclass(frozen=True, eq=False)
+class StateVerdict:
+    """The verdict of the comparison, with its basis, distance and messages."""
+
+    basis: str
+    distance: float | None = None  # the largest of the three, relative; None where there is nothing to compare with
+    energy: float = 0.0  # |u|_K of the answer that it was compared with
+    failures: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    displacement: Vector | None = None  # of that answer
+    compared: Compared | None = None  # where it is near enough to pass
+
+
+def figures_alone(reason: str) -> StateVerdict:
+    """Return the verdict where there is no combination to compare with."""
+    return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
+
+
+def with_friction_held(
+    problem: ContactProblem,
+    answer: Answer,
+    condensation: Condensation | None,
+    tolerance: float,
+    nothing: float,
+    reason: str,
+) -> StateVerdict:
+    """Judge by the bounds of the minimisation with the answer's friction as a load.
+
+    Parameters
+    ----------
+    tolerance, nothing : the largest relative error that passes; the error that counts as none [square root of energy]
+    reason : why there is no combination to compare with
+    """
+    if problem.tangent is None or answer.friction_force is None:
+        return figures_alone(reason)
+    load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
+    minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
+    held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
+    if condensation is None and iterated(problem):
+        bounds = error_bounds(minimised, held, plain_residuals(minimised, held), iteration(problem))
+    elif condensation is None:
+        bounds = energy_bounds(minimised, held)
+    else:
+        bounds = error_bounds(minimised, held, residuals(minimised, held), condensation)
+    pairs = ((bounds.energy_error, bounds.energy_scale), (bounds.force_error, bounds.force_scale))
+    far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
+    words = failed_errors(bounds, tolerance, nothing) if far else ()
+    failures = tuple(f"with friction held, {text}" for text in words)
+    if fails_force_bound(bounds, tolerance, nothing):
+        assert bounds.relative_force_bound is not None
+        worst = int(np.argmax(bounds.relative_force_bound))
+        failures += (f"with friction held, {messages.of_force_bound(problem, answer, bounds, worst, tolerance)}",)
+    return replace(figures_alone(reason), energy=bounds.energy_scale, failures=failures)

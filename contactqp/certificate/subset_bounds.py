@@ -15,7 +15,8 @@ import numpy as np
 
 from contactqp.certificate.bounds import Bounds, error_bounds, no_bounds
 from contactqp.certificate.figures import violations
-from contactqp.certificate.state_answer import StateVerdict, figures_alone, last_verdict, state_verdict
+from contactqp.certificate.state_answer import last_verdict, state_verdict
+from contactqp.certificate.state_bodies import StateVerdict, figures_alone
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, extend, residuals

@@ -42,9 +42,9 @@ from contactqp.model.solution import (
     Violations,
     Work,
 )
-from contactqp.solving.friction.algorithms import ALGORITHMS, name_of
+from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
-from contactqp.solving.methods import Settings, find, of_same_letters, refuse_arguments, registered_name
+from contactqp.solving.methods import Settings, find, name_of, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 # The error in energy, relative to the energy of the contact forces: on any number of ranks the displacement is that of

@@ -347,9 +347,9 @@ def refined_by(
         left = None  # of small problems they are formed as fast as changed
     system, elastic, size, last, regular, in_space = None, None, np.inf, np.inf, True, rows.width > 1
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
-        # In the plane the combination says all of the directions.
-        slip = (exact.slip(u) - origin).double() if in_space else origin
-        directions, turning = slip_directions(rows, status, slip, force)
+        if in_space or system is None:  # in the plane the combination says all of the directions
+            slip = (exact.slip(u) - origin).double() if in_space else origin
+            directions, turning = slip_directions(rows, status, slip, force)
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (in_space and size > max(WELL_TURNED * last, ROUNDED)):
             refuse_late("the answer was solved for on its combination of open, stick and slip")

@@ -32,7 +32,7 @@ from contactqp.model.arrays import Array, all_finite, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
-from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm, name_of, tresca_on_bodies
+from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.contact_form import solve_on_contacts
@@ -47,7 +47,8 @@ from contactqp.solving.friction.exact_enumeration import (
 )
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined, solve_sparse_newton
-from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find
+from contactqp.solving.friction.tresca import tresca_on_bodies
+from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find, name_of
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
@@ -196,7 +197,7 @@ class FrictionRun(Run):
 
     def final(self) -> Final:
         """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
-        condensation = condense(self.problem)
+        condensation = self.problem._computed.condensation or condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
         return Final(
@@ -375,7 +376,7 @@ def _by(
     algorithm: Algorithm | None, problem: ContactProblem, method: Method, settings: Settings, meter: Meter
 ) -> FrictionRun:
     """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
-    condensation = condense(problem)
+    condensation = problem._computed.condensation or condense(problem)
     if settings.time_limit is not None:
         settings = settings.now
     with meter.running():

@@ -27,7 +27,7 @@ from contactqp.errors import (
 from contactqp.model.arrays import THREADS_PAY, Vector, on_one_thread, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.alart_curnier import newton
-from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, name_of, run_algorithm, run_any
+from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.solving.friction.conic import refuse_penetrated, refuse_unbalanced
 from contactqp.solving.friction.enumeration import Combinations, refuse_many
 from contactqp.solving.friction.exact_enumeration import (
@@ -38,7 +38,7 @@ from contactqp.solving.friction.exact_enumeration import (
     has_local_equilibrium,
 )
 from contactqp.solving.friction.local_form import Iterate, LocalForm
-from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, refuse_arguments
+from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, name_of, refuse_arguments
 
 ENUMERATION = "enumeration"
 # Sizes from which dense systems are large enough for two threads to wait for each other.

@@ -9,27 +9,16 @@ from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEq
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import stated_limit, tell
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
 from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
-from contactqp.solving.friction.local_form import NEARER, Deadline, Iterate, LocalForm
+from contactqp.solving.friction.local_form import NEARER, Deadline, FoundOnBodies, Iterate, LocalForm
 from contactqp.solving.friction.newton import solve_newton
-from contactqp.solving.friction.tresca import solve_tresca
-from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.friction.tresca import tresca_on_bodies
+from contactqp.solving.methods import Method, Settings, find, name_of
 
 Accepted = Callable[[Iterate], bool]
-
-
-@dataclass(frozen=True, eq=False)
-class FoundOnBodies:
-    """The answer of an algorithm that works on the bodies themselves, without their local form."""
-
-    answer: Answer
-    name: str  # of the algorithm, and of the convex method where it takes steps of one
-    history: tuple[float, ...] = ()  # the algorithm's measure of progress, one number an iteration
-    iterations: int | None = None  # where these are not one more than the history has
 
 
 @dataclass(frozen=True)
@@ -47,16 +36,6 @@ class Algorithm:
     on_ranks: bool = False  # whether ranks of MPI can take it
 
 
-def name_of(algorithm: str, method: str) -> str:
-    """Return what an answer calls an algorithm whose steps are convex problems, and the method that solves these.
-
-    >>> name_of("tresca", "active-set"), name_of("aclm", "clarabel")
-    ('Tresca fixed-point iteration, each step by active-set', 'aclm, each step by clarabel')
-    """
-    called = {"tresca": "Tresca fixed-point iteration"}.get(algorithm, algorithm)
-    return f"{called}, each step by {method}"
-
-
 def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
     del steps
     yield newton(form, start)
@@ -71,20 +50,6 @@ def _with_steps(
         return run(form, steps, start)
 
     return iterates
-
-
-def tresca_on_bodies(
-    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
-) -> FoundOnBodies:
-    """Return the answer of `solve_tresca`.
-
-    Parameters
-    ----------
-    problem, condensation, method, settings, at_once
-        As in `solve_tresca`.
-    """
-    found = solve_tresca(problem, condensation, method, settings, at_once)
-    return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
 
 
 def _newton_on_bodies(

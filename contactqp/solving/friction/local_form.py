@@ -24,6 +24,7 @@ from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
 from contactqp.model.coulomb import natural_map
 from contactqp.model.local_problem import LocalProblem
+from contactqp.model.solution import Answer
 
 # Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
 DENSE_SIZE = 1200
@@ -243,3 +244,13 @@ def aitken(
     size = float(dot(change, change))
     wanted = relaxation if size == 0 else -relaxation * float(dot(before, change)) / size
     return float(np.clip(wanted, *RELAXATION))
+
+
+@dataclass(frozen=True, eq=False)
+class FoundOnBodies:
+    """The answer of an algorithm that works on the bodies themselves, without their local form."""
+
+    answer: Answer
+    name: str  # of the algorithm, and of the convex method where it takes steps of one
+    history: tuple[float, ...] = ()  # the algorithm's measure of progress, one number an iteration
+    iterations: int | None = None  # where these are not one more than the history has

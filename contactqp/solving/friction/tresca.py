@@ -31,8 +31,8 @@ from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving.friction.local_form import NEARER, RELAXATION, aitken
-from contactqp.solving.methods import Method, Settings
+from contactqp.solving.friction.local_form import NEARER, RELAXATION, FoundOnBodies, aitken
+from contactqp.solving.methods import Method, Settings, name_of
 
 # Enough for contractions up to 0.9; what is slower is not getting there.
 MAX_STEPS = 100
@@ -60,6 +60,20 @@ class _Step:
     normal: Vector  # (m,)
     friction: Vector  # (m,)
     tie: Vector  # (k,)
+
+
+def tresca_on_bodies(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
+) -> FoundOnBodies:
+    """Return the answer of `solve_tresca`.
+
+    Parameters
+    ----------
+    problem, condensation, method, settings, at_once
+        As in `solve_tresca`.
+    """
+    found = solve_tresca(problem, condensation, method, settings, at_once)
+    return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
 
 
 def solve_tresca(

@@ -34,6 +34,7 @@ __all__ = [
     "Settings",
     "find",
     "methods",
+    "name_of",
     "of_same_letters",
     "options_of",
     "refuse_arguments",
@@ -266,3 +267,13 @@ def refuse_too_dense(problem: ContactProblem, method: Method, condense: bool | s
         f"rows, about {needed / 2**30:.1f} GiB ({why}); active-set, clarabel and piqp take sparse systems "
         "(condense='auto')"
     )
+
+
+def name_of(algorithm: str, method: str) -> str:
+    """Return what an answer calls an algorithm whose steps are convex problems, and the method that solves these.
+
+    >>> name_of("tresca", "active-set"), name_of("aclm", "clarabel")
+    ('Tresca fixed-point iteration, each step by active-set', 'aclm, each step by clarabel')
+    """
+    called = {"tresca": "Tresca fixed-point iteration"}.get(algorithm, algorithm)
+    return f"{called}, each step by {method}"
