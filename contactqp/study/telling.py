@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy as np
 from contactqp.errors import SceneError
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study import rows
-from contactqp.study.curves import FLOOR, MARKS, Chart, curves, legend, method_style, rounded
-from contactqp.study.report_charts import QUANTITIES, case_chart, median_chart
+from contactqp.study.curves import FLOOR, MARKS, Chart, curves, legend, method_style, rounded, variant_name
+from contactqp.study.report_charts import QUANTITIES, ROUNDING, case_chart, median_chart
 from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
 from contactqp.study.statistics import BODY, Route, median_cases, solved
@@ -94,6 +94,7 @@ COMPACT_CAPTION = (
     "Filled: the answer as solve returns it; hollow: the method's raw answer; with a dot: Uzawa's iteration. "
     f"{MARKS[rows.REFUSED]} was refused by the certificate, {MARKS[rows.NOT_CONVERGED]} gave up."
 )
+FANNED = "In the grey band heights say nothing: points there stand apart, so that each is seen."
 # The case of the first screen has at least this part of the methods, and of the points, of the case with the most.
 NEARLY_ALL = 0.75
 
@@ -135,41 +136,143 @@ def telling_case(data: ReportData) -> CaseRecord | None:
 
 def _compact(chart: Chart, mine: Sequence[Row]) -> Chart:
     """Return a chart of forces that fits beside a table: names at the curves, and the explanation of marks in words."""
-    drawn = [trace for trace in chart.figure["data"] if trace["meta"]["method"]]
     arranged = {name: value for name, value in chart.figure["layout"].items() if name != "legend2"}
     found = curves(mine, "error_force")
     limit = [note for note in arranged["annotations"] if note.get("yref") == "paper"]
-    lines = [10 ** note["x"] for note in limit]
-    times = [*lines, *(1e3 * (row.seconds or FLOOR) for curve in found for row in curve.points)]
-    errors = [FLOOR, *(max(row.error_force or 0.0, FLOOR) for curve in found for row in curve.points)]
-    for axis, values in (("xaxis", times), ("yaxis", errors)):
-        arranged[axis] = dict(arranged[axis], range=_close_around(values))
-    spots = [(curve.route.method, *_spot(row)) for curve in found for row in curve.points]
-    names = _labels(spots, arranged, [note["x"] for note in limit])
-    crowded = len(names) < len({name for name, *_ in spots})
+    lines = [note["x"] for note in limit if note["xref"] == "x"]
+    spots = [
+        Spot(curve.route.method, variant_name(curve.route), *_place(row)) for curve in found for row in curve.points
+    ]
+    times, errors = [*lines, *(spot.x for spot in spots)], [spot.y for spot in spots]
+    across = _close_around(times)
+    band = any(shape["type"] == "rect" for shape in arranged["shapes"])
+    exact = [spot for spot in spots if band and spot.y <= math.log10(ROUNDING)]
+    rows_of, named = _fanned(exact, across)
+    up = _above(max(rows_of.values(), default=-1) + 1, _close_around([math.log10(FLOOR), *errors]))
+    moved = {spot: up.band(row) for spot, row in rows_of.items()}
+    drawn = [_moved(trace, moved) for trace in chart.figure["data"] if trace["meta"]["method"]]
+    arranged |= dict(
+        xaxis=dict(arranged["xaxis"], range=across),
+        yaxis=dict(arranged["yaxis"], range=[up.low, up.high], **(up.ticks() if exact else {})),
+        shapes=[shape | dict(y0=10**up.low) if shape["type"] == "rect" else shape for shape in arranged["shapes"]],
+    )
+    spots = [replace(spot, y=moved.get(spot, spot.y)) for spot in spots]
+    names = _labels(spots, arranged, lines, {replace(spot, y=moved[spot]): side for spot, side in named.items()})
+    crowded = len({note["text"] for note in names}) < len({spot.method for spot in spots})
     arranged |= dict(annotations=[*limit, *names], height=COMPACT_HEIGHT, margin=COMPACT_MARGIN)
     arranged |= dict(legend=legend("", y=-0.14), showlegend=crowded)
-    return replace(
-        chart, name="telling", caption=f"{COMPACT_CAPTION} {chart.caption}", figure=dict(data=drawn, layout=arranged)
+    figure = dict(data=drawn, layout=arranged)
+    fanned = f" {FANNED}" if exact else ""
+    return replace(chart, name="telling", caption=f"{COMPACT_CAPTION}{fanned} {chart.caption}", figure=figure)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A point of a chart: its method and variant, and where it is on logarithmic axes."""
+
+    method: str
+    variant: str
+    x: float
+    y: float
+
+
+def _place(row: Row) -> tuple[float, float]:
+    """Return where the point of a row is drawn, on logarithmic axes."""
+    return (
+        math.log10(rounded(1e3 * (row.seconds or 0.0)) or FLOOR),
+        math.log10(rounded(max(row.error_force or 0.0, FLOOR))),
     )
 
 
 def _close_around(values: Sequence[float]) -> list[float]:
     """Return the range of a logarithmic axis that ends close to its values, without empty decades."""
-    low, high = (math.log10(end(values)) for end in (min, max))
+    low, high = min(values), max(values)
     room = max(0.04 * (high - low), 0.04)
     return [rounded(low - room), rounded(high + room)]
 
 
-def _spot(row: Row) -> tuple[float, float]:
-    """Return where the point of a row is drawn, on logarithmic axes."""
-    return math.log10(1e3 * (row.seconds or FLOOR)), math.log10(max(row.error_force or 0.0, FLOOR))
+def _fanned(exact: Sequence[Spot], across: Sequence[float]) -> tuple[dict[Spot, int], dict[Spot, float]]:
+    """Return in which row of the grey band each point stands, from the top, and how far away the middle of its name.
+
+    Points of exact answers have no height of their own: each stands in the first row where it and its name have room.
+    The first point of a method there has its name beside it, right of it or left [px]; what finds no row has none.
+    """
+    scale, most = AREA[0] / (across[1] - across[0]), max(int(MOST * AREA[1] / ROW), 1)
+    ends: list[list[tuple[float, float]]] = []
+    rows_of: dict[Spot, int] = {}
+    named: dict[Spot, float] = {}
+    methods: set[str] = set()
+    for spot in sorted(exact, key=lambda spot: spot.x):
+        x, width = scale * (spot.x - across[0]), 0.0
+        left, right = x - MARK, x + MARK
+        if spot.method not in methods:
+            methods.add(spot.method)
+            width = LETTER[0] * len(spot.method)
+            beside = MARK + 3 + width / 2
+            named[spot] = beside if right + 3 + width <= AREA[0] else -beside
+            left, right = min(left, x + named[spot] - width / 2), max(right, x + named[spot] + width / 2)
+        row = next((i for i, taken in enumerate(ends) if all(right < a or b < left for a, b in taken)), len(ends))
+        if row == most:
+            row = len(rows_of) % most
+            named.pop(spot, None)
+        if row == len(ends):
+            ends.append([])
+        ends[row].append((left, right))
+        rows_of[spot] = row
+    return rows_of, named
+
+
+@dataclass(frozen=True)
+class _Above:
+    """A logarithmic axis of errors, with a band of rows below what is rounding."""
+
+    low: float
+    high: float
+    each: float  # height of a row
+
+    def band(self, row: int) -> float:
+        """Return the height of the middle of a row of the band, counted from the top."""
+        return rounded(math.log10(ROUNDING) - (row + 0.5) * self.each)
+
+    def ticks(self) -> dict[str, Any]:
+        """Return ticks at every other power of ten above the band, and a word in its middle."""
+        powers = [power for power in range(-16, 40, 2) if power < self.high]
+        middle = (self.low + math.log10(ROUNDING)) / 2
+        words = [f"10<sup>{power}</sup>".replace("-", "\u2212") for power in powers]
+        return dict(
+            tickmode="array", tickvals=[*(10.0**power for power in powers), 10**middle], ticktext=[*words, "exact"]
+        )
+
+
+def _above(rows_below: int, around: Sequence[float]) -> _Above:
+    """Return the axis around values whose band has so many rows; without any it ends where the values do."""
+    if not rows_below:
+        return _Above(around[0], around[1], 0.0)
+    border = math.log10(ROUNDING)
+    high = max(around[1], border + 2)
+    part = min((rows_below * ROW + 2) / AREA[1], MOST)
+    total = (high - border) / (1 - part)
+    return _Above(rounded(high - total), high, part * total / rows_below)
+
+
+def _moved(trace: Mapping[str, Any], moved: Mapping[Spot, float]) -> dict[str, Any]:
+    """Return a trace whose points in the band stand in their rows."""
+    name, variant = trace["meta"]["method"], trace["meta"]["variant"]
+    spots = [
+        Spot(name, variant, math.log10(x or FLOOR), math.log10(y)) for x, y in zip(trace["x"], trace["y"], strict=True)
+    ]
+    heights = [rounded(10 ** moved[spot]) if spot in moved else 10**spot.y for spot in spots]
+    return dict(trace) | dict(
+        y=[y if spot not in moved else new for spot, y, new in zip(spots, trace["y"], heights, strict=True)]
+    )
 
 
 # The area that a chart beside a table has between its axes, a letter, and half a mark, with air around them [px].
 AREA, LETTER, MARK = (530.0, 375.0), (6.3, 13.0), 6.5
 # The label of a vertical line runs down beside it, from the top [px].
 LINE_LABEL = (18.0, 190.0)
+# The height of a row of exact answers [px], and the largest part of the area that rows take together.
+ROW, MOST = 14.0, 0.45
 # How far above or below its mark the middle of a name may stand that has a line to it [px].
 FAR = (24.0, 38.0, 54.0, 72.0, 92.0, 116.0)
 # Methods that people look for, named before the others.
@@ -182,37 +285,48 @@ Box = tuple[float, float, float, float]  # left, bottom, right, top [px]
 
 
 def _labels(
-    spots: Sequence[tuple[str, float, float]], arranged: Mapping[str, Any], lines: Sequence[float]
+    spots: Sequence[Spot], arranged: Mapping[str, Any], lines: Sequence[float], beside: Mapping[Spot, float]
 ) -> list[dict[str, Any]]:
-    """Return the name of each method at one of its points, where it lies over no mark and no other name.
+    """Return the names of methods, in the band of exact answers and at a curve, where they lie over nothing else.
 
     Parameters
     ----------
-    spots : sequence of (str, float, float), the method of each point, and where the point is, on logarithmic axes
+    spots : sequence of Spot
     arranged : mapping, the layout, whose axes have ranges
     lines : sequence of float, where vertical lines with a label are
+    beside : mapping, how far from such points of exact answers the middle of the method's name is [px]
     """
     (left, right), (low, high) = (arranged[axis]["range"] for axis in ("xaxis", "yaxis"))
     scale = AREA[0] / (right - left), AREA[1] / (high - low)
-    places = [(name, scale[0] * (x - left), scale[1] * (y - low)) for name, x, y in spots]
+    places = [(spot.method, scale[0] * (spot.x - left), scale[1] * (spot.y - low)) for spot in spots]
     taken: list[Box] = [(x - MARK, y - MARK, x + MARK, y + MARK) for _, x, y in places]
     for line in lines:
         x = scale[0] * (line - left)
         taken.append((x - 2, AREA[1] - LINE_LABEL[1], x + LINE_LABEL[0], AREA[1]))
+    notes = [_note(spot.method, spot.x, spot.y, away, 0.0) for spot, away in beside.items()]
+    for spot, away in beside.items():
+        x, y = scale[0] * (spot.x - left) + away, scale[1] * (spot.y - low)
+        taken.append(_box(spot.method, x, y))
+    free = scale[1] * (math.log10(ROUNDING) - low) if beside else 0.0
+    places = [place for place in places if place[2] >= free]
     first = {name: i for i, name in enumerate(NAMED_FIRST)}
-    names = sorted(dict.fromkeys(name for name, *_ in places), key=lambda name: first.get(name, len(first)))
-    notes = []
-    for name in names:
+    for name in sorted(dict.fromkeys(name for name, *_ in places), key=lambda name: first.get(name, len(first))):
         width = LETTER[0] * len(name)
         mine = [(x, y, dx, dy) for other, x, y in places if other == name for dx, dy in _offsets(width)]
         mine.sort(key=lambda place: math.hypot(max(abs(place[2]) - width / 2, 0.0), place[3]))
         for x, y, dx, dy in mine:
-            box = (x + dx - width / 2, y + dy - LETTER[1] / 2, x + dx + width / 2, y + dy + LETTER[1] / 2)
-            if _inside(box) and not any(_overlap(box, other) for other in taken):
+            box = _box(name, x + dx, y + dy)
+            if _inside(box) and box[1] >= free and not any(_overlap(box, other) for other in taken):
                 taken.append(box)
                 notes.append(_note(name, left + x / scale[0], low + y / scale[1], dx, dy))
                 break
     return notes
+
+
+def _box(name: str, x: float, y: float) -> Box:
+    """Return the box of a name around its middle."""
+    half = LETTER[0] * len(name) / 2, LETTER[1] / 2
+    return x - half[0], y - half[1], x + half[0], y + half[1]
 
 
 def _offsets(width: float) -> Iterator[tuple[float, float]]:

@@ -82,6 +82,17 @@ def test_the_physical_limit_is_a_labelled_line() -> None:
     assert 10**low < 1e3 * LIMIT
 
 
+def test_a_limit_far_from_all_methods_leaves_no_axis_empty() -> None:
+    """One linear solve of two unknowns takes 9 microseconds, what is around it 600: two decades were empty."""
+    data = report("one")
+    chart, _ = _case_charts(replace(data, cases=(replace(data.cases[0], linear_solve=LIMIT / 100),)))
+    assert all(shape["type"] != "line" for shape in chart.figure["layout"]["shapes"])
+    (label,) = (note for note in chart.figure["layout"]["annotations"] if "one linear solve" in note["text"])
+    assert (label["xref"], label["x"], label["text"]) == ("paper", 0, "\u25c2 one linear solve: 0.001 ms")
+    low, high = chart.figure["layout"]["xaxis"]["range"]
+    assert high - low < 2
+
+
 def test_without_a_limit_there_is_no_line() -> None:
     data = report("one")
     data = replace(data, cases=(replace(data.cases[0], linear_solve=None),))

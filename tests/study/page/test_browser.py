@@ -463,8 +463,8 @@ def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width:
     ]
     assert len(found["table"]) == 4
     assert len(found["names"]) == (
-        4 if width == 1280 else 1
-    )  # of the methods and of the line; on a telephone in a legend
+        5 if width == 1280 else 1
+    )  # of the line, and of methods, of one in the band and at its curve; on a telephone in a legend
     shown = [*found["sentence"], *found["table"], *found["axis"]]
     if width == 1280:
         assert max(box[4] for box in shown) <= 800
