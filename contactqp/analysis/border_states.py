@@ -7,24 +7,33 @@ what its gaps, forces, slips and margins are there decides.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import EPS, Parts, Scales, shape_of_tangents
+from contactqp.analysis.rate_systems import (
+    EPS,
+    SAME,
+    Direction,
+    Parts,
+    Rates,
+    RateSystem,
+    Scales,
+    errors_of,
+    shape_of_tangents,
+)
 from contactqp.certificate.certificate import certificate_of
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.extended import Extended, extended_rows
-from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import friction_bound, refined_in
-from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 
@@ -34,8 +43,20 @@ MOST_COMBINATIONS = 256
 _PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 # Friction that misses its bound by this part of it is at its bound.
 AT_BOUND = 4 * EPS
-# Rows that are combinations of others to this part of the largest depend on them; of shared forces less is none.
-DEPENDENT, SEEN = 1e-10, 1e-6
+# In space, what doubles leave of a gap, a force or a slip beside what meets there, and of a bound beside the friction.
+LEFT = 64 * EPS
+# A slip whose direction is that of its friction to this is none that rounding makes.
+ALIGNED = 1e-3
+# A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
+TURNED = 1e-3
+# A slip that begins has a direction and no length yet: this one turns nothing.
+FAR = 1e100
+# Turns of the directions in which contacts begin to slip, at most, and where these have settled.
+MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
+# Such parts of the friction that would hold them are what they start with beyond their bounds, at least.
+LEAST_STARTS = (0.1, 1e-3, 1.0)
+# The rates whose signs tell states.
+BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,84 +249,196 @@ def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> C
     return posed
 
 
-class Sharing:
-    """The ways in which contacts that touch, and ties, may share the force that they exert, in the root of energy.
+def resolved(problem: ContactProblem, status: Status, answer: Parts) -> Parts:
+    """Return the answer with slips in space that have their digits where bodies move far beside them.
 
-    A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
-    that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
-    with several multipliers).
+    Its displacement is rounded to doubles, which turns the direction of a slip that is small beside it.
 
     Parameters
     ----------
-    problem : ContactProblem
-    contacts : (q,) array, those that touch
-    scales : Scales
+    problem : with friction
+    status : (m,) array of int, the states of the answer
+    answer : displacement, normal forces, slips in place of friction, and tie forces
     """
-
-    def __init__(self, problem: ContactProblem, contacts: Indices, scales: Scales) -> None:
-        unit, normal, _, tie = scales.units
-        lengths = np.concatenate([normal[contacts], tie])
-        rows = sp.csc_array(sp.vstack([problem.normal[contacts], problem.tie]))
-        self._felt, self._unit, self._contacts = np.flatnonzero(np.diff(rows.indptr)), unit, contacts
-        self._lengths = np.where(lengths > 0, lengths, 1.0)
-        self.rows: Array = rows[:, self._felt].toarray() * unit[self._felt] / self._lengths[:, None]
-        self._limits = [(0.0, None)] * len(contacts) + [(None, None)] * problem.ties
-        _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
-        self._basis = basis[sizes > DEPENDENT * np.max(sizes, initial=0.0)]
-
-    def _told(self, resultant: Vector) -> Vector:
-        """Return a force (n,) along what the rows span."""
-        return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
-
-    def takes_part(self, grazes: Mask) -> bool:
-        """Return whether those that graze (q,) can hold one another, or what the others hold."""
-        grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
-        resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
-        _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
-        return not residual > UNRESISTED
-
-    def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
-        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
-        from scipy.optimize import linprog
-
-        span, told = self._basis @ self.rows.T, self._told(resultant)
-        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
-        cost /= np.max(abs(cost), initial=0.0) or 1.0
-        told = told / (np.max(abs(told), initial=0.0) or 1.0)
-        least = linprog(cost, A_eq=span, b_eq=told, bounds=self._limits)
-        if least.status != 0:
-            return None
-        span, told = np.vstack([span, cost]), np.append(told, least.fun)
-        stays = []
-        for place, contact in enumerate(self._contacts):
-            most = linprog(-np.eye(len(cost))[place], A_eq=span, b_eq=told, bounds=self._limits)
-            if most.status == 3 or (most.status == 0 and -most.fun > SEEN):
-                stays.append(contact)
-        return np.array(stays, dtype=np.intp)
-
-    def reach(self, resultant: Vector, rate: Vector) -> float:
-        """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
-        from scipy.optimize import linprog
-
-        told, turns = self._told(resultant), self._told(rate)
-        size, speed = (float(np.max(abs(one), initial=0.0)) or 1.0 for one in (told, turns))
-        span = np.column_stack([self._basis @ self.rows.T, -turns / speed])
-        cost = np.append(np.zeros(len(self._limits)), -1.0)
-        most = linprog(cost, A_eq=span, b_eq=told / size, bounds=[*self._limits, (0.0, None)])
-        return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
+    if problem.tangent is None or answer.tangent.shape[1] == 1:
+        return answer
+    condensation = condense(problem)
+    rows = condensed_frictional_rows(problem, condensation)
+    moved = (abs(problem.tangent) @ abs(answer.displacement)).reshape(answer.tangent.shape)
+    near = np.linalg.norm(answer.tangent, axis=1) < TURNED * np.linalg.norm(moved, axis=1)
+    if not np.any(near & (abs(status) == 1)):
+        return answer
+    start = Answer(answer.displacement, answer.normal, None, answer.tie)
+    found = refined_in(problem, condensation, rows, status, start)
+    if not found.regular:
+        return answer
+    origin = np.zeros(answer.tangent.size) if problem.slip_origin is None else problem.slip_origin.ravel()
+    slip = (extended_rows(problem).slip(found.displacement) - origin).double().reshape(answer.tangent.shape)
+    return Parts(found.displacement.double(), found.normal_force.double(), slip, found.tie_force.double())
 
 
-def width_within(turns: Array, signs: Vector, far: float) -> float:
-    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
-    from scipy.optimize import linprog
+def seen_states(words: Any, slip: Array) -> Status:
+    """Return the states that words of certificates tell (m,); what slips in the plane does so on or back."""
+    status = np.where(np.isin(words, ("closed", "slip")), SLIP_ON, OPEN).astype(np.int8)
+    status[words == "stick"] = STICK
+    if slip.shape[1] == 1:
+        status[(status == SLIP_ON) & (slip[:, 0] < 0)] = SLIP_BACK
+    return status
 
-    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
-    for sign in (1.0, -1.0):
-        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
-        if end.status != 0:
-            return 0.0 if end.status == 2 else np.inf
-        ends.append(float(end.fun))
-    return -sum(ends)
+
+def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, drag: Array) -> Indices:
+    """Return the contacts that stick with all of the friction (m, d-1) that their forces (m,) allow, nearly."""
+    if not problem.frictional or problem.friction is None:
+        return np.zeros(0, dtype=np.intp)
+    return np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push))
+
+
+def decided_in_space(
+    problem: ContactProblem, status: Status, grazing: Indices, answer: Answer, gap: Vector, slip: Array
+) -> tuple[Status, Indices, Indices]:
+    """Return the states (m,) of an answer in space, the contacts that graze, and those that stick at their bounds.
+
+    The answer is that of its states, to the rounding of doubles: a force or a gap that is more is there, and a slip
+    that is more and goes along its friction.
+
+    Parameters
+    ----------
+    problem : with friction in space
+    status : (m,) array of int, the states that certificates see
+    grazing : those that graze, to certificates
+    answer, gap, slip : Answer, its gaps (m,) and slips (m, 2)
+    """
+    assert problem.tangent is not None
+    assert problem.friction is not None
+    assert answer.friction_force is not None
+    u, push, status = abs(answer.displacement), answer.normal_force, status.copy()
+    met = abs(problem.normal) @ u + abs(np.where(np.isfinite(problem.gap), problem.gap, 0.0))
+    origin = 0.0 if problem.slip_origin is None else abs(problem.slip_origin)
+    along = lengths((abs(problem.tangent) @ u).reshape(slip.shape) + origin)
+    drag, slid = answer.friction_force.reshape(slip.shape), lengths(slip)
+    still = slid <= LEFT * along
+    pushes, apart = push > LEFT * np.max(push, initial=0.0), gap > LEFT * met
+    for i in grazing[pushes[grazing] & ~apart[grazing]]:
+        smooth = problem.friction[i] == 0 or not still[i]
+        status[i] = SLIP_ON if smooth else STICK
+    grazing = grazing[~pushes[grazing] & ~apart[grazing]]
+    near = (status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push)
+    turned = lengths(slip * lengths(drag)[:, None] - drag * slid[:, None])
+    status[near & ~still & (turned <= ALIGNED * lengths(drag) * slid)] = SLIP_ON
+    at_bound = (status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push)
+    return status, grazing, np.flatnonzero(at_bound)
+
+
+def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> ContactProblem:
+    """Return the problem with the slips of some contacts across their friction (q, 2) among its ties."""
+    assert problem.tangent is not None
+    rows = [
+        sp.csr_array(unit[None] @ problem.tangent[2 * i : 2 * i + 2]) for i, unit in zip(contacts, across, strict=True)
+    ]
+    value = np.concatenate([problem.tie_value, np.zeros(len(contacts))])
+    posed = problem.replace(tie=sp.csr_array(sp.vstack([problem.tie, *rows])), tie_value=value)
+    posed._computed.wider_condensation = problem._computed.condensation
+    return posed
+
+
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """The contacts of an answer with friction that are at the border of two states, and what they may go to."""
+
+    problem: ContactProblem
+    scales: Scales
+    undecided: Indices
+    status: Status  # (m,) sticking where at the bound, open where grazing
+    push: Vector  # (m,)
+    drag: Array  # (m, d-1)
+    slip: Array  # (m, d-1)
+    slid: Mask  # (m,) which have slipped
+
+    def choices(self, i: int) -> tuple[int, ...]:
+        """Return the states that a contact at a border may go to; in space SLIP_ON is that along its direction."""
+        friction, in_space = self.problem.friction, self.drag.shape[1] > 1
+        assert friction is not None
+        if self.status[i] == STICK:
+            return STICK, SLIP_ON if in_space or self.drag[i, 0] > 0 else SLIP_BACK
+        if friction[i] == 0:
+            return OPEN, SLIP_ON
+        if self.slid[i]:
+            return OPEN, SLIP_ON if in_space or self.slip[i, 0] > 0 else SLIP_BACK
+        return (OPEN, STICK, SLIP_ON) if in_space else (OPEN, STICK, SLIP_ON, SLIP_BACK)
+
+    @property
+    def free(self) -> Indices:
+        """The contacts that may begin to slip in any direction of a plane."""
+        found = [i for i in self.undecided if self.drag.shape[1] > 1 and len(self.choices(int(i))) > 2]
+        return np.array(found, dtype=np.intp)
+
+    def starts(self, held: Rates, begins: Indices) -> Iterator[Rates]:
+        """Yield rates with slips that friction beyond the bounds of some contacts, which held them, may come to."""
+        drag, size, mu = held.friction_force[begins], lengths(held.friction_force[begins]), self.problem.friction
+        if mu is None or not np.all(size > 0):
+            return
+        compliance = self.scales.units[2].reshape(self.drag.shape)[begins] ** 2
+        for least in LEAST_STARTS:
+            push, slip = held.normal_force.copy(), held.slip.copy()
+            push[begins] = np.maximum(push[begins], least * size)
+            beyond = np.maximum(size - mu[begins] * push[begins], least * size)
+            slip[begins] = drag * (beyond / size)[:, None] * compliance
+            yield replace(held, normal_force=push, slip=slip)
+
+    def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
+        """Return what is not negative where rates lead undecided contacts to the states of a system, or its error."""
+        mu, add = self.problem.friction, 1.0 if errors else -1.0
+        assert mu is not None
+        _, of_normal, of_tangent, _ = self.scales.units
+        of_slip = of_tangent.reshape(self.drag.shape).max(axis=1, initial=0.0)
+        of = {
+            name: errors_of(self.problem, name, found, direction) if errors else getattr(found, name)
+            for name in BY_SIGN
+        }
+        push, drags = of["normal_force"] * of_normal, of["friction_force"] * of_normal[:, None]
+        room = mu * push + direction.friction * self.push * of_normal * (8 * EPS if errors else 1.0)
+        size = lengths(self.drag)[:, None]
+        ways = np.divide(self.drag, size, out=np.zeros_like(self.drag), where=size > 0), system.directions
+        along, onward = (abs(one) if errors else one for one in ways)
+        drag, slips = np.sum(along * drags, axis=1), np.sum(onward * of["slip"], axis=1)
+        slips = np.divide(slips, of_slip, out=np.zeros_like(push), where=of_slip > 0)
+        gaps = np.divide(of["gap"], of_normal, out=np.zeros_like(push), where=of_normal > 0)
+        signs: list[float] = []
+        for i in self.undecided:
+            grazes, state = self.status[i] != STICK, system.status[i]
+            if state == OPEN:
+                signs += [gaps[i]]
+            elif state == STICK and grazes and drags.shape[1] == 1:
+                signs += [push[i], room[i] + add * drags[i, 0], room[i] + abs(add) * drags[i, 0]]
+            elif state == STICK and grazes:
+                signs += [push[i], room[i] + add * float(np.linalg.norm(drags[i]))]
+            elif state == STICK:
+                signs += [room[i] + add * drag[i]]
+            else:
+                turns = not grazes or STICK in self.choices(int(i))
+                signs += ([push[i]] if grazes else []) + ([slips[i]] if turns else [])
+        return np.array(signs)
+
+
+def missed(problem: ContactProblem, scales: Scales, found: Rates, direction: Direction, system: RateSystem) -> float:
+    """Return what rates leave of equilibrium and of what is to be held, as a part of all.
+
+    Parameters
+    ----------
+    problem, scales : of the answer, with friction in the plane
+    found, direction, system : rates, what they are along, and the system that they were found with
+    """
+    tie_length = scales.units[3]
+    assert problem.tangent is not None
+    outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
+    outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
+    closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in (system.closed, system.stuck))
+    held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
+    missed = [scales.of("reaction", outer), held, scales.of("gap", np.where(closed, found.gap, 0.0))]
+    missed.append(scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
+    rates = [scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")]
+    left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
+    return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
 
 
 def is_proven(solution: Solution) -> bool:

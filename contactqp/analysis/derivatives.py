@@ -223,7 +223,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         same = abs(left - right) <= SAME * max(abs(left), abs(right))
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
-    turns = frictional and np.any(getattr(linearised.system, "turning", 0.0) != 0)
+    turns = linearised.turns
     if parameter in LINEAR and not turns:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
     bound = None

@@ -24,16 +24,15 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
+from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.friction_states import StateSystem, friction_bound, refined_in, slip_directions
+from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
-from contactqp.model.solution import Answer
 
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
@@ -44,8 +43,6 @@ MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
-# A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
-TURNED = 1e-3
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
 # gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
@@ -174,7 +171,10 @@ class RateSystem:
     status : (m,) array of int, the combination
     regular : bool, whether the system has one solution for all data
     redundant : bool, whether rows depend on others, so that forces are not unique
+    across : contacts in space that begin to slip (q,), and what is across their friction (q, 2), held by the last ties
     """
+
+    across: tuple[NDArray[np.intp], Array] | None = None
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         self._problem, self._exact, self.status = problem, extended_rows(problem), status
@@ -317,7 +317,6 @@ class _Frictional:
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         rows = condensed_frictional_rows(problem, condensation)
         self._problem, self._shape = problem, shape_of_tangents(problem)
-        answer = _resolved(problem, condensation, rows, status, answer)
         slip = answer.tangent.ravel()
         self.directions, scaled = slip_directions(rows, status, slip, extend(answer.normal))
         self._system = StateSystem(problem, condensation, rows, status, self.directions, scaled)
@@ -352,28 +351,6 @@ class _Frictional:
     def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
         turned: Vector = np.einsum("mij,mj->mi", self.turning, slip.reshape(self._shape)).ravel()
         return Extended(turned) if transposed else friction_bound(self._problem, normal, self.directions) + turned
-
-
-def _resolved(
-    problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, answer: Parts
-) -> Parts:
-    """Return the answer with slips in space that have their digits where bodies move far beside them.
-
-    Its displacement is rounded to doubles, which turns the direction of a slip that is small beside it.
-    """
-    if rows.width == 1 or problem.tangent is None:
-        return answer
-    moved = (abs(problem.tangent) @ abs(answer.displacement)).reshape(answer.tangent.shape)
-    near = np.linalg.norm(answer.tangent, axis=1) < TURNED * np.linalg.norm(moved, axis=1)
-    if not np.any(near & (abs(status) == 1)):
-        return answer
-    start = Answer(answer.displacement, answer.normal, None, answer.tie)
-    found = refined_in(problem, condensation, rows, status, start)
-    if not found.regular:
-        return answer
-    origin = np.zeros(answer.tangent.size) if problem.slip_origin is None else problem.slip_origin.ravel()
-    slip = (extended_rows(problem).slip(found.displacement) - origin).double().reshape(answer.tangent.shape)
-    return Parts(found.displacement.double(), found.normal_force.double(), slip, found.tie_force.double())
 
 
 def _products(factor: Vector, values: Extended) -> Extended:
@@ -413,7 +390,7 @@ class Scales:
     def __init__(self, problem: ContactProblem) -> None:
         self._problem = problem
 
-    def same(self, of: str, one: Rates, other: Rates) -> bool:
+    def same(self, of: str, one: Rates, other: Rates, nothing: float = 0.0) -> bool:
         """Return whether a quantity has the same rates, beside all rates and in the square root of energy.
 
         Gaps and reactions are sums of terms that may cancel: beside themselves their rounding would be a difference.
@@ -423,7 +400,14 @@ class Scales:
             for rates in (one, other):
                 largest = max(largest, float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)))
         difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest)
+        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest + nothing)
+
+    def are_one(self, one: Rates, other: Rates) -> bool:
+        """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""
+        sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
+        nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
+        names = "displacement", "normal_force", "friction_force", "tie_force"
+        return all(self.same(name, one, other, nothing) for name in names)
 
     def of(self, name: str, values: Array) -> Vector:
         """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""

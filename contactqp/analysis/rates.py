@@ -8,8 +8,11 @@ minimises
 
 c the contacts that push and w those that graze, whose gap and force both vanish (for membranes over obstacles Mignot
 1976): a contact problem of the same stiffness, with the grazing contacts as its contacts and those that push among its
-ties; its forces are the rates of the forces. With friction in the plane every combination of states that the contacts
-at a border may go to is tried: one whose rates lead to where it says is the answer's.
+ties; its forces are the rates of the forces. With friction every combination of states that the contacts at a border
+may go to is tried: one whose rates lead to where it says is the answer's. In space what begins to slip does so along
+its friction, and across it the rate of its slip is none; the direction in which a grazing contact that has not slipped
+begins to slip is looked for, where the law has one answer at every load: then so have its rates, which leave of the
+law what is beneath them.
 """
 
 from __future__ import annotations
@@ -22,14 +25,22 @@ from typing import Any
 import numpy as np
 
 from contactqp.analysis.border_states import (
+    FAR,
     MOST_COMBINATIONS,
+    MOST_TURNS,
+    TURNS_NO_MORE,
+    Borders,
     Margins,
-    Sharing,
     decided,
+    decided_in_space,
     falls,
+    missed,
     rates_posed,
+    resolved,
+    seen_states,
+    slips_across,
     steps_to_events,
-    width_within,
+    sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.rate_systems import (
     EPS,
@@ -48,21 +59,20 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
+from contactqp.linalg.nonnegative import Sharing, width_within
 from contactqp.model.arrays import Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
+from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
-IN_SPACE = "what becomes of contacts at the border of two states is found in the plane alone, with friction"
+IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
 # Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
 ROUNDING = 64 * EPS
-# The rates whose signs tell states.
-BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
@@ -114,6 +124,16 @@ class Linearised:
             )
         self._decide()
         self.undecided = np.union1d(self.grazing, self._at_bound).astype(np.intp)
+        answer, certificate = self.solution, self.solution.certificate
+        measure = None if certificate.violations is None else certificate.violations.slip_measure
+        slid = np.zeros(len(self.push), dtype=bool) if measure is None else measure > certificate.tolerance
+        self.borders = Borders(
+            problem, self.scales, self.undecided, self.status, self.push, self._drag, self._slip, slid
+        )
+        slip = np.zeros(shape_of_tangents(problem)) if answer.slip is None else answer.slip
+        self._answer = Parts(answer.displacement, answer.normal_force, slip, answer.tie_force)
+        if problem.frictional:
+            self._answer = resolved(problem, self.status, self._answer)
         self._systems: dict[bytes, RateSystem] = {}
         self._posed: dict[bytes, ContactProblem] = {}
         self.redundant = self._forces_depend()
@@ -124,41 +144,35 @@ class Linearised:
         """Find the states of contacts; those that certificates see at a border are decided where they can be.
 
         Forces and gaps in given states are known far beyond double precision, where these have one answer: a force that
-        is there at all keeps its contact closed. In space, with friction, contacts stay what certificates say.
+        is there at all keeps its contact closed. In space, with friction, doubles decide.
         """
         solution, problem, words = self.solution, self.problem, self.solution.contact_status
         none = np.zeros(shape_of_tangents(problem))
         self._slip = none if solution.slip is None else solution.slip
         self._drag = none if solution.friction_force is None else solution.friction_force
-        self.push, self._gap, self.status = solution.normal_force, solution.gap, self._states(words)
-        self.grazing, self._at_bound = np.flatnonzero(words == "grazing"), self._sticking_at_bound()
+        self.push, self._gap, self.status = solution.normal_force, solution.gap, seen_states(words, self._slip)
+        self.grazing, self._at_bound = (
+            np.flatnonzero(words == "grazing"),
+            sticking_at_bound(problem, self.status, self.push, self._drag),
+        )
         near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
-        if len(near) and not self._sparse and not (problem.frictional and none.shape[1] > 1):
+        in_space = problem.frictional and none.shape[1] > 1
+        if len(near) and in_space:
+            answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
+            self.status, self.grazing, self._at_bound = decided_in_space(
+                problem, self.status, self.grazing, answer, self._gap, self._slip
+            )
+        elif len(near) and not self._sparse:
             status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
             status[pushing] = STICK if problem.frictional else SLIP_ON
-            answer = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
-            found = decided(problem, condense(problem), status, near, answer)
+            parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
+            found = decided(problem, condense(problem), status, near, parts)
             if found is not None:
                 self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
                 self.push, self._drag, self._gap, self._slip = (
                     found.normal_force, found.friction_force, found.gap, found.slip
                 )  # fmt: skip
         self.closed = np.flatnonzero(self.status != OPEN)
-
-    def _states(self, words: Any) -> Status:
-        """Return the states as numbers; what slips in the plane does so on or back."""
-        status = np.where(np.isin(words, ("closed", "slip")), SLIP_ON, OPEN).astype(np.int8)
-        status[words == "stick"] = STICK
-        if self._slip.shape[1] == 1:
-            status[(status == SLIP_ON) & (self._slip[:, 0] < 0)] = SLIP_BACK
-        return status
-
-    def _sticking_at_bound(self) -> Indices:
-        problem = self.problem
-        if not problem.frictional or problem.friction is None:
-            return np.zeros(0, dtype=np.intp)
-        bound = problem.friction * self.push
-        return np.flatnonzero((self.status == STICK) & (lengths(self._drag) >= (1 - SAME) * bound))
 
     def _forces_depend(self) -> bool:
         """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
@@ -172,16 +186,37 @@ class Linearised:
         if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
             return True
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
-        return Sharing(self.problem, touching, self.scales).takes_part(np.isin(touching, self.grazing))
+        return Sharing(self.problem, touching, self.scales.units).takes_part(np.isin(touching, self.grazing))
 
-    def _system(self, status: Status) -> RateSystem:
+    def _system(self, status: Status, rates: Rates | None = None) -> RateSystem:
+        """Return the system of some states; `rates` has slips that begin in any direction of a plane, and pushes."""
         key = status.tobytes()
-        if key not in self._systems:
-            problem, solution = self.problem, self.solution
-            slip = np.zeros(shape_of_tangents(problem)) if solution.slip is None else solution.slip
-            answer = Parts(solution.displacement, solution.normal_force, slip, solution.tie_force)
-            self._systems[key] = RateSystem(problem, condense(problem), status, answer)
-        return self._systems[key]
+        if key in self._systems and rates is None:
+            return self._systems[key]
+        problem, slip = self.problem, self._answer.tangent.copy()
+        begins = self._at_bound[abs(status[self._at_bound]) == 1] if slip.shape[1] > 1 else self._at_bound[:0]
+        push, free = self._answer.normal.copy(), self.borders.free
+        if rates is not None:
+            slip[free], push[free] = rates.slip[free], rates.normal_force[free]
+        if len(begins):
+            along = self._drag[begins] / lengths(self._drag[begins])[:, None]
+            slip[begins] = FAR * along
+            across = np.column_stack([-along[:, 1], along[:, 0]])
+            problem = slips_across(problem, begins, across)
+        tie = np.concatenate([self._answer.tie, np.zeros(len(begins))])
+        answer = Parts(self._answer.displacement, push, slip, tie)
+        system = RateSystem(problem, condense(problem), status, answer)
+        if rates is None:
+            self._systems[key] = system
+        if len(begins):
+            system.across = begins, across
+        return system
+
+    @property
+    def turns(self) -> bool:
+        """Whether slips in space turn, or may, so that the answer is not linear along any direction."""
+        in_space = self.problem.frictional and self._drag.shape[1] > 1
+        return in_space and bool(len(self.undecided) or self.system is None or np.any(self.system.turning != 0))
 
     @property
     def few_touch(self) -> bool:
@@ -193,9 +228,10 @@ class Linearised:
         """Return why there are no rates whatever the direction, with friction."""
         if not self.problem.frictional:
             return None
-        if self.system is None:
-            return IN_SPACE if shape_of_tangents(self.problem)[1] > 1 else None
-        return None if self.system.regular else SINGULAR
+        if self.system is not None:
+            return None if self.system.regular else SINGULAR
+        free = self.borders.free
+        return f"{self.named(free)} {IN_SPACE}" if len(free) and self.solution.certificate.uniqueness else None
 
     def without_direction(self, friction: Vector) -> str | None:
         """Return why there are no rates by coefficients: a contact without friction that has not slipped gets some."""
@@ -251,7 +287,10 @@ class Linearised:
             own = (direction.friction * self.push)[:, None] * system.directions
             own -= np.einsum("mij,mj->mi", system.turning, slip_origin)
             load = load - problem.tangent.T @ own.ravel()
-        solved = system.solve(Parts(load, direction.whole_gap, slip_origin, direction.tie_value))
+        tie_value = direction.tie_value
+        if (begin := system.across) is not None:
+            tie_value = np.concatenate([tie_value, np.sum(begin[1] * slip_origin[begin[0]], axis=1)])
+        solved = system.solve(Parts(load, direction.whole_gap, slip_origin, tie_value))
         if not solved.settled:
             raise NoRates(SINGULAR)
         return self._of_parts(system, direction, solved.found, solved.bound, own)
@@ -267,6 +306,11 @@ class Linearised:
             dragged = (problem.friction * found.normal)[:, None] * system.directions
             turned = np.einsum("mij,mj->mi", system.turning, slip + direction.slip_origin)
             friction = friction + dragged + own + turned
+        if (begin := system.across) is not None:
+            contacts, across = begin
+            friction = friction.copy()
+            friction[contacts] += found.tie[problem.ties :, None] * across
+            found, bound = replace(found, tie=found.tie[: problem.ties]), None
         return self._with_reaction(direction, found, friction, slip, system.status, bound)
 
     def _with_reaction(
@@ -286,7 +330,7 @@ class Linearised:
         closed, grazing, status, limit = self.closed, self.grazing, self.status, direction.whole_gap
         if self.redundant and (limit.any() or direction.tie_value.any()):
             touching = np.union1d(closed, grazing).astype(np.intp)
-            stay = Sharing(problem, touching, self.scales).stay(self._resultant, limit, direction.tie_value)
+            stay = Sharing(problem, touching, self.scales.units).stay(self._resultant, limit, direction.tie_value)
             if stay is None:
                 raise NoRates("contacts that touch, and ties, cannot change their gaps and values so")
             closed, grazing = stay, np.setdiff1d(touching, stay)
@@ -344,24 +388,43 @@ class Linearised:
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
-        choices = [self._choices(int(i)) for i in self.undecided]
+        choices = [self.borders.choices(int(i)) for i in self.undecided]
         if np.prod([float(len(one)) for one in choices]) > MOST_COMBINATIONS:
             raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
         holding: list[Rates] = []
         for chosen in product(*choices):
             status = self.status.copy()
             status[self.undecided] = chosen
-            system = self._system(status)
-            if not system.regular:
-                self._refuse_many(system, direction)
-                continue
-            found = self._in_states(system, direction)
-            if self._holds(found, direction, status) and not any(self._are_one(found, other) for other in holding):
-                holding.append(found)
+            begins = self.borders.free[status[self.borders.free] == SLIP_ON]
+            turned = self._turned(status, begins, direction)
+            for system in turned if len(begins) else [self._system(status)]:
+                if not system.regular:
+                    self._refuse_many(system, direction)
+                    continue
+                found = self._in_states(system, direction)
+                known = any(self.scales.are_one(found, other) for other in holding)
+                if not known and self._holds(found, direction, system):
+                    holding.append(found)
         if len(holding) != 1:
-            count = "several rates continue" if holding else "no rates continue"
+            none = "no rates were found that continue" if len(self.borders.free) else "no rates continue"
+            count = "several rates continue" if holding else none
             raise NoRates(f"{count} the answer: {self.named(self.undecided)} may change its state")
         return holding[0]
+
+    def _turned(self, status: Status, begins: Indices, direction: Direction) -> Iterator[RateSystem]:
+        """Yield systems in which some contacts in space begin to slip along their friction, by Newton's method."""
+        held = status.copy()
+        held[begins] = STICK
+        for rates in self.borders.starts(self._in_states(self._system(held), direction), begins):
+            for _ in range(MOST_TURNS):
+                system, before = self._system(status, rates), rates.slip[begins]
+                rates = self._in_states(system, direction)
+                changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
+                if not (system.regular and np.all(size > 0)):
+                    break
+                if np.all(changed <= TURNS_NO_MORE * size):
+                    yield system
+                    break
 
     def _refuse_many(self, system: RateSystem, direction: Direction) -> None:
         """Raise `NoRates` where many rates may continue the answer in a combination whose system has no inverse.
@@ -370,10 +433,12 @@ class Linearised:
         polyhedron: forces are not unique where s(N) z >= 0 has solutions, or where it is more than a point.
         """
         zero = Direction.zero(self.problem)
+        if self._drag.shape[1] > 1:
+            raise NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
         basis = [self._of_parts(system, zero, part, None, zero.slip_origin) for part in system.unresolved()]
         if not basis:
             return
-        turns = np.column_stack([self._signs(one, zero, system.status) for one in basis])
+        turns = np.column_stack([self.borders.signs(one, zero, system) for one in basis])
         many = NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
         if width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
             raise many
@@ -381,44 +446,14 @@ class Linearised:
             found = self._in_states(system, direction)
         except NoRates:
             return
-        if self._missed(found, direction, system) > SEEN:  # those that fit best are no rates
+        if missed(self.problem, self.scales, found, direction, system) > SEEN:  # those that fit best are no rates
             return
-        signs = self._signs(found, direction, system.status)
+        signs = self.borders.signs(found, direction, system)
         size = max(float(np.max(abs(signs), initial=0.0)), float(np.finfo(float).tiny))
         if width_within(turns, signs / size, np.inf) > SEEN:
             raise many
 
-    def _missed(self, found: Rates, direction: Direction, system: RateSystem) -> float:
-        """Return what rates leave of equilibrium and of what is to be held, as a part of all."""
-        problem, tie_length = self.problem, self.scales.units[3]
-        assert problem.tangent is not None
-        outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
-        outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
-        closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in (system.closed, system.stuck))
-        held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
-        missed = [self.scales.of("reaction", outer), held, self.scales.of("gap", np.where(closed, found.gap, 0.0))]
-        missed.append(self.scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
-        rates = [
-            self.scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")
-        ]
-        left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
-        return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
-
-    def _choices(self, i: int) -> tuple[int, ...]:
-        """Return the states that a contact at a border may go to."""
-        solution, friction = self.solution, self.problem.friction
-        assert friction is not None
-        if self.status[i] == STICK:
-            return STICK, SLIP_ON if self._drag[i, 0] > 0 else SLIP_BACK
-        if friction[i] == 0:
-            return OPEN, SLIP_ON
-        certificate = solution.certificate
-        measure = None if certificate.violations is None else certificate.violations.slip_measure
-        if measure is not None and measure[i] > certificate.tolerance:
-            return OPEN, SLIP_ON if self._slip[i, 0] > 0 else SLIP_BACK
-        return OPEN, STICK, SLIP_ON, SLIP_BACK
-
-    def _holds(self, found: Rates, direction: Direction, status: Status) -> bool:
+    def _holds(self, found: Rates, direction: Direction, system: RateSystem) -> bool:
         """Return whether rates lead undecided contacts to the states that they were found in."""
         unit, of_normal, _, _ = self.scales.units
         push = abs(found.normal_force * of_normal)
@@ -426,42 +461,8 @@ class Linearised:
         nothing = np.array(SAME * whole)
         if found.bound is not None:
             rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
-            nothing = self._signs(found, direction, status, errors=True) + (ROUNDING * whole if rounded else 0.0)
-        return bool(np.all(self._signs(found, direction, status) >= -nothing))
-
-    def _signs(self, found: Rates, direction: Direction, status: Status, errors: bool = False) -> Vector:
-        """Return what is not negative where rates lead undecided contacts to these states, or its error."""
-        mu, add = self.problem.friction, 1.0 if errors else -1.0
-        assert mu is not None
-        _, of_normal, of_tangent, _ = self.scales.units
-        of = {
-            name: errors_of(self.problem, name, found, direction) if errors else getattr(found, name)
-            for name in BY_SIGN
-        }
-        push, drag = of["normal_force"] * of_normal, of["friction_force"][:, 0] * of_normal
-        room = mu * push + direction.friction * self.push * of_normal * (8 * EPS if errors else 1.0)
-        slips = np.divide(of["slip"][:, 0], of_tangent, out=np.zeros_like(push), where=of_tangent > 0)
-        gaps = np.divide(of["gap"], of_normal, out=np.zeros_like(push), where=of_normal > 0)
-        signs: list[float] = []
-        for i in self.undecided:
-            grazes, state = self.status[i] != STICK, 1 if errors else status[i]
-            if status[i] == OPEN:
-                signs += [gaps[i]]
-            elif status[i] == STICK and grazes:
-                signs += [push[i], room[i] + add * drag[i], room[i] + abs(add) * drag[i]]
-            elif status[i] == STICK:
-                signs += [room[i] + (1.0 if errors else -np.sign(self._drag[i, 0])) * drag[i]]
-            else:
-                turns = not grazes or len(self._choices(int(i))) == 4
-                signs += ([push[i]] if grazes else []) + ([state * slips[i]] if turns else [])
-        return np.array(signs)
-
-    def _are_one(self, one: Rates, other: Rates) -> bool:
-        """Return whether two combinations have the same rates."""
-        return all(
-            self.scales.same(name, one, other)
-            for name in ("displacement", "normal_force", "friction_force", "tie_force")
-        )
+            nothing = self.borders.signs(found, direction, system, errors=True) + (ROUNDING * whole if rounded else 0.0)
+        return bool(np.all(self.borders.signs(found, direction, system) >= -nothing))
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
@@ -472,14 +473,16 @@ class Linearised:
             members = np.flatnonzero(
                 (rates.status != OPEN) | (np.isin(np.arange(len(self.push)), self.grazing) & (rates.normal_force > 0))
             )
-            yield Sharing(self.problem, members, self.scales).reach(self._resultant, sign * rates.reaction)
+            yield Sharing(self.problem, members, self.scales.units).reach(self._resultant, sign * rates.reaction)
             apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)
             yield from falls(self._gap[apart], sign * rates.gap[apart])
             return
         parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
         along = Margins(*(sign * part for part in parts))
         now, mu = Margins(self._gap, self.push, self._drag, self._slip), self.problem.friction
-        rests = np.array([i for i in self.undecided if self.problem.frictional and STICK in self._choices(int(i))])
+        rests = np.array(
+            [i for i in self.undecided if self.problem.frictional and STICK in self.borders.choices(int(i))]
+        )
         mu = mu if self.problem.frictional else None
         yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests.astype(np.intp), self._at_bound)
 

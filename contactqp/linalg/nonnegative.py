@@ -5,6 +5,8 @@ opens those whose force it drives through zero, so the energy rises strictly and
 ends after finitely many steps, with redundant contacts too: a row that depends on closed ones replaces one of them
 instead of joining them.
 
+Contacts whose rows depend on one another may share a force in many ways: `Sharing` looks through them.
+
 Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 """
 
@@ -13,8 +15,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11
@@ -149,3 +153,89 @@ def highs(cost: Vector, **constraints: Any) -> Any:
     except ValueError:
         return None
     return found if found.x is not None and found.status == 0 else None
+
+
+# Rows that are combinations of others to this part of the largest depend on them; of shared forces less is none.
+DEPENDENT_ROWS, SEEN = 1e-10, 1e-6
+
+
+class Sharing:
+    """The ways in which contacts that touch, and ties, may share the force that they exert, in the root of energy.
+
+    A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
+    that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
+    with several multipliers).
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    contacts : (q,) array, those that touch
+    units : scale of unknowns (n,), and lengths of normal, tangential and tied rows in it
+    """
+
+    def __init__(
+        self, problem: ContactProblem, contacts: Indices, units: tuple[Vector, Vector, Vector, Vector]
+    ) -> None:
+        unit, normal, _, tie = units
+        lengths = np.concatenate([normal[contacts], tie])
+        rows = sp.csc_array(sp.vstack([problem.normal[contacts], problem.tie]))
+        self._felt, self._unit, self._contacts = np.flatnonzero(np.diff(rows.indptr)), unit, contacts
+        self._lengths = np.where(lengths > 0, lengths, 1.0)
+        self.rows: Array = rows[:, self._felt].toarray() * unit[self._felt] / self._lengths[:, None]
+        self._limits = [(0.0, None)] * len(contacts) + [(None, None)] * problem.ties
+        _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
+        self._basis = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
+
+    def _told(self, resultant: Vector) -> Vector:
+        """Return a force (n,) along what the rows span."""
+        return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
+
+    def takes_part(self, grazes: Mask) -> bool:
+        """Return whether those that graze (q,) can hold one another, or what the others hold."""
+        grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
+        resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
+        _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
+        return not residual > CARRIES
+
+    def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
+        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
+        from scipy.optimize import linprog
+
+        span, told = self._basis @ self.rows.T, self._told(resultant)
+        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
+        cost /= np.max(abs(cost), initial=0.0) or 1.0
+        told = told / (np.max(abs(told), initial=0.0) or 1.0)
+        least = linprog(cost, A_eq=span, b_eq=told, bounds=self._limits)
+        if least.status != 0:
+            return None
+        span, told = np.vstack([span, cost]), np.append(told, least.fun)
+        stays = []
+        for place, contact in enumerate(self._contacts):
+            most = linprog(-np.eye(len(cost))[place], A_eq=span, b_eq=told, bounds=self._limits)
+            if most.status == 3 or (most.status == 0 and -most.fun > SEEN):
+                stays.append(contact)
+        return np.array(stays, dtype=np.intp)
+
+    def reach(self, resultant: Vector, rate: Vector) -> float:
+        """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
+        from scipy.optimize import linprog
+
+        told, turns = self._told(resultant), self._told(rate)
+        size, speed = (float(np.max(abs(one), initial=0.0)) or 1.0 for one in (told, turns))
+        span = np.column_stack([self._basis @ self.rows.T, -turns / speed])
+        cost = np.append(np.zeros(len(self._limits)), -1.0)
+        most = linprog(cost, A_eq=span, b_eq=told / size, bounds=[*self._limits, (0.0, None)])
+        return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
+
+
+def width_within(turns: Array, signs: Vector, far: float) -> float:
+    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
+    from scipy.optimize import linprog
+
+    along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
+    for sign in (1.0, -1.0):
+        end = linprog(sign * along, A_ub=-turns, b_ub=signs, bounds=(-far, far))
+        if end.status != 0:
+            return 0.0 if end.status == 2 else np.inf
+        ends.append(float(end.fun))
+    return -sum(ends)

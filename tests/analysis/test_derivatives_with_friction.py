@@ -175,12 +175,6 @@ def test_a_slider_on_a_spring_in_any_units(force: float, length: float) -> None:
 
 
 def test_what_has_no_derivative_with_friction_says_why() -> None:
-    ramp = cq.ContactProblem(
-        np.eye(3), [3.0, 0.0, -10.0], [[0.0, 0.0, -1.0]], [0.0], [[1.0, 0, 0], [0.0, 1, 0]], friction=0.3
-    )  # in space, at its bound: 3 = 0.3 10
-    found = cq.solve(ramp).derivative("displacement", "load", [1.0, 0.0, 0.0])
-    assert (found.value, found.right) == (None, None)
-    assert "in the plane alone" in found.reason
     still = cq.ContactProblem(
         np.eye(3), [0.0, -10.0, -5.0], [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [0.0, 0.0],
         [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], friction=[0.0, 0.5],
@@ -205,6 +199,80 @@ def test_what_has_no_derivative_with_friction_says_why() -> None:
         with pytest.raises(cq.InvalidProblem, match=message):
             call()
     assert smooth.derivative("reaction", "rows", [[1.0]]).value == pytest.approx([1.0])  # u = 1/E: f - K u = 2 - 1/E
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**-30, 1e9])
+def test_what_begins_to_slip_in_space_does_so_along_its_friction(unit: float) -> None:
+    """A weight of 10 on springs of 2 and 4, mu = 1/2, pulled by (3, 4), which is the bound; t = (3, 4)/5.
+
+    Slipping along t it is held by t'K t = (9 2 + 16 4)/25 = 3.28 and its friction turns with what pulls across.
+    """
+    floor = dict(normal=[[0.0, 0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0, 0], [0.0, 1, 0]], friction=0.5)
+    K, t = np.diag([2.0, 4.0, 5.0]) / unit, np.array([0.6, 0.8])
+    body = cq.solve(cq.ContactProblem(K, [3.0, 4.0, -10.0], **floor))
+    found = body.derivative("displacement", "load", [1.0, 1.0, 0.0])
+    assert (found.value, found.exists, found.bound, found.reach) == (None, False, None, None)
+    assert found.left == pytest.approx([0.0, 0.0, 0.0], abs=1e-15 * unit)
+    assert found.right == pytest.approx([*(t * 1.4 / 3.28 * unit), 0.0], rel=1e-13, abs=1e-15 * unit)
+    assert found.reason == "the two sides differ: contact 0 sticks at its bound"
+    drag = body.derivative("friction_force", "load", [1.0, 1.0, 0.0])
+    assert drag.left == pytest.approx(np.array([[1.0, 1.0]]))  # it sticks
+    held = np.array([1.0, 1.0]) - np.diag([2.0, 4.0]) @ t * 1.4 / 3.28
+    assert drag.right == pytest.approx(held[None])
+    assert drag.right[0] @ t == pytest.approx(0.0, abs=1e-14)
+    across = body.derivative("displacement", "load", [-0.8, 0.6, 0.0])  # to either side it sticks
+    assert across.value == pytest.approx([0.0, 0.0, 0.0], abs=1e-15 * unit)
+    lighter = body.derivative("displacement", "load", [0.0, 0.0, 1.0])
+    assert lighter.right == pytest.approx([*(t * 0.5 / 3.28 * unit), 0.0], abs=1e-15 * unit)
+    near = cq.solve(body.problem.replace(load=[3.0, 4.0, -10.0 - 1e-12])).derivative("displacement", "load", [1, 1, 0])
+    assert near.value == pytest.approx([0.0, 0.0, 0.0], abs=1e-15 * unit)  # it does not slip yet
+
+
+def at_borders_in_space(rng: np.random.Generator) -> cq.ContactProblem:
+    """Draw a problem in space around an answer whose first contact grazes, or sticks at its bound: all are doubles."""
+    m = int(rng.integers(1, 4))
+    n = 3 * m + int(rng.integers(0, 3))
+    shape = rng.integers(-2, 3, (n, n))
+    K, rows = (shape @ shape.T + 8 * np.eye(n)).astype(float), np.eye(n)[rng.permutation(n)[: 3 * m]]
+    E, T = rows[:m] * rng.choice([-1.0, 1.0], m)[:, None], rows[m:]
+    u = rng.integers(-4, 5, n) / 2
+    push, drag, gap, origin = np.zeros(m), np.zeros((m, 2)), E @ u, (T @ u).reshape(m, 2)
+    kinds = ["bound", "slipped", "grazes", "stick", "slip", "open"]
+    for i in range(m):
+        kind, turn = rng.choice(kinds[: 3 if i == 0 else None]), np.array([3.0, 4.0]) * rng.choice([-1.0, 1.0], 2)
+        push[i] = 2.5 * rng.integers(1, 5) * (kind in ("bound", "stick", "slip"))
+        drag[i] = turn * push[i] * (0.025 if kind == "stick" else 0.05)
+        origin[i] -= 0.125 * turn * (kind in ("slip", "slipped"))
+        gap[i] += 0.5 * (kind == "open")
+    load = K @ u + E.T @ push + T.T @ drag.ravel()
+    return cq.ContactProblem(K, load, E, gap, T, 0.25, origin)
+
+
+@pytest.mark.parametrize("problems", [6, pytest.param(60, marks=pytest.mark.slow)])
+def test_rates_at_borders_in_space_are_differences_of_answers(problems: int) -> None:
+    rng, seen, two_sided, missing, step = np.random.default_rng(3), 0, 0, 0, 2.0**-20
+    for _ in range(problems):
+        problem = at_borders_in_space(rng)
+        solution, m = cq.solve(problem), problem.contacts
+        if solution.certificate.uniqueness:
+            continue
+        along = dict(
+            load=rng.standard_normal(problem.dimension), gap=rng.standard_normal(m),
+            slip_origin=rng.standard_normal((m, 2)), friction=rng.uniform(0.0, 1.0, m),
+        )  # fmt: skip
+        for name, direction in along.items():
+            sides = [cq.solve(moved(problem, name, sign * step * direction)) for sign in (-1, 1)]
+            for of in ("displacement", "normal_force", "friction_force", "energy"):
+                found = solution.derivative(of, name, direction)
+                assert found.right is not None, found.reason
+                for sign, side, rates in zip((-1, 1), sides, (found.left, found.right), strict=True):
+                    difference = (np.asarray(value(side, of)) - np.asarray(value(solution, of))) / (sign * step)
+                    assert rates == pytest.approx(difference, abs=2e-4 * max(1.0, np.max(abs(difference))))
+                two_sided += not found.exists
+                seen += 1
+    assert seen >= 8 * problems
+    assert two_sided >= 2 * problems
+    assert missing <= seen // 50
 
 
 def test_a_contact_at_its_bound_is_followed_to_the_next_event() -> None:
