@@ -385,7 +385,7 @@ class _RangeSpace:
         self.independent = np.arange(len(self._members))
         self.free: Array = np.zeros((len(condensation.retained), 0))
         self.free_coordinates: Array = np.zeros((condensation.rigid.count, 0))
-        self._factor = DenseCholesky(operator.W[np.ix_(self._members, self._members)]) if len(self._members) else None
+        self._factor = DenseCholesky(operator.W[self._members[:, None], self._members]) if len(self._members) else None
         self._rows, self._row_scale = operator.rows[self._members], operator.row_scale[self._members]
         self._response = operator.response[:, self._members]
         self.regular = self._factor is None or self._factor.smallest_pivot >= REGULAR

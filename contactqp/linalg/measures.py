@@ -139,7 +139,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     few_yield = not (stiff.all() or mostly_bare(problem))
     for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
         of_row = row_sizes(problem, rows)
-        lengths = rows @ u, of_row.lengths(abs(u)), of_row.lengths(abs(elastic))
+        lengths = rows @ u, (met := of_row.lengths(abs(u))), met if elastic is u else of_row.lengths(abs(elastic))
         length = imposed(limit, *lengths, of_row.compliance)
         if few_yield:
             moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), np.where(stiff, 0.0, 1.0)))
@@ -159,7 +159,7 @@ def _driven(problem: ContactProblem, part: Indices) -> Mask:
     """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
-    for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
+    for rows, limit in () if driven.all() else (one for one in rows_and_limits(problem) if one[1].size):
         of_row = row_sizes(problem, rows)
         reached = limit[of_row.touching]
         moving = reached < 0 if rows is problem.normal else reached != 0
@@ -194,7 +194,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     if problem.tangent is not None:
         tangent = lengths(problem.tangent, _beside_lengths(problem, u, size, along=True))
     of_contacts = None if of_contacts is None else np.minimum(force, of_contacts)
-    return Nothing(force, lengths(problem.normal, across), tangent, lengths(problem.tie, across), of_contacts)
+    tie = lengths(problem.tie, across) if problem.ties else np.zeros(0)
+    return Nothing(force, lengths(problem.normal, across), tangent, tie, of_contacts)
 
 
 def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector, along: bool) -> Vector:
@@ -402,8 +403,8 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
 
 def force_size(problem: ContactProblem, force: Vector) -> float:
     """Return |D E'l|, the size of contact forces at their own unknowns, the rest held [square root of energy]."""
-    resultant = row_sizes(problem, problem.normal).resultant(force)
-    return float(np.linalg.norm(problem.own_scale * resultant))
+    felt = problem.own_scale * row_sizes(problem, problem.normal).resultant(force)
+    return float(np.sqrt(felt @ felt))
 
 
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:

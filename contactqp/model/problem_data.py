@@ -150,6 +150,8 @@ def refuse_masked(name: str, value: Any) -> None:
         raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
     if isinstance(value, (list, tuple)):
         for part in value:
+            if type(part) in PLAIN:
+                continue
             if part is value:
                 raise InvalidProblem(f"{name}: expected numbers, got a list that holds itself")
             if isinstance(part, (list, tuple)) or is_masked(part):
