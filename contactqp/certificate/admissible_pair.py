@@ -1,8 +1,9 @@
-"""A displacement that penetrates nowhere and forces that pull nowhere, near a candidate: what its bounds are made of.
+"""A displacement that penetrates nowhere and forces that pull nowhere, near a candidate, where its own set has none.
 
-The pair is got from the candidate's own set of closed contacts: the refined answer on it is the solution if its signs
-hold. Where they do not, the set is corrected; where no set is found, the candidate itself is repaired: its contacts
-closed, its tensions dropped. However the pair was found, it is judged by the problem alone.
+`bounds` are made of such a pair. The refined answer on the candidate's set of closed contacts is the solution if its
+signs hold, and the pair. Where they do not, the set is corrected, or another is looked for; where no set is found, the
+candidate itself is repaired: its contacts closed, its tensions dropped. However the pair was found, it is judged by the
+problem alone.
 
 The least displacements and forces of a repair are found from the rows themselves: products of rows with each other
 would lose half of the digits that tell nearly dependent rows apart.
@@ -10,20 +11,31 @@ would lose half of the digits that tell nearly dependent rows apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import scipy.sparse as sp
 
-from contactqp.certificate.figures import CONTRACTION, energy_norm, energy_norms, force_norm, residual_noise, response
-from contactqp.linalg.condensation import Condensation
+from contactqp.certificate.figures import energy_norm, energy_norms, force_norm, residual_noise, response
+from contactqp.errors import NoEquilibrium
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
-from contactqp.linalg.extended import Extended, Residuals, SparseRows, extend, extended_rows
-from contactqp.linalg.floating import that_move
+from contactqp.linalg.existence import refuse_conflict
+from contactqp.linalg.extended import EPS, Extended, SparseRows, extend, extended_rows, residuals
+from contactqp.linalg.floating import UNRESISTED, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import forces_that_meet, intrinsic_size, lengths_that_meet, of_rows, without_rigid_part
+from contactqp.linalg.measures import (
+    forces_that_meet,
+    intrinsic_size,
+    lengths_that_meet,
+    of_rows,
+    outer_forces,
+    without_rigid_part,
+)
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
+from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -78,8 +90,6 @@ def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
     return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=WITHIN_ROUNDING)[0])
 
 
-# Corrections of each set that the candidate may mean, and of the first when all of them have failed.
-CORRECTIONS, LAST_CORRECTIONS = 3, 50
 # A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
 # accuracy.
 TOUCHING = 1e-6
@@ -119,27 +129,7 @@ class Undecided(Unproven):
     """Nothing can be proven in the digits of doubles, whatever the answer."""
 
 
-def admissible_pair(
-    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
-) -> AdmissiblePair:
-    """Return the admissible pair that is nearest to the solution, as far as one is found.
-
-    Raises Unproven: there is none, or refinement does not converge.
-
-    Parameters
-    ----------
-    problem : without friction
-    answer : the solution that the pair is to be near
-    residual : those of the answer
-    condensation : that of the problem
-    """
-    pair = _nearest_pair(problem, answer, residual, condensation)
-    if condensation.rigid.count:
-        _refuse_unbalanced(problem, answer, condensation, pair)
-    return pair
-
-
-def _refuse_unbalanced(
+def refuse_unbalanced(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> None:
     """Raise Undecided where the pair's forces leave more of the load on a rigid motion than rounding makes.
@@ -149,7 +139,7 @@ def _refuse_unbalanced(
     """
     rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
     outer = extend(problem.load) - rows.contact_force(pair.force, pair.tie_force)
-    missed = abs((SparseRows(csr_matrix(motions.T)) @ outer).double())
+    missed = abs((SparseRows(sp.csr_matrix(motions.T)) @ outer).double())
     solution = (extend(answer.displacement) + pair.to_middle).double()
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
     size = abs(motions).T @ forces_that_meet(problem, forces)
@@ -162,49 +152,7 @@ def _refuse_unbalanced(
         )
 
 
-def _nearest_pair(
-    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
-) -> AdmissiblePair:
-    compliance = condensation.delassus.compliance[: problem.contacts]
-    first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
-    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
-        return _from_set(problem, answer, condensation, found)
-    sets = _believed_sets(problem, answer, compliance)
-    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
-        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
-            return _from_set(problem, answer, condensation, found)
-    if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
-        return _from_set(problem, answer, condensation, found)
-    searched = _searched_set(problem, condensation)
-    if (
-        searched is not None
-        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, residual)) is not None
-    ):
-        return _from_set(problem, answer, condensation, found)
-    return _from_repair(problem, answer, condensation, first)
-
-
-def _holding(
-    problem: ContactProblem,
-    condensation: Condensation,
-    closed: Indices,
-    corrections: int,
-    answer: Answer | None = None,
-    residual: Residuals | None = None,
-) -> OnSet | None:
-    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
-
-    Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
-    """
-    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
-    if on_set.contraction >= CONTRACTION:
-        raise Unproven(
-            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
-        )
-    return on_set if holds else None
-
-
-def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[Indices, ...]:
+def believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[Indices, ...]:
     """Return the contacts closed by gap or by force alone, should these disagree; `compliance` (m,) is W_ii."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
@@ -215,7 +163,7 @@ def _believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) 
     return touching, pushing, acting
 
 
-def _searched_set(problem: ContactProblem, condensation: Condensation) -> Indices | None:
+def searched_set(problem: ContactProblem, condensation: Condensation) -> Indices | None:
     """Find the closed contacts by a finite method, where corrections of sets cycle; None if bodies float."""
     if condensation.rigid.count:
         return None
@@ -229,31 +177,7 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> Indice
     return np.flatnonzero(force[: problem.contacts] > 0) if ended else None
 
 
-def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
-    """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
-    force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
-    if (force.hi < 0).any():
-        dropped, tie_change = _without_tension(problem, condensation, on_set)
-        undecided += sum(force_norm(problem, condensation, dropped))
-        force, tie_force = force + dropped, tie_force + tie_change
-    # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
-    entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
-    allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
-    return AdmissiblePair(
-        to_middle=on_set.displacement - extend(answer.displacement),
-        radius=allowance,
-        dual_radius=allowance,
-        force=force.positive_part(),
-        tie_force=tie_force,
-        open_gap=np.maximum(on_set.gaps, 0.0),
-        saddle=on_set.saddle,
-        exact=True,
-        cleared=on_set.cleared,
-        undecided=undecided,
-    )
-
-
-def _without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
+def without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
     """Return the change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
 
     On a body that floats the forces that stay must balance without it: those that push change by the least that does.
@@ -289,29 +213,13 @@ def rows_on_motions(problem: ContactProblem, condensation: Condensation, active:
     return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
 
 
-def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
-    """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
-    length = on_set.lengths
-    excess = np.maximum(-on_set.gaps, 0.0)
-    excess[excess <= ZERO_GAP * length] = 0.0
-    undecided = _of_noise(problem, condensation, on_set, length)
-    if excess.any():
-        undecided += _of_penetration(problem, condensation, on_set, excess, length)
-    return undecided
-
-
-def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
+def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
     """Bound the distance that gaps which are zero in extended precision alone leave open, where contacts are dependent.
 
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
     """
     gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
-    touching, saddle = (abs(gap) <= WITHIN_ROUNDING * length).nonzero()[0], on_set.saddle
-    if not np.array_equal(touching, saddle.closed):
-        saddle = saddle_point(condensation, touching)
-    if not saddle.redundant:
-        return 0.0
     moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
     whole = intrinsic_size(problem, on_set.doubles, moved)
     length = np.maximum(length, of_rows(problem, problem.normal, whole))
@@ -321,7 +229,7 @@ def _of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet
     return float(np.sqrt(2 * hidden.max(initial=0.0) * (force[pushing] @ length[pushing])))
 
 
-def _of_penetration(
+def of_penetration(
     problem: ContactProblem, condensation: Condensation, on_set: OnSet, excess: Vector, length: Vector
 ) -> float:
     """Bound the distance of the solution from an answer u' whose contacts are penetrated by `excess` d >= 0 (m,).
@@ -378,7 +286,7 @@ def _by_retreat(
 ) -> float:
     """Return the smaller of two bounds by a displacement w with E w <= -d, E w = -d on the contacts of `exactly`.
 
-    One is that of `_of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
+    One is that of `of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
     u' the solution in the gaps g - E w too, and |u* - u'| <= 2 |w|; what is left of their response, |l' - l|_W, is
     added.
     """
@@ -395,9 +303,7 @@ def _by_retreat(
     return min(by_energy, 2 * size + sum(force_norm(problem, condensation, force - extend(moved))))
 
 
-def _from_repair(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices
-) -> AdmissiblePair:
+def from_repair(problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices) -> AdmissiblePair:
     """Return the pair of v, the candidate with its contacts closed, and l, its forces without tension, balanced."""
     rows = extended_rows(problem)
     to_feasible, saddle = _close(problem, answer, condensation, closed)
@@ -474,3 +380,80 @@ def _admissible_forces(
     if np.any(force < 0) or np.any(abs(left) > BALANCED * size):
         raise Unproven("no forces near the candidate's balance the load on every rigid motion")
     return extend(force), extend(tie)
+
+
+def bounds_apart(problem: ContactProblem, answer: Answer, elastic: Mask, condensed: Callable[..., Any]) -> Any:
+    """Return the bounds of elastic parts, and those on single contact forces in the other parts.
+
+    In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
+    """
+    found = []
+    for mask in (elastic, ~elastic):
+        unknowns = np.flatnonzero(mask)
+        contacts, ties = (np.unique(rows[:, unknowns].tocoo().row) for rows in (problem.normal, problem.tie))
+        part = _part(problem, unknowns, contacts, ties)
+        own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
+        found.append((unknowns, contacts, condensed(part, own, residuals(part, own), condense(part))))
+    (at, mine, bounds), (beside, theirs, rigid) = found
+    bound = relative = solution = None
+    if bounds.force_bound is not None and rigid.force_bound is not None:
+        bound = np.zeros(problem.contacts)
+        bound[mine], bound[theirs] = bounds.force_bound, rigid.force_bound
+    if bounds.relative_force_bound is not None:
+        relative = np.zeros(problem.contacts)
+        relative[mine] = bounds.relative_force_bound
+    if bounds.solution is not None and rigid.solution is not None:
+        solution = Extended(np.zeros(problem.dimension))
+        for place, one in ((at, bounds.solution), (beside, rigid.solution)):
+            solution.hi[place], solution.lo[place] = one.hi, one.lo
+    return replace(
+        bounds,
+        energy_error=None if rigid.energy_error is None else bounds.energy_error,
+        force_error=None if rigid.force_error is None else bounds.force_error,
+        force_bound=bound,
+        relative_force_bound=relative,
+        solution=solution,
+        suspicious=bounds.suspicious or rigid.suspicious,
+        reasons=tuple(dict.fromkeys((*bounds.reasons, *rigid.reasons))),
+    )
+
+
+def _part(problem: ContactProblem, unknowns: Indices, contacts: Indices, ties: Indices) -> ContactProblem:
+    """Return the problem of these unknowns alone, with the contacts and ties that act there."""
+    K = sp.csr_array(problem.stiffness_rows)[unknowns][:, unknowns]
+    return ContactProblem(
+        K if sp.issparse(problem.stiffness) else K.toarray(), problem.load[unknowns],
+        problem.normal[contacts][:, unknowns], problem.gap[contacts],
+        tie=problem.tie[ties][:, unknowns], tie_value=problem.tie_value[ties],
+        contact_names=[problem.contact_name(int(i)) for i in contacts],
+    )  # fmt: skip
+
+
+def conflict_of_constraints(problem: ContactProblem, condensation: Condensation) -> str | None:
+    """Return which constraints conflict, in words, where it is proven that some do: then no answer is right."""
+    try:
+        refuse_conflict(problem, condensation)
+    except NoEquilibrium as conflict:
+        return str(conflict)
+    return None
+
+
+def out_of_balance(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: Indices
+) -> Vector:
+    """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
+
+    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to EPS of all that
+    meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
+    """
+    motions = condensation.rigid.motions
+    solution = (extend(answer.displacement) + pair.to_middle).double()
+    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
+    if pair.exact:
+        imbalance = EPS * forces_that_meet(problem, forces)
+    else:
+        imbalance = np.finfo(float).eps * outer_forces(problem, forces)
+    rows, weight = rows_on_motions(problem, condensation, active)
+    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
+    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)
+    return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])

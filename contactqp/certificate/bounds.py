@@ -25,8 +25,8 @@ K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A v_i = 0 on independent rows B,
 
     |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                    (4)
 
-How the pair (v, l) is found is told in `admissible_pair`. The bound of the candidate is its distance to the pair and
-the pair's own.
+The pair (v, l) is the refined answer on the candidate's own set, or what `admissible_pair` finds. The bound of the
+candidate is its distance to the pair and the pair's own.
 
 Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
 large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
@@ -43,11 +43,26 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
-from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair, rows_on_motions
+from contactqp.certificate.admissible_pair import (
+    ZERO_GAP,
+    AdmissiblePair,
+    Undecided,
+    Unproven,
+    believed_sets,
+    bounds_apart,
+    conflict_of_constraints,
+    from_repair,
+    of_noise,
+    of_penetration,
+    out_of_balance,
+    refuse_unbalanced,
+    searched_set,
+    without_tension,
+)
 from contactqp.certificate.balance import free_distance, shared_by_rounding, strain_of, strain_of_rigid_part
 from contactqp.certificate.figures import (
+    CONTRACTION,
     FEW_DIGITS,
     RIGID_ROUNDING,
     energy_norm,
@@ -57,34 +72,27 @@ from contactqp.certificate.figures import (
     residual_noise,
     rigid_rounding,
 )
-from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
-from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.existence import refuse_conflict
-from contactqp.linalg.extended import EPS, Extended, Residuals, extend, residuals
-from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.iteration import Iteration
+from contactqp.linalg.extended import Extended, Residuals, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import (
     force_size,
-    forces_that_meet,
     lengths_that_meet,
-    outer_forces,
     own_compliance,
     parts,
 )
+from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
+# Corrections of each set that the candidate may mean, and of the first when all of them have failed.
+CORRECTIONS, LAST_CORRECTIONS = 3, 50
 # Forces of this part of the displacement's energy norm have an absolute error, and the other way round.
 NEXT_TO_NOTHING = 1e-12
-# The same where residuals are formed in double precision.
-ITERATED_NOTHING = 1e-10
 # A strain up to so many times that of the rigid part alone may be made by K's rounding.
 STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
@@ -144,24 +152,21 @@ class Bounds:
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
-def error_bounds(
-    problem: ContactProblem, answer: Answer, residual: Residuals, operator: Condensation | Iteration
-) -> Bounds:
+def error_bounds(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
     """Return the bounds of an answer, or the reasons why there are none.
 
     Parameters
     ----------
     problem, answer, residual : ContactProblem, Answer, and the Residuals of the answer
-    operator : Condensation or Iteration of the problem
+    condensation : that of the problem
     """
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
-    if isinstance(operator, Iteration):
-        return iterated_bounds(problem, answer, operator)
     elastic = _in_elastic_parts(problem)
     if elastic.any() and not elastic.all():
-        return _apart(problem, answer, elastic)
-    return _condensed(problem, answer, residual, operator)
+        apart: Bounds = bounds_apart(problem, answer, elastic, _condensed)
+        return apart
+    return _condensed(problem, answer, residual, condensation)
 
 
 def _in_elastic_parts(problem: ContactProblem) -> Mask:
@@ -173,53 +178,6 @@ def _in_elastic_parts(problem: ContactProblem) -> Mask:
     return np.asarray(np.isin(part, part[stiff]))
 
 
-def _apart(problem: ContactProblem, answer: Answer, elastic: Mask) -> Bounds:
-    """Return the bounds of elastic parts, and those on single contact forces in the other parts.
-
-    In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
-    """
-    found = []
-    for mask in (elastic, ~elastic):
-        unknowns = np.flatnonzero(mask)
-        contacts, ties = (np.unique(rows[:, unknowns].tocoo().row) for rows in (problem.normal, problem.tie))
-        part = _part(problem, unknowns, contacts, ties)
-        own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
-        found.append((unknowns, contacts, _condensed(part, own, residuals(part, own), condense(part))))
-    (at, mine, bounds), (beside, theirs, rigid) = found
-    bound = relative = solution = None
-    if bounds.force_bound is not None and rigid.force_bound is not None:
-        bound = np.zeros(problem.contacts)
-        bound[mine], bound[theirs] = bounds.force_bound, rigid.force_bound
-    if bounds.relative_force_bound is not None:
-        relative = np.zeros(problem.contacts)
-        relative[mine] = bounds.relative_force_bound
-    if bounds.solution is not None and rigid.solution is not None:
-        solution = Extended(np.zeros(problem.dimension))
-        for place, one in ((at, bounds.solution), (beside, rigid.solution)):
-            solution.hi[place], solution.lo[place] = one.hi, one.lo
-    return replace(
-        bounds,
-        energy_error=None if rigid.energy_error is None else bounds.energy_error,
-        force_error=None if rigid.force_error is None else bounds.force_error,
-        force_bound=bound,
-        relative_force_bound=relative,
-        solution=solution,
-        suspicious=bounds.suspicious or rigid.suspicious,
-        reasons=tuple(dict.fromkeys((*bounds.reasons, *rigid.reasons))),
-    )
-
-
-def _part(problem: ContactProblem, unknowns: Indices, contacts: Indices, ties: Indices) -> ContactProblem:
-    """Return the problem of these unknowns alone, with the contacts and ties that act there."""
-    K = sp.csr_array(problem.stiffness_rows)[unknowns][:, unknowns]
-    return ContactProblem(
-        K if sp.issparse(problem.stiffness) else K.toarray(), problem.load[unknowns],
-        problem.normal[contacts][:, unknowns], problem.gap[contacts],
-        tie=problem.tie[ties][:, unknowns], tie_value=problem.tie_value[ties],
-        contact_names=[problem.contact_name(int(i)) for i in contacts],
-    )  # fmt: skip
-
-
 def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
     if len(condensation.retained) > LARGEST:
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
@@ -228,18 +186,9 @@ def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, con
     except Undecided as reason:
         return no_bounds(str(reason))
     except Unproven as unproven:
-        text = _conflict_of_constraints(problem, condensation) or str(unproven)
+        text = conflict_of_constraints(problem, condensation) or str(unproven)
         return replace(no_bounds(text), suspicious=text)
     return _from_pair(problem, answer, condensation, pair)
-
-
-def _conflict_of_constraints(problem: ContactProblem, condensation: Condensation) -> str | None:
-    """Return which constraints conflict, in words, where it is proven that some do: then no answer is right."""
-    try:
-        refuse_conflict(problem, condensation)
-    except NoEquilibrium as conflict:
-        return str(conflict)
-    return None
 
 
 def no_bounds(reason: str) -> Bounds:
@@ -247,37 +196,120 @@ def no_bounds(reason: str) -> Bounds:
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
-def iterated_bounds(problem: Limits, answer: Forces, iteration: ContactIteration) -> Bounds:
-    """Bound an answer without friction by products and responses (`contactqp.certificate.multigrid_bounds`)."""
-    try:
-        found = distances(problem, answer, iteration)
-    except Unrepaired as reason:
-        return replace(no_bounds(str(reason)), suspicious=str(reason))
-    force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0
-    return Bounds(
-        energy_error=_relative(found.displacement, found.energy_scale, found.displacement),
-        force_error=_relative(found.force, force_scale, found.radius),
-        energy_scale=found.energy_scale,
-        force_scale=force_scale,
-        estimated=found.estimated,
-        reasons=("force_bound: contact by contact it takes a response to a unit force on each",),
+def admissible_pair(
+    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
+) -> AdmissiblePair:
+    """Return the admissible pair that is nearest to the solution, as far as one is found.
+
+    Raises Unproven: there is none, or refinement does not converge.
+
+    Parameters
+    ----------
+    problem : without friction
+    answer : the solution that the pair is to be near
+    residual : those of the answer
+    condensation : that of the problem
+    """
+    pair = _nearest_pair(problem, answer, residual, condensation)
+    if condensation.rigid.count:
+        refuse_unbalanced(problem, answer, condensation, pair)
+    return pair
+
+
+def _nearest_pair(
+    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
+) -> AdmissiblePair:
+    compliance = condensation.delassus.compliance[: problem.contacts]
+    first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
+    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
+        return _from_set(problem, answer, condensation, found)
+    sets = believed_sets(problem, answer, compliance)
+    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
+        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
+            return _from_set(problem, answer, condensation, found)
+    if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
+        return _from_set(problem, answer, condensation, found)
+    searched = searched_set(problem, condensation)
+    if (
+        searched is not None
+        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, residual)) is not None
+    ):
+        return _from_set(problem, answer, condensation, found)
+    return from_repair(problem, answer, condensation, first)
+
+
+def _holding(
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: Indices,
+    corrections: int,
+    answer: Answer | None = None,
+    residual: Residuals | None = None,
+) -> OnSet | None:
+    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
+
+    Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
+    """
+    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
+    if on_set.contraction >= CONTRACTION:
+        raise Unproven(
+            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
+        )
+    return on_set if holds else None
+
+
+def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
+    """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
+    force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
+    if (force.hi < 0).any():
+        dropped, tie_change = without_tension(problem, condensation, on_set)
+        undecided += sum(force_norm(problem, condensation, dropped))
+        force, tie_force = force + dropped, tie_force + tie_change
+    # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
+    entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
+    allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
+    return AdmissiblePair(
+        to_middle=on_set.displacement - extend(answer.displacement),
+        radius=allowance,
+        dual_radius=allowance,
+        force=force.positive_part(),
+        tie_force=tie_force,
+        open_gap=np.maximum(on_set.gaps, 0.0),
+        saddle=on_set.saddle,
+        exact=True,
+        cleared=on_set.cleared,
+        undecided=undecided,
     )
+
+
+def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
+    """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
+    length = on_set.lengths
+    excess = np.maximum(-on_set.gaps, 0.0)
+    excess[excess <= ZERO_GAP * length] = 0.0
+    undecided, saddle = 0.0, on_set.saddle
+    touching = (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
+    if not np.array_equal(touching, saddle.closed):
+        saddle = saddle_point(condensation, touching)
+    if saddle.redundant:
+        undecided = of_noise(problem, condensation, on_set, length)
+    if excess.any():
+        undecided += of_penetration(problem, condensation, on_set, excess, length)
+    return undecided
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
     """Return the bounds of an answer by its distance to the pair and the pair's own: (2), (3) and (4)."""
     solution = extend(answer.displacement) + pair.to_middle
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
-    push, changed = pair.force.double(), changes[0].double()
-    floats = bool(condensation.rigid.count)
+    push, changed, floats = pair.force.double(), changes[0].double(), bool(condensation.rigid.count)
     forces = (pair.force, pair.tie_force) if pair.exact else None
     # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
     strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    size = force_size(problem, push)
-    own = np.sqrt(own_compliance(problem, problem.normal))
+    size, own = force_size(problem, push), np.sqrt(own_compliance(problem, problem.normal))
     if floats:
         # A solution that is known has its own rigid part, however far away the answer is.
         moved = solution.double() if pair.exact else answer.displacement
@@ -304,41 +336,30 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not problem.diagonal.any()
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
-    shared, shared_part = _shared_by_rounding(problem, answer, condensation, pair, scale)
+    shared, of_shared = np.zeros(problem.contacts), 0.0
+    if pair.cleared and problem.near_null_space is None:  # stated motions are exact
+        shared, of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
     relative = None
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
-    energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
+    energy_error = relative_error(distance, energy_scale, pair.radius + uncertain)
     if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
         energy_error = float("inf")
     return replace(
         bounds,
         energy_scale=energy_scale,
         energy_error=0.0 if nothing_elastic else energy_error,
-        force_error=0.0 if nothing_elastic else error + shared_part,
+        force_error=0.0 if nothing_elastic else error + of_shared / (scale or 1.0),
         force_scale=scale,
         ties=ties,
-        shared=shared_part,
+        shared=of_shared / (scale or 1.0),
         largest_force=largest,
         force_bound=force_bound,
         relative_force_bound=relative,
         solution=solution if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
-
-
-def _shared_by_rounding(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, scale: float
-) -> tuple[Vector | float, float]:
-    """Return the forces (m,) that K's rounding may move between closed contacts, and their part of |l*|_W, `scale`.
-
-    They are zero where motions are stated in `near_null_space`, which are exact.
-    """
-    if not pair.cleared or problem.near_null_space is not None:
-        return 0.0, 0.0
-    shared, size = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
-    return shared, size / (scale or 1.0)
 
 
 def _force_error(
@@ -377,11 +398,11 @@ def _force_error(
         # Forces that are zero in a repaired pair may be of any size up to its radius.
         absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
         return (absolute if pair.exact or pair.dual_radius <= vanishing else np.inf), size, (missed, largest)
-    errors = (_relative(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
+    errors = (relative_error(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
     return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
 
 
-def _relative(error: float, scale: float, uncertainty: float) -> float:
+def relative_error(error: float, scale: float, uncertainty: float) -> float:
     """Return the error over the least possible true scale; the error with its uncertainty where the scale is zero."""
     return error + uncertainty if scale == 0 else error / (scale - uncertainty) if scale > uncertainty else np.inf
 
@@ -411,29 +432,8 @@ def _force_bound(
         stiffness = np.sqrt(np.maximum(-reaction.diagonal(), 0.0))
         bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
         if condensation.rigid.count:
-            bound[active] += _out_of_balance(problem, answer, condensation, pair, active)
+            bound[active] += out_of_balance(problem, answer, condensation, pair, active)
     return bound, None
-
-
-def _out_of_balance(
-    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: Indices
-) -> Vector:
-    """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
-
-    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to EPS of all that
-    meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
-    """
-    motions = condensation.rigid.motions
-    solution = (extend(answer.displacement) + pair.to_middle).double()
-    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
-    if pair.exact:
-        imbalance = EPS * forces_that_meet(problem, forces)
-    else:
-        imbalance = np.finfo(float).eps * outer_forces(problem, forces)
-    rows, weight = rows_on_motions(problem, condensation, active)
-    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
-    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)
-    return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])
 
 
 def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:

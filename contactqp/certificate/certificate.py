@@ -26,6 +26,7 @@ from contactqp.certificate.energy_bounds import bounds_by_energy, energy_bounds
 from contactqp.certificate.figures import kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
 from contactqp.certificate.idle_rows import acting_rows, dependent_sparse_ties, dependent_ties, with_forces_without_law
+from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import remember_verdict, state_verdict
 from contactqp.certificate.state_bodies import StateVerdict
@@ -395,8 +396,8 @@ def _residuals_and_bounds(
     The condensation is None where it does not retain all contacts.
     """
     if systems is Systems.ITERATED:
-        residual = plain_residuals(problem, answer)
-        bounds = error_bounds(problem, answer, residual, iteration(problem))
+        residual, by_products = plain_residuals(problem, answer), not problem.frictional
+        bounds = iterated_bounds(problem, answer, iteration(problem)) if by_products else no_bounds(FRICTION_HAS_NONE)
         return residual, bounds, iteration(problem).rigid, None
     residual = kept_residuals(problem, answer)
     if systems is Systems.SPARSE:

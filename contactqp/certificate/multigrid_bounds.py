@@ -29,11 +29,12 @@ lengths L_i; ROUNDING L_i / sqrt(E_i D^-1 E_i') is added for each of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from contactqp.certificate.bounds import Bounds, no_bounds, relative_error
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.model.arrays import Indices, Vector
 
@@ -44,6 +45,8 @@ SAFETY = 10.0
 GENEROUS = 25.0
 # What is left to gain is rounding of what was gained: further steps would go along nothing, anywhere.
 EXHAUSTED = float(np.finfo(float).eps) ** 2
+# The same where residuals are formed in double precision.
+ITERATED_NOTHING = 1e-10
 # Steps of the longest run that Ritz values are believed of.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
 ROUNDING = 16 * np.finfo(float).eps
@@ -250,3 +253,20 @@ def _closed_onto(iteration: ContactIteration, rows: Indices, limit: Vector, u: V
     for _ in range(2):  # the second time takes out the rounding of the first
         held.close(v)
     return v, limit - iteration.lengths(v)
+
+
+def iterated_bounds(problem: Limits, answer: Forces, iteration: ContactIteration) -> Bounds:
+    """Bound an answer without friction by products and responses (`contactqp.certificate.multigrid_bounds`)."""
+    try:
+        found = distances(problem, answer, iteration)
+    except Unrepaired as reason:
+        return replace(no_bounds(str(reason)), suspicious=str(reason))
+    force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0
+    return Bounds(
+        energy_error=relative_error(found.displacement, found.energy_scale, found.displacement),
+        force_error=relative_error(found.force, force_scale, found.radius),
+        energy_scale=found.energy_scale,
+        force_scale=force_scale,
+        estimated=found.estimated,
+        reasons=("force_bound: contact by contact it takes a response to a unit force on each",),
+    )

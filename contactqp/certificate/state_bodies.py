@@ -16,11 +16,11 @@ from contactqp.certificate import messages
 from contactqp.certificate.bounds import error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import energy_norm, rigid_rounding
+from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
 from contactqp.linalg.extended import extend, residuals
-from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
 from contactqp.linalg.measures import row_sizes
@@ -242,7 +242,7 @@ def with_friction_held(
     minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
     held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
     if condensation is None and iterated(problem):
-        bounds = error_bounds(minimised, held, plain_residuals(minimised, held), iteration(problem))
+        bounds = iterated_bounds(minimised, held, iteration(problem))
     elif condensation is None:
         bounds = energy_bounds(minimised, held)
     else:

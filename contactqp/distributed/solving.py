@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.bounds import iterated_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
+from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.distributed import bounded
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute

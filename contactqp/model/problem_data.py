@@ -45,19 +45,20 @@ def read_only(value: T) -> T:
     Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
     """
     found: Any = value
-    if type(found) in PLAIN:
+    if type(found) in PLAIN or isinstance(found, ReadOnly):
         return value
     if isinstance(found, np.ndarray):
         base = found.base
         if base is not None and isinstance(base, np.ndarray) and base.flags.writeable:
             found = found.copy()
         found.setflags(write=False)
+    elif isinstance(found, tuple):
+        if found and isinstance(found[0], np.ndarray):
+            found = tuple(read_only(part) for part in found)
     elif sp.issparse(found):
         for part in ("data", "indices", "indptr"):
             if hasattr(found, part):
                 getattr(found, part).setflags(write=False)
-    elif isinstance(found, tuple) and found and isinstance(found[0], np.ndarray):
-        found = tuple(read_only(part) for part in found)
     kept: T = found
     return kept
 

@@ -12,7 +12,7 @@ import contactqp as cq
 from benchmarks.judging import exact_truth
 from benchmarks.problem_families import family
 from contactqp.certificate import bounds as bounds_module
-from contactqp.certificate.admissible_pair import Undecided, _of_penetration
+from contactqp.certificate.admissible_pair import Undecided, of_penetration
 from contactqp.certificate.figures import force_norm
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
@@ -366,9 +366,9 @@ def test_what_refinement_leaves_of_opposite_contacts_is_no_conflict_and_more_is(
     on_set, _, _ = polish(problem, condensation, np.array([1]), 3)
     excess, length = np.array([2e-26, 0.0, 2e-26]), np.full(3, 1.25)
     settled = replace(on_set, nothing=np.full(5, 1e-22))
-    assert _of_penetration(problem, condensation, settled, excess, length) < 1e-24
+    assert of_penetration(problem, condensation, settled, excess, length) < 1e-24
     with pytest.raises(Undecided, match=r"conflict by 1\.6e-26 of their lengths"):
-        _of_penetration(problem, condensation, replace(on_set, nothing=np.full(5, 1e-30)), excess, length)
+        of_penetration(problem, condensation, replace(on_set, nothing=np.full(5, 1e-30)), excess, length)
 
 
 def test_where_constraints_conflict_the_certificate_of_any_answer_says_so() -> None:
