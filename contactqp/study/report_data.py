@@ -5,6 +5,7 @@ between two reports: versions, verdicts, errors, and run times beyond their spre
 from __future__ import annotations
 
 import json
+import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields, replace
@@ -24,7 +25,7 @@ from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.conclusion import MethodLine, conclude, load_of
 from contactqp.study.footprint import Footprint
-from contactqp.study.rows import COLUMNS, VERDICTS, Row, aligned, as_dicts
+from contactqp.study.rows import COLUMNS, VERDICTS, Row, as_dicts
 from contactqp.study.statistics import Rates, method_rates, overview, overview_data
 from contactqp.study.truth import Truth
 
@@ -273,7 +274,6 @@ def _case(case: CaseRecord) -> dict[str, Any]:
 FACTOR, ROUNDING = 10.0, 1e-12
 # The least spread that a time is taken to have: two runs of the same differ by as much.
 LEAST_SPREAD = 0.2
-CHANGE_HEADINGS = ("case", "method", "answer", "knob", "what", "before", "now")
 _WORDS = ("case", "method", "variant", "condensed", "knob")
 _KEY = (*_WORDS, "knob_value")
 _NUMBERS = ("knob_value", "error_judged", "seconds", "seconds_spread", "linear_solve_seconds")
@@ -284,13 +284,40 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
     Times are compared in linear solves of the same bodies where both reports have them, else in seconds. They have
     changed where they differ by more than the sum of their spreads, each at least 20 %. Methods that change places in
-    the table of the conclusion are told, and whether their times lie within these spreads.
+    the table of the conclusion are told, and whether their times lie within these spreads. No line is longer than 80
+    letters.
     """
     before, now = _rows_by_key(old), _rows_by_key(new)
-    lines = [line for key in before if key in now for line in _of_row(before[key], now[key])]
+    found = {key: lines for key in before if key in now and (lines := list(_of_row(before[key], now[key])))}
     parts = [*_versions(old, new), *_counts(before, now)]
-    parts.append(aligned([CHANGE_HEADINGS, *lines]) if lines else "no verdict, error or time has changed")
-    return "\n".join([*parts, *_order(list(before.values()), list(now.values()))])
+    parts += [] if found else ["no verdict, error or time has changed"]
+    parts = [textwrap.fill(part, WIDTH, subsequent_indent="  ") for part in parts]
+    parts += _table({key: (before[key], lines) for key, lines in found.items()})
+    order = _order(list(before.values()), list(now.values()))
+    return "\n".join([*parts, *(textwrap.fill(part, WIDTH, subsequent_indent="  ") for part in order)])
+
+
+# Letters of a line, and of the place of a change in it, at most.
+WIDTH, PLACE = 80, 44
+
+
+def _table(found: Mapping[Any, tuple[Row, Sequence[tuple[str, str, str]]]]) -> Iterator[str]:
+    """Yield the lines that tell what has changed: each case, and below it its methods, their knobs and the changes."""
+    placed = [(row.case, _place(row), line) for row, lines in found.values() for line in lines]
+    widest = min(max((len(place) for _, place, _ in placed), default=0), PLACE)
+    case = None
+    for this, place, (what, before, now) in placed:
+        if this != case:
+            case = this
+            yield f"{case}:"
+        line = f"  {place.ljust(widest)}  {what} {before} before, {now} now"
+        yield from textwrap.wrap(line, WIDTH, subsequent_indent=6 * " ", drop_whitespace=True)
+
+
+def _place(row: Row) -> str:
+    """Return the method of a row, its answer and its knob in words."""
+    knob = row.knob if row.knob_value is None else f"{row.knob} {row.knob_value:g}"
+    return ", ".join(filter(None, (row.method, row.variant, knob)))
 
 
 # Pairs of methods that are named, at most, where they have changed places.
@@ -376,17 +403,16 @@ def _counts(before: Mapping[Any, Row], now: Mapping[Any, Row]) -> Iterator[str]:
         yield f"{len(before) - gone} rows are in both reports, {gone} in the old one alone, {come} in the new one alone"
 
 
-def _of_row(before: Row, now: Row) -> Iterator[tuple[str, ...]]:
-    knob = before.knob if before.knob_value is None else f"{before.knob} {before.knob_value:g}"
-    place = (before.case, before.method, before.variant, knob)
+def _of_row(before: Row, now: Row) -> Iterator[tuple[str, str, str]]:
+    """Yield what has changed of a row, what it was before, and what it is now."""
     if before.verdict != now.verdict:
-        yield *place, "verdict", before.verdict, now.verdict
+        yield "verdict", before.verdict, now.verdict
     if before.error_judged is not None and now.error_judged is not None:
         errors = before.error_judged, now.error_judged
         smaller, larger = (max(error, ROUNDING) for error in sorted(errors))
         if larger > FACTOR * smaller:
-            yield *place, "error", f"{errors[0]:.1e}", f"{errors[1]:.1e}"
-    yield from ((*place, *line) for line in _times(before, now))
+            yield "error", f"{errors[0]:.1e}", f"{errors[1]:.1e}"
+    yield from _times(before, now)
 
 
 def _times(before: Row, now: Row) -> Iterator[tuple[str, str, str]]:

@@ -37,11 +37,24 @@ def test_verdicts_errors_times_and_versions_are_told() -> None:
         "osqp: 1.0 before, 1.1 now",
         "2 rows are in both reports, 1 in the old one alone, 1 in the new one alone",
     ]
-    assert [line.split()[:1] for line in lines[2:]] == [["case"], ["a"], ["a"], ["b"]]
-    assert "right" in lines[3]
-    assert "refused" in lines[3]
-    assert lines[4].endswith("5.0e-01")
-    assert lines[5].split()[-4:] == ["linear", "solves", "1", "3"]
+    assert lines[2] == "a:"
+    assert lines[3].split("  ")[-1] == "verdict right before, refused now"
+    assert lines[4].endswith(" before, 5.0e-01 now")
+    assert lines[5] == "b:"
+    assert lines[6].split("  ")[-1] == "linear solves 1 before, 3 now"
+
+
+def test_no_line_is_longer_than_a_terminal_is_wide() -> None:
+    """A case, a method, an answer, a knob and what changed made 108 letters."""
+    knob = dict(knob="perturbation", knob_value=4.8e10, variant="polished", **UNIT)
+    names = [f"perturbed-lagrangian-{i}" for i in range(9)]
+    before = _report(*(right("string_over_floor", name, 1e-3 * (1 + i), **knob) for i, name in enumerate(names)))
+    now = _report(
+        *(wrong("string_over_floor", name, 9e-3 / (1 + i), **knob) for i, name in enumerate(names)), osqp="2" * 70
+    )
+    lines = changes(before, now).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("perturbed-lagrangian-8, polished, perturbation 4.8e+10" in line for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -116,13 +129,12 @@ def _timed(**linear_solves: float) -> dict[str, Any]:
 def test_methods_that_change_places_are_told_beyond_their_spreads() -> None:
     before = _timed(osqp=2.0, clarabel=3.0, piqp=9.0)
     assert changes(before, before).endswith("the 3 methods have the same order by time")
-    neighbours = changes(before, _timed(osqp=3.1, clarabel=3.0, piqp=9.0))
+    neighbours = " ".join(changes(before, _timed(osqp=3.1, clarabel=3.0, piqp=9.0)).split())
     assert neighbours.endswith("same order by time, but for osqp and clarabel, whose times lie within their spreads")
     many = {name: 2.0 + i / 100 for i, name in enumerate(("osqp", "clarabel", "piqp", "daqp", "scs"))}
     turned = dict(zip(many, reversed(many.values()), strict=True))
-    assert changes(_timed(**many), _timed(**turned)).endswith(
-        "but for 10 of 10 pairs, whose times lie within their spreads"
-    )
+    pairs = " ".join(changes(_timed(**many), _timed(**turned)).split())
+    assert pairs.endswith("but for 10 of 10 pairs, whose times lie within their spreads")
     text = changes(before, _timed(osqp=9.0, clarabel=3.0, piqp=2.0))
     assert "piqp is faster than osqp now: 2 and 9 linear solves before, 9 and 2 now" in text
     assert "piqp is faster than clarabel now: 3 and 9 linear solves before, 3 and 2 now" not in text  # within, now
