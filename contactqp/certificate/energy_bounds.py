@@ -139,7 +139,9 @@ def _from_solution(
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
     energy, size, elastic = _energy(state)
-    if elastic < -NEGATIVE * size:
+    moved = abs(solution.displacement)
+    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # rigid motions leave an energy of either sign
+    if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)
     sees = unique.displacement and not mostly_bare(problem)

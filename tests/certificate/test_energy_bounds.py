@@ -241,3 +241,16 @@ def test_a_stationary_point_whose_elastic_energy_is_negative_has_no_bounds() -> 
     assert found.energy_error is None
     with pytest.raises(cq.ContactQPError):
         cq.solve(problem)
+
+
+@pytest.mark.parametrize("shift", [0.1, 1.0 / 3.0, 7.3])
+def test_the_rounding_of_a_rigid_motion_is_no_negative_energy(shift: float) -> None:
+    """A chain between bounds that only asks to be straight: u' K u is zero, and its rounding has either sign."""
+    n = 40
+    D = np.diff(np.eye(n), axis=0)
+    tie = np.zeros((1, n))
+    tie[0, :3] = 1.0
+    chain = cq.ContactProblem(D.T @ D, np.zeros(n), np.eye(n), np.full(n, 8.0), tie=tie, tie_value=[3 * shift])
+    straight = np.full(n, shift)
+    assert energy_bounds(chain, Answer(straight, np.zeros(n), None, np.zeros(1))).energy_bounds is not None
+    assert cq.solve(chain, condense=False).certificate.proven
