@@ -47,14 +47,16 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
-from contactqp.linalg.interior_point import MET_TOGETHER, settled, without_conflict
+from contactqp.linalg.interior_point import settled, without_conflict
 from contactqp.linalg.measures import bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
+from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.sparse_saddle import (
+    MET_TOGETHER,
     REGULARISATIONS,
     ClosedState,
     Effort,
-    factors_of_saddle,
+    SparseSaddle,
     kept_saddle,
 )
 from contactqp.model.arrays import Vector
@@ -98,7 +100,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         K is indefinite.
     """
     twin, scaling = equilibrated(problem)
-    factor = stiffness_factor(problem, factors=factors_of_saddle(twin), least=DEFINITE)
+    factor = stiffness_factor(problem, factors=_factors_of_saddle(twin), least=DEFINITE)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
     scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
@@ -123,6 +125,12 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     return replace(found, force_error=error, force_scale=size)
 
 
+def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
+    """Return the factors of the last saddle point of an equilibrated problem if they have the entries of K."""
+    kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
+    return next((saddle.factors for saddle in kept.values()), None)
+
+
 def _from_solution(
     problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
 ) -> Bounds:
@@ -140,7 +148,9 @@ def _from_solution(
     strain = max(strain - uncertain, 0.0)
     energy, size, elastic = _energy(state)
     moved = abs(solution.displacement)
-    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # rigid motions leave an energy of either sign
+    rounding = ROUNDED * float(
+        moved @ (problem.stiffness_sizes @ moved)
+    )  # rigid motions leave an energy of either sign
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)

@@ -419,3 +419,13 @@ def rows_alone(rows: Any) -> tuple[Indices, Indices]:
     unknown = rows.indices[rows.indptr[single]]
     alone = np.bincount(unknown, minlength=rows.shape[1])[unknown] == 1
     return single[alone], unknown[alone].astype(np.intp)
+
+
+def worst_of_neighbours(problem: ContactProblem, size: Vector) -> Mask:
+    """Return the contacts (m,) whose positive size (m,) none that shares an unknown with them exceeds."""
+    E = problem.normal
+    at_unknowns, around = np.zeros(problem.dimension), np.zeros(problem.contacts)
+    contact = np.repeat(np.arange(problem.contacts), np.diff(E.indptr))
+    np.maximum.at(at_unknowns, E.indices, size[contact])
+    np.maximum.at(around, contact, at_unknowns[E.indices])
+    return np.asarray((size > 0) & (size >= around))

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.equilibration import equilibrated, nearest_bounds
+from contactqp.linalg.equilibration import equilibrated, mostly_bare, nearest_bounds
 from contactqp.linalg.existence import (
     DRIVEN,
     NO_PART,
@@ -34,14 +34,16 @@ from contactqp.linalg.existence import (
     refuse_proven,
 )
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
-from contactqp.linalg.least_norm import least_solution
+from contactqp.linalg.least_norm import by_single_changes, carried_by_rows, least_solution
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
+from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import (
     BALANCED,
+    MET_TOGETHER,
     ClosedState,
     Effort,
-    factorised,
+    by_pivots,
     nearest_state,
     solved_on,
     with_right_signs,
@@ -50,9 +52,6 @@ from contactqp.model.arrays import Mask, Vector, all_finite, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 
-# Closed contacts and ties that are met to this part of the largest length do not contradict each other: it is far
-# beyond all rounding of doubles.
-MET_TOGETHER = 1e-20
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
 # Factorisations at a vertex where rows conflict: it settles at once, or the program has led elsewhere.
@@ -61,39 +60,13 @@ AT_A_VERTEX = 20
 LARGE_FORCE, ROUNDS = 1e6, 6
 
 
-def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state that holds; where contacts and ties press against each other, with the least sum of forces.
-
-    Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
-    without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
-    """
-    problem, closed = state.problem, np.flatnonzero(state.closed)
-    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
-    if not state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0))):
-        return state
-    carried = _carried(problem, state.answer)
-    size = float(np.max(abs(carried), initial=0.0)) or 1.0
-    count, ties = len(closed), problem.ties
-    found = highs(
-        np.concatenate([np.ones(count), np.zeros(ties)]),
-        A_eq=sp.hstack([problem.normal[closed].T, problem.tie.T], format="csr"),
-        b_eq=carried / size,
-        bounds=[(0, None)] * count + [(None, None)] * ties,
-    )
-    if found is None:
-        return state
-    force, kept = np.zeros(problem.contacts), state.closed.copy()
-    force[closed] = size * found.x[:count]
-    kept[closed] = found.x[:count] > CARRIES
-    start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
-    least = with_right_signs(solved_on(problem, kept, start, effort), effort)
-    return least if least.holds else state
-
-
 def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
     """Return a state that holds closed only contacts that can be closed together, or the same, marked, without one."""
     if not state.solved or state.length_residual <= MET_TOGETHER or state.in_conflict:
         return state
+    together = by_pivots(state, effort)
+    if together.holds and together.length_residual <= MET_TOGETHER:
+        return together
     most, enough = effort.most, effort.factorisations + AT_A_VERTEX
     effort.most = min(most, enough)
     vertex = vertex_near(state.problem, state.answer, state.length * state.length_residual, effort)
@@ -125,7 +98,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     if not problem.contacts:
         return None  # ties leave no choice
     near = np.flatnonzero(gap <= FARTHEST)
-    carried = _carried(problem, answer)
+    carried = carried_by_rows(problem, answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
     found = highs(
         -carried / size,
@@ -200,13 +173,6 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
     )
 
 
-def _carried(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
-    """Return f - K u (n,), which the forces of contacts and ties balance [force]."""
-    none = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
-    resting = ExtendedAnswer(answer.displacement, *none)
-    return residuals_of(extended_rows(problem), problem, resting).force.double()
-
-
 def _felt(limits: Vector) -> Vector:
     """Return limits of a linear program without those beneath its tolerance, which may make it infeasible."""
     return np.where(abs(limits) > CARRIES, limits, 0.0)
@@ -219,8 +185,6 @@ BACKEND_IS_OFF = 1e-9
 # Added to the diagonal of the matrix of a step; refinement in double precision takes it back.
 REGULARISATION, REFINEMENTS = 1e-8, 2
 STEPS = 25
-# Forces that are so many times those that act press against each other.
-PRESSED = 1e3
 # The part of the way to the nearest zero of a force or a slack that a step goes.
 SHORT_OF_ZERO = 0.9995
 # The work that a predicted step leaves, over that of now, counts as so much at most.
@@ -265,7 +229,8 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
 
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
     steps along the central path come to from there; then those of the vertex near the answer. With `driven`, contacts
-    close in addition where the load drives a motion that those of the point leave free.
+    close in addition where the load drives a motion that those of the point leave free. Contacts of the answer that
+    nearly depend on each other come last, one by one (`by_single_changes`).
 
     Parameters
     ----------
@@ -283,7 +248,18 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     middle = ExtendedAnswer.of(point.answer)
     state = nearest_state(problem, point.closed, middle, effort, driven)
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
-    return state if vertex is None else vertex
+    state = state if vertex is None else vertex
+    return state if state.holds or mostly_bare(problem) else _by_pivots(problem, answer, state, effort)
+
+
+def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, effort: Effort) -> ClosedState:
+    """Return the solution that the contacts of an answer lead to where rows nearly depend, or what failed before."""
+    effort.pivots = True
+    state = nearest_state(problem, _closed_in(problem, answer), start := ExtendedAnswer.of(answer), effort)
+    if not state.holds:
+        state = by_single_changes(solved_on(problem, _closed_in(problem, answer), start, effort), effort)
+    effort.pivots = False
+    return state if state.holds else failed
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,7 @@
-"""The displacement of least norm among those that motions leave which nothing drives, and that of sparse equations."""
+"""The displacement of least norm among those that motions leave which nothing drives, and that of sparse equations.
+
+Forces of redundant contacts with the least sum likewise, and sets of contacts that change one by one.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,16 @@ import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
-from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.equilibration import worst_of_neighbours
+from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.linalg.nonnegative import shift_within_gaps
+from contactqp.linalg.nonnegative import CARRIES, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
-from contactqp.linalg.sparse_saddle import factorised
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.linalg.schur import factorised
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, solved_on, with_right_signs
+from contactqp.model.arrays import Array, Indices, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -24,6 +29,8 @@ from contactqp.model.solution import Answer
 WITHIN_ROUNDING = 8 * np.finfo(float).eps
 # Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
 SHIFT_CORRECTIONS = 3
+# Forces that are so many times those that act press against each other.
+PRESSED = 1e3
 
 
 def shift_to_least_norm(
@@ -122,3 +129,76 @@ def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
         part, left = sp.csr_matrix((sp.diags(abs(weights)) @ rows).T), (across @ extend(weights)).double()
         weights = weights * (1.0 - np.sign(weights) * least_solution(part, left))
     return weights
+
+
+def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return a state that holds; where contacts and ties press against each other, with the least sum of forces.
+
+    Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
+    without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
+    """
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
+    if not state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0))):
+        return state
+    carried = carried_by_rows(problem, state.answer)
+    size = float(np.max(abs(carried), initial=0.0)) or 1.0
+    count, ties = len(closed), problem.ties
+    found = highs(
+        np.concatenate([np.ones(count), np.zeros(ties)]),
+        A_eq=sp.hstack([problem.normal[closed].T, problem.tie.T], format="csr"),
+        b_eq=carried / size,
+        bounds=[(0, None)] * count + [(None, None)] * ties,
+    )
+    if found is None:
+        return state
+    force, kept = np.zeros(problem.contacts), state.closed.copy()
+    force[closed] = size * found.x[:count]
+    kept[closed] = found.x[:count] > CARRIES
+    start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
+    least = with_right_signs(solved_on(problem, kept, start, effort), effort)
+    return least if least.holds else state
+
+
+def carried_by_rows(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
+    """Return f - K u (n,), which the forces of contacts and ties balance [force]."""
+    none = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
+    resting = ExtendedAnswer(answer.displacement, *none)
+    return residuals_of(extended_rows(problem), problem, resting).force.double()
+
+
+def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state that a primal active set leads to; `holds` says whether it solves the problem.
+
+    Where contacts share unknowns, as rows of third differences do, tension spreads over all that lie beside one that
+    opens, and no set is near to which all at once change. Penetrated contacts close first, then those in tension open,
+    each the worst of those with which it shares an unknown; on the way to the solution without them contacts close in
+    the order in which they are reached. The energy falls, so that no set comes twice (Nocedal and Wright 2006,
+    algorithm 16.3).
+    """
+    problem = state.problem
+    while state.solved and np.any(wrong := state.penetrated) and not _too_many(effort):
+        least = worst_of_neighbours(problem, np.where(wrong, -state.left.gap.double(), 0.0))
+        state = solved_on(problem, state.closed | least, state.answer, effort)
+    closings, openings = 0, 0
+    while state.solved and not (state.holds or state.penetrated.any() or _too_many(effort)):
+        pull = np.where(state.pulled, -state.answer.normal_force.double(), 0.0)
+        # Where most that open close again, all but one are in vain.
+        opened = worst_of_neighbours(problem, pull) if 2 * closings <= openings else pull == np.max(pull)
+        closed, gap = state.closed & ~opened, np.where(state.closed, 0.0, np.maximum(state.left.gap.double(), 0.0))
+        after, closings, openings = solved_on(problem, closed, state.answer, effort), 0, int(np.sum(opened))
+        while after.solved and np.any(after.penetrated) and not _too_many(effort):
+            left, reached = after.left.gap.double(), np.flatnonzero(after.penetrated)
+            part = gap[reached] / (gap[reached] - left[reached])
+            gap = np.maximum(gap + np.min(part) * (left - gap), 0.0)
+            closed = closed.copy()
+            closed[reached[np.argmin(part)]] = True
+            gap[closed], closings = 0.0, closings + 1
+            after = solved_on(problem, closed, after.answer, effort)
+        state = after
+    return state
+
+
+def _too_many(effort: Effort) -> bool:
+    refuse_late("contacts open and close one by one")
+    return effort.exhausted()

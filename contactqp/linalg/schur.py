@@ -25,16 +25,19 @@ difference K_cc - K_ci K_ii^-1 K_ic loses anyway.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
-from contactqp.linalg.factorization import DIAGONAL_PIVOTS, fill_reducing_order, forget_triangles
-from contactqp.linalg.pardiso import NotPositive, Pardiso
+from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, fill_reducing_order, forget_triangles
+from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, Pardiso, available
 from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
@@ -148,6 +151,8 @@ def _pivots_and_trailing_block(factor: Any, interior: int) -> tuple[Vector, Arra
 FEW = 4
 # From here on a sparse factorisation with PARDISO pays for loading it.
 LARGE = 2000
+# Products that factors of a band with row exchanges may take: less than a second.
+OF_BAND = 1e9
 SOLVERS = ("superlu", "pardiso")
 CHOICES = (*SOLVERS, "pyamg")
 
@@ -266,3 +271,64 @@ def same_matrix(one: Any, other: Any) -> bool:
     if one is None or other is None or one.shape != other.shape:
         return False
     return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)
+
+
+def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indices) -> Callable[[Vector], Vector]:
+    """Return a function that solves with a sparse matrix, by PARDISO where it is installed and pays, else SuperLU.
+
+    Raises BackendFailed: the solver ran out of memory, or met a pivot of zero.
+
+    Parameters
+    ----------
+    matrix : (p, p) sparse matrix, its first rows are those of the unknowns
+    kind : `INDEFINITE` and the like
+    order : EliminationOrder, of the unknowns of the stiffness
+    unknowns : (q,) array of int, those of the stiffness that the matrix contains
+    """
+    if not matrix.shape[0]:
+        return np.copy
+    if matrix.shape[0] > LARGE and available():
+        try:
+            return order.factorised(matrix, unknowns, kind).solve_all
+        except NotPositive:
+            # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells.
+            return order.factorised(matrix, unknowns, INDEFINITE).solve_all
+    from scipy.sparse.linalg import splu
+
+    try:
+        solve: Callable[[Vector], Vector] = splu(matrix, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS).solve
+    except (RuntimeError, ValueError) as error:
+        raise BackendFailed(f"superlu: {error}") from error
+    return solve
+
+
+def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
+    """Return a function that solves with a sparse symmetric matrix by LAPACK's factors of its band, with row exchanges.
+
+    The band is that of the reverse Cuthill-McKee order. (With row exchanges SuperLU may end the process where a
+    matrix is nearly singular.)
+
+    Raises BackendFailed: the matrix is singular, or its band is so wide that factors take more than `OF_BAND` products.
+
+    Parameters
+    ----------
+    matrix : (p, p) sparse matrix
+    """
+    size = matrix.shape[0]
+    order = reverse_cuthill_mckee(sp.csr_matrix(matrix), symmetric_mode=True)
+    ordered = sp.csr_matrix(matrix)[order][:, order].tocoo()
+    width = int(np.max(abs(ordered.row - ordered.col), initial=0))
+    if size * width**2 > OF_BAND:
+        raise BackendFailed(f"lapack: factors of a band of {width} beside the diagonal of {size} take too long")
+    band = np.zeros((3 * width + 1, size), order="F")
+    band[2 * width + ordered.row - ordered.col, ordered.col] = ordered.data
+    factors, exchanges, singular = dgbtrf(band, width, width, overwrite_ab=1)
+    if singular:
+        raise BackendFailed(f"lapack: pivot {singular} is zero")
+
+    def solve(right: Vector) -> Vector:
+        found = np.empty(size)
+        found[order] = dgbtrs(factors, width, width, right[order], exchanges)[0]
+        return found
+
+    return solve

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,10 +23,10 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import least_length, rows_alone
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
-from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, with_added_diagonal
+from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import outer_forces, row_sizes
-from contactqp.linalg.schur import LARGE
+from contactqp.linalg.schur import LARGE, factorised, with_pivots
 from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -41,6 +40,11 @@ FEW_FIXED = 0.2
 FINE, WORTH_ANOTHER = 1e-22, 0.1
 # A sweep that makes the larger residual grow by more than this has failed.
 GROWS = 4.0
+# Parts of K of which one is small beside rows that nearly depend on each other, and how often they are tried in vain.
+SMALL_STIFFNESS, MOST_IN_VAIN = (1e-4, 1e-8, 1e-12), 3
+# Closed contacts and ties that are met to this part of the largest length do not contradict each other: it is far
+# beyond all rounding of doubles.
+MET_TOGETHER = 1e-20
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
 SWEEPS, CONTRACTS = 20, 0.3
 # Corrections in double precision before residuals are formed in extended precision: with the first solution they come
@@ -165,35 +169,33 @@ class SparseSaddle:
         return *found, 1 + CORRECTIONS
 
 
-def factorised(
-    matrix: Any, kind: int, order: pardiso.EliminationOrder, unknowns: Indices
-) -> Callable[[Vector], Vector]:
-    """Return a function that solves with a sparse matrix, by PARDISO where it is installed and pays, else SuperLU.
+class PivotedSaddle:
+    """The saddle point of closed contacts and ties that nearly depend on each other, by factors with pivots.
 
-    Raises BackendFailed: the solver ran out of memory, or met a pivot of zero.
+        [ a K  E_C' ] [ u   ]   [ a f ]
+        [ E_C       ] [ a l ] = [ g_C ]
+
+    With a beneath the least singular value of the rows the condition number of the matrix is that of the rows, and not
+    its square (Bjorck 1996, section 2.5.1).
+
+    Raises BackendFailed: the rows depend on each other, or the factors may have too many entries.
 
     Parameters
     ----------
-    matrix : (p, p) sparse matrix, its first rows are those of the unknowns
-    kind : `pardiso.INDEFINITE` and the like
-    order : EliminationOrder, of the unknowns of the stiffness
-    unknowns : (q,) array of int, those of the stiffness that the matrix contains
+    problem : ContactProblem, equilibrated
+    closed : (c,) array of int, the closed contacts
+    part : float, a
     """
-    if not matrix.shape[0]:
-        return np.copy
-    if matrix.shape[0] > LARGE and pardiso.available():
-        try:
-            return order.factorised(matrix, unknowns, kind).solve_all
-        except pardiso.NotPositive:
-            # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells.
-            return order.factorised(matrix, unknowns, pardiso.INDEFINITE).solve_all
-    from scipy.sparse.linalg import splu
 
-    try:
-        solve: Callable[[Vector], Vector] = splu(matrix, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS).solve
-    except (RuntimeError, ValueError) as error:
-        raise BackendFailed(f"superlu: {error}") from error
-    return solve
+    def __init__(self, problem: ContactProblem, closed: Indices, part: float) -> None:
+        rows = sp.vstack([problem.normal[closed], problem.tie])
+        self._part, self._contacts = part, len(closed)
+        self._factor = with_pivots(sp.bmat([[part * problem.stiffness_rows, rows.T], [rows, None]], format="csc"))
+
+    def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
+        """Return corrections of u, l and nu for residuals, and the back-substitutions: one."""
+        u, carried = np.split(self._factor(np.concatenate([self._part * force, gap, tie])), [len(force)])
+        return u, carried[: self._contacts] / self._part, carried[self._contacts :] / self._part, 1
 
 
 @dataclass
@@ -201,7 +203,8 @@ class Effort:
     """The number of factorisations and back-substitutions of saddle points so far, and what they may be spent on.
 
     `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
-    after which no more are made; `cut` says that one was not made for either reason.
+    after which no more are made; `cut` says that one was not made for either reason. `pivots` says whether rows that
+    are not met together get factors with pivots, `in_vain` how often these led to no solution.
     """
 
     factorisations: int = 0
@@ -209,6 +212,8 @@ class Effort:
     wasted: int = WASTED
     most: float = np.inf
     cut: bool = False
+    pivots: bool = False
+    in_vain: int = 0
 
     def exhausted(self) -> bool:
         """Return whether no more factorisations may be made, and note in `cut` that one was wanted."""
@@ -363,13 +368,34 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
         state = after
         if state.residual <= FINE:
             break
+    return by_pivots(state, effort) if effort.pivots and state.length_residual > MET_TOGETHER else state
+
+
+def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state with its rows met together by factors with pivots, or the same where these do not lead to it."""
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    few = len(closed) + problem.ties <= problem.dimension
+    if not few or state.residual > NEARLY_MET or effort.in_vain >= MOST_IN_VAIN:
+        return state
+    for part in SMALL_STIFFNESS:
+        try:
+            saddle = PivotedSaddle(problem, closed, part)
+        except BackendFailed:
+            break
+        effort.factorisations += 1
+        # The first answer is off by the rounding of forces that may be far larger than those of the state before.
+        after = _swept(_corrected(state, saddle, effort), saddle, effort)
+        if after.solved and after.length_residual <= MET_TOGETHER:
+            return after
+    effort.in_vain += 1
     return state
 
 
-def factors_of_saddle(problem: ContactProblem) -> pardiso.Pardiso | None:
-    """Return the factors of the last saddle point of an equilibrated problem if they have the entries of K."""
-    kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
-    return next((saddle.factors for saddle in kept.values()), None)
+def _corrected(state: ClosedState, saddle: SparseSaddle | PivotedSaddle, effort: Effort) -> ClosedState:
+    closed = np.flatnonzero(state.closed)
+    du, dl, dn, solved = saddle.correction(*state.left.double(closed))
+    effort.back_substitutions += solved
+    return ClosedState.of(state.problem, state.closed, state.answer.corrected(du, closed, dl, dn))
 
 
 def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
@@ -391,15 +417,13 @@ def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, ef
     return kept[key]
 
 
-def _swept(state: ClosedState, saddle: SparseSaddle, effort: Effort) -> ClosedState:
+def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle, effort: Effort) -> ClosedState:
     """Refine with one factorisation for as long as sweeps reduce the residual by a good part."""
-    closed, slow = np.flatnonzero(state.closed), 0
+    slow = 0
     for _ in range(SWEEPS):
         if not state.residual > SOLVED:
             break
-        du, dl, dn, solved = saddle.correction(*state.left.double(closed))
-        effort.back_substitutions += solved
-        after = ClosedState.of(state.problem, state.closed, state.answer.corrected(du, closed, dl, dn))
+        after = _corrected(state, saddle, effort)
         if not after.better_than(state):
             break
         slow = 0 if after.better_than(state, CONTRACTS) else slow + 1

@@ -23,7 +23,8 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import scaled_by
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
-from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS, factorised
+from contactqp.linalg.schur import factorised
+from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem

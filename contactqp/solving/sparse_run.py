@@ -19,9 +19,9 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mostly_bare
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
-from contactqp.linalg.interior_point import refuse_ray, remember, solved_from, with_least_forces
+from contactqp.linalg.interior_point import refuse_ray, remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
-from contactqp.linalg.least_norm import shift_to_least_norm
+from contactqp.linalg.least_norm import shift_to_least_norm, with_least_forces
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (

@@ -250,6 +250,30 @@ def test_banded_inequalities_agree_with_condensing(order: int) -> None:
     assert sparse.displacement == pytest.approx(condensed.displacement, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("size", "kink"),
+    [(1000, 0.5), pytest.param(3000, 0.7, marks=pytest.mark.slow), pytest.param(3000, 0.5, marks=pytest.mark.slow)],
+)
+def test_third_differences_that_nearly_depend_on_each_other_are_proven(size: int, kink: float) -> None:
+    """Rows whose least singular value is about (pi / n)^3: beside K, its square is beneath rounding.
+
+    The nearest sequence is the least-squares fit by parabolas that meet at the open rows, where their curvature grows.
+    """
+    i = np.arange(size)
+    data = abs(i / size - kink) + 0.1 * np.sin(i + 1.0)
+    differences = sp.diags([-1.0, 3.0, -3.0, 1.0], [0, 1, 2, 3], shape=(size - 3, size), format="csr")
+    problem = cq.ContactProblem.from_qp(sp.identity(size), -data, G=-differences, h=np.zeros(size - 3))
+    solution = cq.solve(problem, condense=False)
+    assert solution.certificate.proven
+    opened = np.flatnonzero(solution.normal_force == 0)
+    assert 0 < len(opened) < 20
+    beyond = np.maximum(i[:, None] - opened - 1.0, 0.0)
+    pieces = np.hstack([np.vander(i / size, 3), beyond * np.maximum(beyond - 1, 0.0) / size**2])
+    weights = np.linalg.lstsq(pieces, data, rcond=None)[0]
+    assert np.all(weights[3:] > 0)
+    assert solution.displacement == pytest.approx(pieces @ weights, abs=1e-9)
+
+
 def test_optimal_control_agrees_with_condensing() -> None:
     """x' = A x + B v in steps, as many equations as states, bounds on the control, no weight on the velocity."""
     steps = 40
