@@ -40,6 +40,10 @@ ROUNDED = 1e-14
 # What candidates are off by, and what their bounds may be, where they are to pass.
 OFF = (0.0, 1e-14, 1e-12, 1e-9, 1e-7)
 LOOSE = dict(tolerance=1e-4, error_tolerance=1e-3)
+# Where the law contracts by less than this nearly all candidates are to have bounds.
+CONTRACTED = 0.9
+# What certificates say of candidates whose states have no answer of their own, or several.
+NOT_REGULAR = "no answer of its own states is near whose forces are unique"
 
 
 @dataclass
@@ -55,6 +59,7 @@ class Report:
     exists: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
     bounds: Counter[str] = field(default_factory=Counter)  # candidates by the scope of what is proven of them
+    contracted: Counter[str] = field(default_factory=Counter)  # those where kappa of `critical_friction` is below 0.9
     ratios: list[float] = field(default_factory=list)  # of a bound and the distance that it is of
 
 
@@ -134,6 +139,7 @@ def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
         answer = cq.solve(plain)
     except cq.ContactQPError:
         return
+    contracts = _kappa(plain) < CONTRACTED
     K = np.vectorize(Fraction, otypes=[object])(np.asarray(plain.stiffness_rows.toarray()))
     near = K + np.diag(np.diag(K)) if _held_by_contacts(plain) else K  # the norm that a radius is stated in
     truths = [
@@ -145,6 +151,9 @@ def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
         u, normal, friction, tie = (x * (1 + part * rng.normal(size=np.shape(x))) for x in parts)
         found = cq.certify(plain, u, normal, friction, tie, **LOOSE)
         report.bounds[found.scope or "none"] += 1
+        report.bounds["irregular"] += any(NOT_REGULAR in reason for reason in found.reasons)
+        if contracts:
+            report.contracted[found.scope or "none"] += 1
         if not found.proven:
             continue
         force = np.column_stack([normal, np.ravel(friction)])
@@ -161,6 +170,14 @@ def _judge_bounds(report: Report, posed: Posed, exact: Any) -> None:
             report.wrong.append(f"bounds: not one equilibrium within {found.radius:.3g}")
         if part > 1e-13 and distance > 0:
             report.ratios.append(error / distance)
+
+
+def _kappa(problem: cq.ContactProblem) -> float:
+    """The constant by which the law contracts, infinite where it has none."""
+    try:
+        return cq.critical_friction(problem).kappa
+    except cq.ContactQPError:
+        return float("inf")
 
 
 def _held_by_contacts(problem: cq.ContactProblem) -> bool:
@@ -297,8 +314,11 @@ def bounds_table(reports: list[Report]) -> list[str]:
     ratios = np.array([x for r in reports for x in r.ratios])
     if not counts:
         return []
+    irregular, contracted = counts.pop("irregular", 0), sum((r.contracted for r in reports), Counter())
     parts = ", ".join(f"{name} {counts[name]}" for name in ("global", "local", "none"))
-    line = f"bounds of {counts.total()} candidates in the plane: {parts}"
+    line = f"bounds of {counts.total()} candidates in the plane: {parts}, of which in no regular state {irregular}"
+    had = contracted.total() - contracted["none"]
+    line += f"; where kappa < {CONTRACTED}: {had} of {contracted.total()}"
     if ratios.size:
         line += f"; over the distance: median {np.median(ratios):.3g}, 90 % {np.quantile(ratios, 0.9):.3g}"
     return ["", line]

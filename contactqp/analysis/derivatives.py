@@ -192,11 +192,8 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if linearised.redundant and (of in FORCES or limited):
         return REDUNDANT
     problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
-    if parameter == "load" and along is not None:
-        load = along.load
-        driven = any(abs(motion @ load) > UNRESISTED * (abs(motion) @ abs(load)) for motion in motions)
-    else:
-        driven = bool(motions) and parameter in ("load", "stiffness", "rows")
+    driven = bool(motions) and parameter in ("load", "stiffness", "rows")
+    driven = driven if along is None else along.driven != 0
     rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
     seen = any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
     return FREE if driven or seen or (motions and of in ("displacement", "slip")) else None
@@ -220,7 +217,8 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     left, right = (_of_rates(linearised.solution, of, rates, direction) for rates in (back, ahead))
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
-        same = abs(left - right) <= SAME * max(abs(left), abs(right))
+        meet = abs(_value(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
+        same = abs(left - right) <= SAME * (meet + abs(linearised.solution.displacement) @ abs(direction.load))
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
     turns = linearised.turns

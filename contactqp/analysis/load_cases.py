@@ -174,8 +174,8 @@ ROWS = 32
 class LoadCases:
     """Loads, gaps and coefficients of friction of many cases, a row each; what is not given is the problem's own.
 
-    Loads and gaps in arrays of doubles are not copied, for they may take most of the memory there is. A sum over the
-    bits of each row tells whether it was changed since.
+    Loads and gaps in arrays of doubles, or in CSR arrays of them, are not copied, for they may take most of the memory
+    there is. A sum over the bits of each row tells whether it was changed since.
 
     Raises InvalidProblem: rows are missing altogether, differ in number, or have a wrong shape or entry.
 
@@ -276,8 +276,12 @@ def _read_rows(name: str, value: Any, width: int, name_of: Any, allowed: float =
     InvalidProblem
         Another shape, no real numbers, or a number that is not finite: its row and its column are named.
     """
-    kept = isinstance(value, np.ndarray) and value.dtype == float and not is_masked(value)
-    rows = read_matrix(name, value) if sp.issparse(value) else value if kept else read_array(name, value)
+    if sp.issparse(value):
+        kept = isinstance(value, sp.csr_array) and value.dtype == float and value.has_canonical_format
+        kept = kept and bool(np.all(np.isfinite(value.data)))
+    else:
+        kept = isinstance(value, np.ndarray) and value.dtype == float and not is_masked(value)
+    rows = value if kept else read_matrix(name, value) if sp.issparse(value) else read_array(name, value)
     if rows.ndim != 2 or rows.shape[1] != width:
         raise InvalidProblem(f"{name}: expected shape (N, {width}), a row for each case, got {rows.shape}")
     if not sp.issparse(rows):

@@ -27,12 +27,14 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
+from contactqp.model.solution import Solution
 
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
@@ -95,6 +97,7 @@ class Direction:
     turned: Vector  # (n,) -dE_N'l_N
     closing: Vector  # (m,) -dE_N u
     work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
+    driven: float = 0.0  # not zero where it drives motions that nothing resists, or resists them
 
     @classmethod
     def zero(cls, problem: ContactProblem) -> Direction:
@@ -448,17 +451,18 @@ def on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
     return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
 
 
-def read_direction(problem: ContactProblem, u: Vector, push: Vector, parameter: str, direction: Any) -> Direction:
-    """Return a direction of one parameter, and what it means at a displacement u (n,) with contact forces (m,).
+def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:
+    """Return a direction of one parameter, and what it means at an answer with contact forces (m,).
 
     Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
 
     Parameters
     ----------
-    problem, u, push : the problem, a displacement and contact forces
+    solution, push : the answer, and its contact forces
     parameter, direction : as in `contactqp.analysis.derivatives.derivative`
     """
-    zero = Direction.zero(problem)
+    problem, u = solution.problem, solution.displacement
+    zero, motions = Direction.zero(problem), [motion.direction for motion in solution.free_motions]
     if parameter in VECTORS:
         expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
         if parameter == "friction" and given.ndim == 0:
@@ -467,16 +471,28 @@ def read_direction(problem: ContactProblem, u: Vector, push: Vector, parameter: 
             raise InvalidProblem(f"direction: expected shape {expected}, got {given.shape}")
         if not np.all(np.isfinite(given)):
             raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
-        return Direction(**(vars(zero) | {parameter: given.reshape(expected)}))
+        loads = given[None] if parameter == "load" else np.zeros((0, problem.dimension))
+        driven = _moves(loads, motions)
+        return Direction(**(vars(zero) | {parameter: given.reshape(expected), "driven": driven}))
     change = read_matrix("direction", direction)
     expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
     if change.shape != expected:
         raise InvalidProblem(f"direction: expected shape {expected}, got {change.shape}")
     if parameter == "rows":
         closing = np.asarray(change @ u)
-        changed = dict(turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing))
+        changed: dict[str, Any] = dict(
+            turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
+            driven=_moves(change, motions),
+        )  # fmt: skip
         return Direction(**(vars(zero) | changed))
     if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
         raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
     moved = np.asarray(change @ u)
-    return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved))))
+    driven = _moves(change, motions)
+    return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven)))
+
+
+def _moves(rows: Any, motions: list[Vector]) -> float:
+    """Return 1 where a motion moves a row, more than its rounding, else 0."""
+    moved = (np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
+    return float(any(moved))

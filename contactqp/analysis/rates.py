@@ -266,7 +266,7 @@ class Linearised:
 
     def reads(self, parameter: str, direction: Any) -> Direction:
         """Return a direction of a parameter, and what it means at the answer; raises as `read_direction`."""
-        return read_direction(self.problem, self.solution.displacement, self.push, parameter, direction)
+        return read_direction(self.solution, self.push, parameter, direction)
 
     def adjoint(self, weights: Parts) -> Parts:
         """Return the solution of the transposed system; nothing is at a border."""

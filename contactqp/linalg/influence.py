@@ -72,10 +72,10 @@ class SlicedStiffness:
         if self.longest > LONGEST_ROW:
             raise Unsupported(f"residuals by slices: {self.longest} entries in a row, expected at most {LONGEST_ROW}")
         self._unit = 2.0 ** np.round(np.log2(unit))
-        scaled = sp.csr_array(sp.diags(self._unit) @ stiffness @ sp.diags(self._unit))
-        self._slices = []
-        for data in _slices(scaled.data, OF_ROWS):
-            self._slices.append(sp.csr_array((data, scaled.indices, scaled.indptr), shape=scaled.shape))
+        places = stiffness.indices, stiffness.indptr
+        scaled = stiffness.data * self._unit[stiffness.indices]
+        scaled *= np.repeat(self._unit, np.diff(stiffness.indptr))  # all of it exact: they are powers of two
+        self._slices = [sp.csr_array((data, *places), shape=stiffness.shape) for data in _slices(scaled, OF_ROWS)]
 
     def residual(self, right: Array, x: Array) -> Array:
         """Return right - K x (n, q) for several x (n, q) at once."""
@@ -136,7 +136,7 @@ EPS = float(np.finfo(float).eps)
 ALLOWANCE, LARGEST_CORRECTION = 1e4, 1e-6
 # Influence functions at once: factors are read once for all of them, and some fifteen arrays of their size are there
 # for a while, which should not take more than all functions at the loaded unknowns, unless that is next to nothing.
-FEWEST, MOST, ARRAYS = 6, 32, 15
+FEWEST, MOST, ARRAYS = 3, 32, 15
 # Terms of a product that are added up by themselves.
 PART = 64
 # Corrections of the states of contacts for one load, at most, and states whose systems are kept.

@@ -319,6 +319,10 @@ def test_bodies_free_to_slide_have_the_rates_of_what_is_determined() -> None:
     assert found.value == pytest.approx([1.0])
     assert found.reach == pytest.approx((7.0, np.inf))
     assert stack.derivative("energy", "load", [0.0, 0.0, 0.0, 1.0]).value == pytest.approx(5.0 / 3.0)
+    assert stack.derivative("normal_force", "stiffness", K).value == pytest.approx([0.0])  # it bears 7 all the same
+    assert stack.derivative("energy", "stiffness", K).value == pytest.approx(25.0 / 6.0)  # (5/3)^2 3/2
+    held = stack.derivative("normal_force", "stiffness", np.diag([1.0, 0.0, 0.0, 0.0]))
+    assert (held.value, "free to move" in held.reason) == (None, True)
     for of, load in (("normal_force", [1.0, 0.0, 0.0, -1.0]), ("displacement", [0.0, 0.0, 0.0, -1.0])):
         found = stack.derivative(of, "load", load)
         assert (found.value, "free to move" in found.reason) == (None, True)

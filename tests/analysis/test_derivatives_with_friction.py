@@ -288,6 +288,14 @@ def test_a_contact_at_its_bound_is_followed_to_the_next_event() -> None:
     assert found.reach == pytest.approx((np.inf, 1.0 / 0.15))
 
 
+def test_the_energy_has_two_rates_where_friction_at_its_bound_lets_go() -> None:
+    """A spring of 3 pulled by 0.3 = 0.1 x 3: lifted by 1, it slips by 0.1/3, and J' = (K u - f)'u' = -0.3 x 0.1/3."""
+    block = cq.ContactProblem(np.diag([3.0, 7.0]), [0.3, -3.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction=0.1)
+    found = cq.solve(block).derivative("energy", "load", [0.0, 1.0])
+    assert (found.exists, found.value) == (False, None)
+    assert (found.left, found.right) == (pytest.approx(0.0, abs=1e-15), pytest.approx(-0.3 * 0.1 / 3.0))
+
+
 def test_what_hardly_sticks_or_slips_is_told_from_what_is_at_its_bound() -> None:
     """A block of weight 8 on a spring of stiffness 2, mu = 1/4, pulled by 2 and a little less or more."""
     K, floor = np.diag([2.0, 4.0]), dict(normal=[[0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0.0]], friction=0.25)
