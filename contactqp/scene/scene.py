@@ -299,9 +299,9 @@ def run(
 
 def build_for(scene: SceneData, engine: str = SERIAL) -> Any:
     """Return the scene's model, for an engine."""
-    refuse_unknown_engine(engine)
-    if engine == SERIAL:
+    if isinstance(engine, str) and engine == SERIAL:
         return build(scene)
+    refuse_unknown_engine(engine)
     return engine_named(engine).function("build")(scene)
 
 
