@@ -136,6 +136,11 @@ def refuse_unbalanced(
 
     Up to `BALANCED` of all forces such a rest counts as nothing, and so do contact forces that might carry it; then the
     pair is that of another load, and its distance from the solution says nothing of them.
+
+    Parameters
+    ----------
+    problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
+    pair : AdmissiblePair, whose forces are looked at
     """
     rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
     outer = extend(problem.load) - rows.contact_force(pair.force, pair.tie_force)
@@ -218,6 +223,12 @@ def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet,
 
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
     Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
+
+    Parameters
+    ----------
+    problem, condensation : ContactProblem, and its Condensation
+    on_set : OnSet, the refined answer
+    length : (m,) array [length], the lengths that meet at the contacts
     """
     gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
     moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
@@ -242,6 +253,12 @@ def of_penetration(
     is admissible, and u* is so in the wider gaps, where u' has the forces l':
 
         |u* - u'|^2 <= 2 J(u*) - 2 J(u') <= 2 J(u' + w) - 2 J(u') = |w|^2 - 2 l'E w
+
+    Parameters
+    ----------
+    problem, condensation : ContactProblem, and its Condensation
+    on_set : OnSet, the refined answer u'
+    excess, length : (m,) arrays [length], d and the lengths that meet at the contacts
 
     Raises
     ------
@@ -304,7 +321,13 @@ def _by_retreat(
 
 
 def from_repair(problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices) -> AdmissiblePair:
-    """Return the pair of v, the candidate with its contacts closed, and l, its forces without tension, balanced."""
+    """Return the pair of v, the candidate with its contacts closed, and l, its forces without tension, balanced.
+
+    Parameters
+    ----------
+    problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
+    closed : (q,) array of int, the contacts that the answer holds closed
+    """
     rows = extended_rows(problem)
     to_feasible, saddle = _close(problem, answer, condensation, closed)
     force, tie = _admissible_forces(problem, answer, condensation)
@@ -386,6 +409,12 @@ def bounds_apart(problem: ContactProblem, answer: Answer, elastic: Mask, condens
     """Return the bounds of elastic parts, and those on single contact forces in the other parts.
 
     In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
+
+    Parameters
+    ----------
+    problem, answer : ContactProblem, Answer
+    elastic : (n,) array of bool, the unknowns of parts with stiffness
+    condensed : the function that returns the Bounds of one part, from its problem, answer, residuals and condensation
     """
     found = []
     for mask in (elastic, ~elastic):
@@ -445,6 +474,12 @@ def out_of_balance(
 
     No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to EPS of all that
     meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
+
+    Parameters
+    ----------
+    problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
+    pair : AdmissiblePair, whose forces they are
+    active : (q,) array of int, the contacts that are closed in it
     """
     motions = condensation.rigid.motions
     solution = (extend(answer.displacement) + pair.to_middle).double()

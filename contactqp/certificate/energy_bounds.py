@@ -357,7 +357,14 @@ def unique_on(state: ClosedState) -> Unique:
 
 
 def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:
-    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats."""
+    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats.
+
+    Parameters
+    ----------
+    problem, answer : ContactProblem, Answer
+    bounds : what condensed systems gave, returned where no more is proven
+    rigid : the null space of K
+    """
     if problem.frictional or _floats(problem, rigid):
         return bounds
     found = energy_bounds(problem, answer)

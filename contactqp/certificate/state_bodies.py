@@ -233,6 +233,8 @@ def with_friction_held(
 
     Parameters
     ----------
+    problem, answer : ContactProblem, Answer
+    condensation : that of the problem, None where its bodies are not condensed
     tolerance, nothing : the largest relative error that passes; the error that counts as none [square root of energy]
     reason : why there is no combination to compare with
     """
