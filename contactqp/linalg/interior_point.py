@@ -84,7 +84,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
         minimise  (K u - f)' v    subject to    E v <= (g - E u) / d,    A v = (b - A u) / d,    |v_j| <= FARTHEST
 
     whose multipliers are the forces; contacts without one only touch, and may open. None is returned where there are no
-    contacts or the linear program has no solution.
+    contacts, d underflows, or the linear program has no solution.
 
     Parameters
     ----------
@@ -93,10 +93,10 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     length : float [length], d
     effort : counts factorisations and back-substitutions
     """
+    if not problem.contacts or length < np.finfo(float).tiny:
+        return None  # ties leave no choice
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
-    if not problem.contacts:
-        return None  # ties leave no choice
     near = np.flatnonzero(gap <= FARTHEST)
     carried = carried_by_rows(problem, answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
@@ -135,7 +135,8 @@ def refined(state: ClosedState, effort: Effort) -> ClosedState:
         refuse_late("a vertex was found")
         force, length = state.left.force.double(), state.length / FARTHEST
         size = float(np.max(abs(force)))
-        start = _vertex_in_units(state, size, length) if size > 0 else None
+        units = size > 0 and length >= np.finfo(float).tiny
+        start = _vertex_in_units(state, size, length) if units else None
         if start is None:
             break
         closed = start.normal_force.double() > 0

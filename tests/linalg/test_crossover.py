@@ -233,3 +233,19 @@ def test_where_changes_of_the_set_lead_nowhere_another_backend_is_asked() -> Non
     solution = cq.solve(convex_sequence(2000))
     assert solution.certificate.proven
     assert solution.work.factorisations < 250
+
+
+def test_lengths_that_underflow_have_no_vertex_in_their_units() -> None:
+    """A tie whose value is subnormal beside its forces ended in ZeroDivisionError: found by wild numbers."""
+    stiffness = [
+        [2.39434518e-080, -4.25964992e-136, -1.78979428e042, 4.67936385e-075, 1.33908458e039],
+        [-4.25964992e-136, 1.74491061e-191, 2.28343762e-014, 1.33721252e-130, -2.39778889e-017],
+        [-1.78979428e042, 2.28343762e-014, 3.54767124e164, -9.37372066e047, 1.31437027e160],
+        [4.67936385e-075, 1.33721252e-130, -9.37372066e047, 1.13785503e-068, 1.02473205e045],
+        [1.33908458e039, -2.39778889e-017, 1.31437027e160, 1.02473205e045, 3.37941186e158],
+    ]
+    load = [-5.76754491e146, -2.47568053e091, -6.47435169e267, 2.81705551e152, -3.51264070e265]
+    tie, value = [[-2, 2, -2, -2, 1], [-1, 1, -2, -2, 0]], [6.17948456e-42, 2.00568557e-41]
+    problem = cq.ContactProblem(stiffness, load, normal=np.zeros((0, 5)), gap=[], tie=tie, tie_value=value)
+    with pytest.raises(cq.NotCertified, match="tie 0 is not met"):
+        cq.solve(problem)
