@@ -257,13 +257,16 @@ class BackSubstitution:
         return self._factor.solve(right)
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        if self._factor is None:  # nothing lies inside
+            return load[self._retained], np.zeros(0)
         inner = self._solve(load[self._interior])
         return load[self._retained] - self._coupling.T @ inner, inner
 
     def expand(self, retained: Vector, state: Vector) -> Vector:
         u = np.empty(len(self._retained) + len(self._interior))
         u[self._retained] = retained
-        u[self._interior] = state - self._solve(self._coupling @ retained)
+        if self._factor is not None:
+            u[self._interior] = state - self._solve(self._coupling @ retained)
         return u
 
     def expand_motions(self, retained: Array) -> Array:
