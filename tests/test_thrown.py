@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
+from benchmarks.adversary.wild import draw
 from contactqp.cli import main
 
 # Examples of each function in the slow share of the tests.
@@ -476,6 +477,17 @@ def _checked(folder: Path) -> int:
     with pytest.raises(SystemExit) as ended:
         main(["check", str(folder), str(folder / "answer.json")])
     return int(ended.value.code or 0)
+
+
+def test_derivatives_whose_signs_leave_the_range_of_doubles_are_refused_in_words() -> None:
+    """Rows from 1e33 to 1e108 beside stiffnesses from 1e-94 to 1e136: linprog refused what signs became."""
+    with np.errstate(all="ignore"):
+        problem = cq.ContactProblem(**draw(np.random.default_rng([77, 497])))
+    solution = cq.solve(problem)
+    for of in ("displacement", "slip", "normal_force"):
+        rate = solution.derivative(of, with_respect_to="load", direction=np.ones(problem.dimension))
+        assert rate.value is None
+        assert rate.reason
 
 
 def test_a_motion_with_a_row_of_zeros_is_drawn() -> None:

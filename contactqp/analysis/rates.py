@@ -440,7 +440,7 @@ class Linearised:
             return
         turns = np.column_stack([self.borders.signs(one, zero, system) for one in basis])
         many = NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
-        if width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
+        if not np.all(np.isfinite(turns)) or width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
             raise many
         try:
             found = self._in_states(system, direction)

@@ -20,12 +20,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
-from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, IDLE, RigidMotions, unknown_scale
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.least_norm import nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
@@ -106,16 +107,23 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
     )
 
 
-def driven_motion(problem: ContactProblem, rigid: RigidMotions) -> DrivenMotion | None:
-    """Return a rigid motion that gains energy from the load and that no row resists, if it is proven; else None.
+def doubtful_drive(problem: ContactProblem) -> str:
+    """Say which motion a load drives that may be the rounding of other loads, as F sin(pi) is; empty without one."""
+    found = None if contacts_are_many(problem) else driven_motion(problem, condense(problem).rigid, doubtful=True)
+    why = "; a load on a motion that nothing holds back is so small that it may be rounding of other loads"
+    cure = "state it as zero, or hold the motion"
+    return "" if found is None else f"{why}: {describe_motion(problem, found.motion)}; {cure}"
+
+
+def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool = False) -> DrivenMotion | None:
+    """Return a rigid motion that gains energy from the load and that no row resists, proven or `doubtful`.
 
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
     constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
     """
-    Z = rigid.motions
-    if not Z.shape[1] or not np.any(problem.load):
+    if not rigid.motions.shape[1] or not np.any(problem.load):
         return None
-    Z = Z / np.max(abs(Z), axis=0)
+    Z = rigid.motions / np.max(abs(rigid.motions), axis=0)
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, rigid)) * (problem.load_size @ abs(Z))):
         return None
@@ -124,10 +132,12 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions) -> DrivenMotion 
     if coordinates is None:
         return None
     for stated in _stated_ahead(problem):  # a translation says more than what gains most
-        if (simple := _proven_drive(problem, rigid, resisting, stated)) is not None:
+        simple = _proven_drive(problem, rigid, resisting, stated)
+        if simple is not None and (doubtful or simple.work > simple.rounding):
             return simple
     motion = Z @ coordinates
-    return _proven_drive(problem, rigid, resisting, motion / np.max(abs(motion)))
+    found = _proven_drive(problem, rigid, resisting, motion / np.max(abs(motion)))
+    return found if found is not None and (doubtful or found.work > found.rounding) else None
 
 
 def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
@@ -160,7 +170,7 @@ def _uncertainty(problem: ContactProblem, rigid: RigidMotions) -> float:
 
 
 def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, z: Vector) -> DrivenMotion | None:
-    """Return the motion z if K z, (E z)+ and A z are rounding and the work of the load is more than that; else None."""
+    """Return the motion z if K z, (E z)+ and A z are rounding and the load does work on it; else None."""
     uncertainty, scale = _uncertainty(problem, rigid), _positive_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
@@ -175,7 +185,7 @@ def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, 
         # Of loads beside much larger ones: F sin(pi) is none.
         max(IDLE, uncertainty) * float(np.linalg.norm(scale * size) * np.linalg.norm(z / scale)),
     )
-    return DrivenMotion(z, work, rounding) if work > rounding else None
+    return DrivenMotion(z, work, rounding) if work > 0 else None
 
 
 def _positive_scale(problem: ContactProblem) -> Vector:

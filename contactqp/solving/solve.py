@@ -29,6 +29,7 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
+from contactqp.linalg.existence import doubtful_drive
 from contactqp.linalg.iteration import (
     Systems,
     condense_anyway,
@@ -304,8 +305,7 @@ def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Sol
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
     """Return the first certified answer of the other exact routes; `Work.routes` says what was tried.
 
-    Raises NoEquilibrium: another route has proven that there is none; NotCertified, NotConverged: the error of the
-    default method, with what the others came to: none is certified.
+    Raises NoEquilibrium: another route has proven it; NotCertified, NotConverged: no route has a certified answer.
     """
     first = error.solution
     spent, seconds = (first.work, first.seconds) if isinstance(first, Solution) else (Work(), 0.0)
@@ -324,7 +324,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(names)} were tried too, and no answer is certified",)
+    error.args = (f"{error}; {', '.join(names)} were tried too, and no answer is certified{doubtful_drive(problem)}",)
     raise error
 
 

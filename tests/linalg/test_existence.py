@@ -110,6 +110,15 @@ def test_rounding_of_a_load_drives_nothing(method: str) -> None:
         pass
 
 
+def test_a_load_that_may_be_rounding_is_told_where_nothing_is_found() -> None:
+    load = 300 * np.array([math.cos(math.pi), math.sin(math.pi)])
+    stopped = cq.ContactProblem(np.diag([157500.0, 0.0]), load, [[-1.0, 0.0], [0.0, -1.0]], [1e-3, 1.0])
+    said = "so small that it may be rounding of other loads: unknown 1 by \\+1; state it as zero, or hold the motion"
+    with pytest.raises((cq.NotConverged, cq.NotCertified), match=said):
+        cq.solve(stopped)
+    assert cq.solve(stopped.replace(load=[load[0], 0.0])).certificate.proven
+
+
 @pytest.mark.parametrize("load", [1e-6, 1.0])
 def test_a_load_that_drives_a_motion_is_named_with_the_motion(load: float) -> None:
     problem = cq.ContactProblem(np.diag([157500.0, 0.0]), [300.0, load], [[1.0, 0.0]], [1e-3])
