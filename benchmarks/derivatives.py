@@ -32,7 +32,9 @@ from benchmarks.problem_families import FAMILIES, family
 LARGEST, FAR, SAME = 24, 1e-9, 1e-9
 # Powers of two near 1e-9, 1 and 1e9.
 UNITS = (2.0**-30, 1.0, 2.0**30)
-QUANTITIES = ("displacement", "normal_force", "gap", "friction_force")
+QUANTITIES = ("displacement", "normal_force", "gap", "reaction", "energy", "tie_force", "friction_force", "slip")
+# Steps that are further than this many lengths of a direction are none to rounding.
+NEVER = 1e12
 
 
 @dataclass
@@ -76,12 +78,22 @@ def directions(rng: np.random.Generator, problem: cq.ContactProblem) -> dict[str
     return found
 
 
-def sizes(problem: cq.ContactProblem) -> dict[str, np.ndarray]:
-    """What takes a unit of each entry of a quantity to the square root of energy."""
+def sizes(problem: cq.ContactProblem, solution: cq.Solution) -> dict[str, Any]:
+    """What takes a unit of each entry of a quantity to the square root of energy; an energy beside the answer's."""
     unit = 1.0 / np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0))
     normal = np.sqrt(problem.normal.power(2) @ unit**2)
     tangent = np.zeros(0) if problem.tangent is None else np.sqrt(problem.tangent.power(2) @ unit**2)
-    return dict(displacement=1 / unit, normal_force=normal, gap=1 / np.maximum(normal, 1e-300), friction_force=tangent)
+    tie = np.sqrt(sp.csr_array(problem.tie).power(2) @ unit**2)
+    found = dict(displacement=1 / unit, normal_force=normal, gap=1 / np.maximum(normal, 1e-300), reaction=unit,
+                 friction_force=tangent, slip=1 / np.maximum(tangent, 1e-300), tie_force=tie)  # fmt: skip
+    met = (solution.displacement / unit, solution.normal_force * normal, problem.load * unit)
+    return found | dict(energy=1 / max(*(float(np.max(abs(one), initial=0.0)) for one in met), 1e-300))
+
+
+def _same_reach(found: tuple[float, float], true: tuple[Any, Any]) -> bool:
+    """Whether the steps to the next event are those of the exact answer; those out of sight are one."""
+    steps = [[float(step) if step < NEVER else np.inf for step in pair] for pair in (found, true)]
+    return bool(np.allclose(*steps, rtol=SAME, atol=0.0))
 
 
 def floats(values: Any) -> np.ndarray:
@@ -98,8 +110,9 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
     if solution.certificate.uniqueness:
         tally.counts["several answers"] += 1
         return
-    unit = sizes(problem)
-    of = [name for name in QUANTITIES if name != "friction_force" or problem.frictional]
+    unit = sizes(problem, solution)
+    there = dict(friction_force=problem.frictional, slip=problem.frictional, tie_force=problem.ties > 0)
+    of = [name for name in QUANTITIES if there.get(name, True)]
     for parameter, direction in directions(rng, problem).items():
         try:
             exact = {name: answer.derivative(name, parameter, direction) for name in of}
@@ -110,6 +123,8 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
                      if one.right is not None), default=0.0)  # fmt: skip
         for name, true in exact.items():
             found = solution.derivative(name, parameter, direction)
+            if found.reach is not None and true.reach is not None and not _same_reach(found.reach, true.reach):
+                tally.wrong.append(f"{where}: {name} by {parameter} reaches {found.reach}, exactly {true.reach}")
             if found.right is None or true.right is None:
                 tally.counts["none: " + ("both" if found.right is None and true.right is None else
                              "doubles alone" if found.right is None else "exact alone")] += 1  # fmt: skip
@@ -126,6 +141,7 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
             differs = float(np.max(abs(floats(true.left) - floats(true.right)) * unit[name], initial=0.0))
             if found.exists != true.exists and not 0 < differs <= 2 * SAME * whole:
                 tally.wrong.append(f"{where}: {name} by {parameter}: exists {found.exists}, exactly {true.exists}")
+            tally.counts["reaches"] += found.reach is not None and true.reach is not None
             if found.bound is not None:
                 tally.counts["bounds"] += 1
                 if np.any(errors[1] > np.ravel(found.bound)):

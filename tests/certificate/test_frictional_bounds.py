@@ -335,3 +335,10 @@ def test_friction_along_a_supported_tangent_is_judged_by_its_figures_alone() -> 
         assert (found.passed, found.uniqueness, found.force_bound[0]) == (True, (), 0.0)
     assert cq.certify(held, [0.25], [2.0], [1.00001]).failures[0].startswith("cone")
     assert not cq.certify(held.replace(slip_origin=[-0.5]), [0.25], [2.0], [0.9]).passed
+
+
+def test_the_constant_of_the_theorem_is_kappa_and_not_the_ratio_of_the_coefficients() -> None:
+    """Of Example 2.18, whose answer is the only one to every load."""
+    found = cq.critical_friction(cq.run(cq.load_scene("truss_friction"))[-1].problem)
+    assert (found.kappa, found.contraction) == (pytest.approx(0.171575, rel=1e-5), pytest.approx(0.0345289, rel=1e-5))
+    assert found.unique
