@@ -55,6 +55,9 @@ FAR = 1e100
 MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
 # Such parts of the friction that would hold them are what they start with beyond their bounds, at least.
 LEAST_STARTS = (0.1, 1e-3, 1.0)
+FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
+# Contacts that are named in a reason.
+SHOWN = 5
 # The rates whose signs tell states.
 BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 
@@ -341,6 +344,12 @@ def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> C
     return posed
 
 
+def named(problem: ContactProblem, contacts: Indices) -> str:
+    """Return the names of some contacts."""
+    names = [problem.contact_name(int(i)) for i in contacts[:SHOWN]]
+    return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
+
+
 @dataclass(frozen=True, eq=False)
 class Borders:
     """The contacts of an answer with friction that are at the border of two states, and what they may go to."""
@@ -353,6 +362,7 @@ class Borders:
     drag: Array  # (m, d-1)
     slip: Array  # (m, d-1)
     slid: Mask  # (m,) which have slipped
+    still: Mask  # (m,) which have not, as certificates measure it
 
     def choices(self, i: int) -> tuple[int, ...]:
         """Return the states that a contact at a border may go to; in space SLIP_ON is that along its direction."""
@@ -371,6 +381,17 @@ class Borders:
         """The contacts that may begin to slip in any direction of a plane."""
         found = [i for i in self.undecided if self.drag.shape[1] > 1 and len(self.choices(int(i))) > 2]
         return np.array(found, dtype=np.intp)
+
+    def without_direction(self, friction: Vector) -> str | None:
+        """Return why there are no rates by coefficients: a contact without friction that has not slipped gets some."""
+        problem = self.problem
+        if problem.friction is None or not friction.any():
+            return None
+        if not problem.frictional:
+            return FRICTIONLESS
+        still = np.flatnonzero((problem.friction == 0) & (self.status != OPEN) & (friction != 0) & self.still)
+        text = "neither friction nor slip, which friction could act against"
+        return f"{named(problem, still)} has {text}" if len(still) else None
 
     def starts(self, held: Rates, begins: Indices) -> Iterator[Rates]:
         """Yield rates with slips that friction beyond the bounds of some contacts, which held them, may come to."""

@@ -162,7 +162,7 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     linearised = Linearised(solution)
     reason = _why_not(linearised, of, with_respect_to)
     if with_respect_to == "friction":
-        reason = reason or linearised.without_direction(np.ones(solution.problem.contacts))
+        reason = reason or linearised.borders.without_direction(np.ones(solution.problem.contacts))
     if reason is not None:
         raise InvalidProblem(f"pullback: {reason}")
     return read_only(_gradient(linearised, of, given, with_respect_to))
@@ -188,7 +188,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
-    limited = parameter == "rows" or (parameter in ("gap", "tie_value") and not (along and linearised.few_touch))
+    limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.few_touch)
     if linearised.redundant and (of in FORCES or limited):
         return REDUNDANT
     problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
@@ -201,11 +201,11 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
     """Return the derivative of a quantity along a direction of one parameter."""
-    reason = _why_not(linearised, of, parameter, direction) or linearised.without_direction(direction.friction)
+    reason = _why_not(linearised, of, parameter, direction) or linearised.borders.without_direction(direction.friction)
     if reason is not None:
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
-    if of == "energy" and not frictional and not (linearised.redundant and parameter in ("gap", "tie_value")):
+    if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
         rate = _rate_of_energy(linearised.solution, direction)
         return Derivative(rate, rate, rate, True)
     try:

@@ -98,6 +98,7 @@ class Direction:
     closing: Vector  # (m,) -dE_N u
     work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
     driven: float = 0.0  # not zero where it drives motions that nothing resists, or resists them
+    rows: Any = None  # (m, n) dE_N, of a direction of the rows
 
     @classmethod
     def zero(cls, problem: ContactProblem) -> Direction:
@@ -118,7 +119,8 @@ class Direction:
         return self.gap + self.closing
 
     def reversed(self) -> Direction:
-        return Direction(**{name: -value for name, value in vars(self).items()})
+        turned: dict[str, Any] = {name: None if value is None else -value for name, value in vars(self).items()}
+        return Direction(**turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -482,7 +484,7 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
         closing = np.asarray(change @ u)
         changed: dict[str, Any] = dict(
             turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
-            driven=_moves(change, motions),
+            driven=_moves(change, motions), rows=change,
         )  # fmt: skip
         return Direction(**(vars(zero) | changed))
     if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):

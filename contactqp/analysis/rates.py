@@ -35,6 +35,7 @@ from contactqp.analysis.border_states import (
     decided_in_space,
     falls,
     missed,
+    named,
     rates_posed,
     resolved,
     seen_states,
@@ -69,7 +70,6 @@ from contactqp.solving.solve import solve
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
-FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
 IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
 # Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
 ROUNDING = 64 * EPS
@@ -77,8 +77,6 @@ ROUNDING = 64 * EPS
 SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
 MOST_SHARING = 64
-# Contacts that are named in a reason.
-SHOWN = 5
 
 
 class NoRates(Exception):
@@ -128,8 +126,9 @@ class Linearised:
         measure = None if certificate.violations is None else certificate.violations.slip_measure
         slid = np.zeros(len(self.push), dtype=bool) if measure is None else measure > certificate.tolerance
         self.borders = Borders(
-            problem, self.scales, self.undecided, self.status, self.push, self._drag, self._slip, slid
-        )
+            problem, self.scales, self.undecided, self.status, self.push, self._drag, self._slip, slid,
+            still=~slid & (measure is not None),
+        )  # fmt: skip
         slip = np.zeros(shape_of_tangents(problem)) if answer.slip is None else answer.slip
         self._answer = Parts(answer.displacement, answer.normal_force, slip, answer.tie_force)
         if problem.frictional:
@@ -233,18 +232,6 @@ class Linearised:
         free = self.borders.free
         return f"{self.named(free)} {IN_SPACE}" if len(free) and self.solution.certificate.uniqueness else None
 
-    def without_direction(self, friction: Vector) -> str | None:
-        """Return why there are no rates by coefficients: a contact without friction that has not slipped gets some."""
-        solution, violations = self.solution, self.solution.certificate.violations
-        if self.problem.friction is None or violations is None or not friction.any():
-            return None
-        if not self.problem.frictional:
-            return FRICTIONLESS
-        smooth = (self.problem.friction == 0) & (self.status != OPEN) & (friction != 0)
-        still = np.flatnonzero(smooth & (violations.slip_measure <= solution.certificate.tolerance))
-        text = "neither friction nor slip, which friction could act against"
-        return f"{self.named(still)} has {text}" if len(still) else None
-
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.
 
@@ -253,7 +240,7 @@ class Linearised:
         NoRates
             There are none towards a side, or several.
         """
-        shifted = self.redundant and bool(direction.whole_gap.any() or direction.tie_value.any())
+        shifted = self._is_shifted(direction)
         if self.system is not None and not shifted:
             ahead = self._in_states(self.system, direction)
             return ahead, ahead
@@ -263,6 +250,11 @@ class Linearised:
             return ahead, ahead
         back = towards(direction.reversed())
         return back.reversed(), ahead
+
+    def _is_shifted(self, direction: Direction) -> bool:
+        """Return whether contacts that share their forces come to share them otherwise."""
+        changed = direction.rows is not None or direction.whole_gap.any() or direction.tie_value.any()
+        return self.redundant and bool(changed)
 
     def reads(self, parameter: str, direction: Any) -> Direction:
         """Return a direction of a parameter, and what it means at the answer; raises as `read_direction`."""
@@ -326,21 +318,27 @@ class Linearised:
 
         Of redundant ones whose gaps change, or of ties, those stay closed that the energy needs, and others may open.
         """
-        problem, k = self.problem, self.problem.ties
+        problem, k, load = self.problem, self.problem.ties, direction.whole_load
         closed, grazing, status, limit = self.closed, self.grazing, self.status, direction.whole_gap
-        if self.redundant and (limit.any() or direction.tie_value.any()):
+        if self._is_shifted(direction):
             touching = np.union1d(closed, grazing).astype(np.intp)
-            stay = Sharing(problem, touching, self.scales.units).stay(self._resultant, limit, direction.tie_value)
+            sharing = Sharing(problem, touching, self.scales.units)
+            stay = sharing.stay(self._resultant, limit, direction.tie_value)
             if stay is None:
                 raise NoRates("contacts that touch, and ties, cannot change their gaps and values so")
             closed, grazing = stay, np.setdiff1d(touching, stay)
+            if direction.rows is not None:
+                turn, (force, more) = direction.rows[stay].T, sharing.alone(stay, self._resultant)
+                if np.any(abs(turn @ more) > SEEN * (abs(turn) @ abs(more))):
+                    raise NoRates(REDUNDANT)
+                load = direction.load + direction.strained - turn @ force
             status = np.where(np.isin(np.arange(problem.contacts), closed), SLIP_ON, OPEN).astype(np.int8)
         if closed.tobytes() not in self._posed:
             self._posed[closed.tobytes()] = rates_posed(problem, closed, grazing)
         value = np.concatenate([direction.tie_value, limit[closed]])
         try:
             posed = self._posed[closed.tobytes()]
-            found = solve(posed.replace(load=direction.whole_load, gap=limit[grazing], tie_value=value))
+            found = solve(posed.replace(load=load, gap=limit[grazing], tie_value=value))
         except NoEquilibrium as none:
             raise NoRates(str(none)) from None
         force = np.zeros(problem.contacts)
@@ -488,8 +486,7 @@ class Linearised:
 
     def named(self, contacts: Indices) -> str:
         """Return the names of some contacts."""
-        names = [self.problem.contact_name(int(i)) for i in contacts[:SHOWN]]
-        return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
+        return named(self.problem, contacts)
 
     def at_border(self) -> str:
         """Return which contacts are at a border, in words."""

@@ -216,6 +216,16 @@ class Sharing:
                 stays.append(contact)
         return np.array(stays, dtype=np.intp)
 
+    def alone(self, contacts: Indices, resultant: Vector) -> tuple[Vector, Array]:
+        """Return forces of some of these contacts that exert it alone, and a basis (q, p) of what may be added."""
+        ties = np.ones(len(self.rows) - len(self._contacts), dtype=bool)
+        places = np.concatenate([np.isin(self._contacts, contacts), ties])
+        rows, lengths = self.rows[places], self._lengths[places]
+        force = np.linalg.lstsq(rows.T, (resultant * self._unit)[self._felt], rcond=DEPENDENT_ROWS)[0]
+        turned, sizes, _ = np.linalg.svd(rows)
+        more = turned[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
+        return (force / lengths)[: len(contacts)], (more / lengths[:, None])[: len(contacts)]
+
     def reach(self, resultant: Vector, rate: Vector) -> float:
         """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
         from scipy.optimize import linprog

@@ -342,6 +342,16 @@ def test_displacements_at_redundant_contacts_have_rates_by_gaps() -> None:
     assert (found.left, found.right) == (pytest.approx([2.0]), pytest.approx([6.0]))
     assert twice.derivative("displacement", "gap", [2.0, 2.0]).value == pytest.approx([2.0])
     assert "redundant" in twice.derivative("normal_force", "gap", [2.0, 2.0]).reason
+    # The second one's row longer by e > 0: (1 + e) u <= 1, u' = -1, and it bears all; by e < 0 the first one bears it.
+    found = twice.derivative("displacement", "rows", [[0.0], [1.0]])
+    assert (found.value, found.left, found.right) == (None, pytest.approx([0.0]), pytest.approx([-1.0]))
+    found = twice.derivative("energy", "rows", [[0.0], [1.0]])
+    assert (found.left, found.right) == (pytest.approx(0.0, abs=1e-15), pytest.approx(2.0))
+    assert twice.derivative("displacement", "rows", [[1.0], [1.0]]).value == pytest.approx([-1.0])
+    assert "redundant" in twice.derivative("normal_force", "rows", [[1.0], [1.0]]).reason
+    beside = cq.ContactProblem(np.diag([2.0, 2.0]), [4.0, 2.0], [[1.0, 0.0]] * 2, [1.0, 1.0])
+    tilted = cq.solve(beside).derivative("displacement", "rows", [[0.0, 1.0], [0.0, 1.0]])
+    assert tilted.value == pytest.approx([-1.0, -1.0])  # u = (1, 1), and a force of 2 has a part of 2 e on the other
     # A force of 2 that both may bear, and which is gone after a load of -2 more, however they share it.
     assert twice.derivative("displacement", "load", [-1.0]).reach == pytest.approx((np.inf, 2.0))
     between = cq.solve(cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [1.0, -1.0]))
